@@ -1,0 +1,65 @@
+"""Time-aligned samples of one robot: inputs x = [q, dq, ddq] and measured outputs y."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.errors import SemiparamError
+
+
+class Sample(NamedTuple):
+    """One instant. ``stamp`` [ns]; joints (n_joints,) in rad, rad/s, rad/s^2; ``outputs`` (n,) in N and N m."""
+
+    stamp: int
+    position: Array
+    velocity: Array
+    acceleration: Array
+    outputs: Array
+
+
+@dataclass(frozen=True)
+class Samples:
+    """N samples in order of time; ``origin`` [ns] is where ``time`` starts, and slices keep it."""
+
+    stamps: Stamps
+    position: Array
+    velocity: Array
+    acceleration: Array
+    outputs: Array
+    origin: int
+
+    @classmethod
+    def from_list(cls, samples: Iterable[Sample]) -> Samples:
+        """Stack single samples; the first stamp becomes the origin. An empty list raises SemiparamError."""
+        rows = list(samples)
+        if not rows:
+            raise SemiparamError('no complete samples: expected at least one joint state matched with one output.')
+        stamps, *columns = zip(*rows, strict=True)
+        return cls(np.array(stamps, dtype=np.int64), *(np.array(column, dtype=float) for column in columns),
+                   origin=int(stamps[0]))
+
+    @property
+    def time(self) -> Array:
+        """(N,) seconds since the origin."""
+        return np.asarray((self.stamps - self.origin) * 1e-9)
+
+    @property
+    def inputs(self) -> Array:
+        """(N, m) rows x = [q, dq, ddq], m = 3 n_joints."""
+        return np.hstack([self.position, self.velocity, self.acceleration])
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __getitem__(self, index: slice | Array | Stamps) -> Samples:
+        return replace(self, stamps=self.stamps[index], position=self.position[index], velocity=self.velocity[index],
+                       acceleration=self.acceleration[index], outputs=self.outputs[index])
+
+    def __iter__(self) -> Iterator[Sample]:
+        rows = zip(self.stamps.tolist(), self.position, self.velocity, self.acceleration, self.outputs, strict=True)
+        return (Sample(*row) for row in rows)
