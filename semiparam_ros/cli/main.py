@@ -1,0 +1,123 @@
+"""The command `semiparam COMMAND ...` and the two programs that ROS users start by name.
+
+A sub-command is the module of its name beside this one, with ``HELP``, ``add_arguments(parser)`` and
+``run(args) -> exit code``. Only the chosen one is imported, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from semiparam_ros import __version__
+from semiparam_ros.errors import SemiparamError
+
+COMMANDS = ('run', 'replay', 'evaluate', 'fit', 'compare', 'diagnose', 'simulate', 'convert', 'bench', 'record')
+
+FAILED, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
+
+
+def main(argv: Sequence[str] | None = None, prog: str = 'semiparam') -> int:
+    """Run one sub-command and return its exit code: 2, with one sentence on stderr, for anything a user can mend."""
+    # The matrices are small: a second linear algebra thread only fights with the executor (read when numpy loads).
+    os.environ.setdefault('OMP_NUM_THREADS', '1')
+    arguments, ros_arguments = split_ros_arguments(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _dispatch(arguments, ros_arguments, prog)
+        sys.stdout.flush()
+        return code
+    except SemiparamError as error:
+        return _complain(prog, str(error), BAD_INPUT)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader has left (`semiparam ... | head`); Python would complain once more when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as error:
+        name = f'{error.filename}: ' if error.filename else ''
+        return _complain(prog, f'{name}{error.strerror or error}.', BAD_INPUT)
+    except Exception as error:
+        return _unexpected(prog, error)
+
+
+def estimator() -> int:
+    """The node as a program of its own: `semiparam run`."""
+    return main(['run', *sys.argv[1:]], prog='estimator')
+
+
+def bag_replay() -> int:
+    """The replay tool as a program of its own: `semiparam replay`."""
+    return main(['replay', *sys.argv[1:]], prog='bag_replay')
+
+
+def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Ours, and those between each `--ros-args` and the next `--` (markers included), which rclpy wants.
+
+    A sub-command finds the latter in ``args.ros_args``.
+    """
+    ours: list[str] = []
+    theirs: list[str] = []
+    inside = False
+    for argument in argv:
+        inside = inside or argument == '--ros-args'
+        (theirs if inside else ours).append(argument)
+        inside = inside and argument != '--'
+    return ours, theirs
+
+
+def _dispatch(argv: list[str], ros_arguments: list[str], prog: str) -> int:
+    """Choose the sub-command, let it parse the rest and run it."""
+    chosen = _overview().parse_args(argv)
+    module = importlib.import_module(f'semiparam_ros.cli.{chosen.command}')
+    name = f'{prog} {chosen.command}' if prog == 'semiparam' else prog
+    parser = argparse.ArgumentParser(prog=name, description=module.HELP)
+    module.add_arguments(parser)
+    return int(module.run(parser.parse_args(chosen.arguments, argparse.Namespace(ros_args=ros_arguments))))
+
+
+def _overview() -> argparse.ArgumentParser:
+    """The parser of the first word alone."""
+    lines = [f'  {command:<10}{summary(command)}' for command in COMMANDS]
+    parser = argparse.ArgumentParser(prog='semiparam', description="Learn a robot's inverse dynamics while it moves.",
+                                     formatter_class=argparse.RawDescriptionHelpFormatter,
+                                     epilog='\n'.join(['commands:', *lines, '',
+                                                       'semiparam COMMAND --help explains each.']))
+    parser.add_argument('--version', action='version', version=f'semiparam_ros {__version__}')
+    parser.add_argument('command', choices=COMMANDS, metavar='COMMAND', help='one of the commands below')
+    parser.add_argument('arguments', nargs=argparse.REMAINDER, metavar='...', help=argparse.SUPPRESS)
+    return parser
+
+
+def summary(command: str) -> str:
+    """First line of a sub-command's HELP, read from its source: importing all ten would take seconds."""
+    source = Path(__file__).with_name(f'{command}.py')
+    for statement in ast.parse(source.read_text(encoding='utf-8')).body if source.exists() else []:
+        target = statement.targets[0] if isinstance(statement, ast.Assign) else getattr(statement, 'target', None)
+        if isinstance(target, ast.Name) and target.id == 'HELP':
+            return str(ast.literal_eval(statement.value)).splitlines()[0]  # type: ignore[attr-defined]
+    return ''
+
+
+def _complain(prog: str, sentence: str, code: int) -> int:
+    """One sentence on standard error."""
+    print(f'{prog}: {sentence}', file=sys.stderr)
+    return code
+
+
+def _unexpected(prog: str, error: Exception) -> int:
+    """A fault of the program itself: still no traceback unless it is asked for."""
+    if os.environ.get('SEMIPARAM_TRACEBACK'):
+        traceback.print_exc()
+    sentence = f'internal error, {type(error).__name__}: {error} (SEMIPARAM_TRACEBACK=1 shows where).'
+    return _complain(prog, sentence, FAILED)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

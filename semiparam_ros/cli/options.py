@@ -1,0 +1,81 @@
+"""What the sub-commands share: options, consoles, progress bars and the writing of results."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from semiparam_ros.errors import SemiparamError
+
+SCHEMA = 1
+
+console = Console(stderr=True)
+"""Progress and remarks; standard output is left to results."""
+
+output = Console()
+"""Results: tables that a user may pipe into a file."""
+
+
+def add_params_option(parser: argparse.ArgumentParser) -> None:
+    """`--params FILE`: the ROS parameter file that also configures the node."""
+    parser.add_argument('--params', metavar='FILE', type=Path,
+                        help='ROS parameter file (YAML), the same that configures the node')
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """`--json FILE`: where the result goes in machine-readable form."""
+    parser.add_argument('--json', metavar='FILE', type=Path, help='write the result to this JSON file, in SI units')
+
+
+def progress_bar() -> Progress:
+    """A bar on standard error, silent where that is no terminal."""
+    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, disable=not console.is_terminal)
+
+
+def write_json(path: Path, result: Mapping[str, Any]) -> None:
+    """Write a result, versioned by "schema", atomically; a number that is not finite raises SemiparamError."""
+    document = {'schema': SCHEMA, **_plain(result, '')}
+    write_text(path, json.dumps(document, indent=2, allow_nan=False) + '\n')
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole file or nothing: into a temporary neighbour first, which then takes the name."""
+    path = Path(path)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+        with os.fdopen(handle, 'w', encoding='utf-8') as stream:
+            stream.write(text)
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise SemiparamError(f'cannot write {path}: {error.strerror}.') from error
+
+
+def _umask() -> int:
+    """mkstemp makes files private; a result is as readable as any other file of the user."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _plain(value: Any, where: str) -> Any:
+    """Python numbers, lists and dicts from numpy's; `where` names the entry in an error."""
+    if hasattr(value, 'tolist'):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry, f'{where}.{key}' if where else str(key)) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry, f'{where}[{index}]') for index, entry in enumerate(value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        raise SemiparamError(f'the result holds {value} at {where}, where a finite number was expected.')
+    return value

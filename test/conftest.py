@@ -1,0 +1,68 @@
+"""Fixtures for every test: the measured recordings, and a DDS domain of one's own."""
+
+import fcntl
+import os
+from pathlib import Path
+
+# One linear algebra thread, set before numpy is loaded: two workers on two cores must not fight.
+os.environ.setdefault('OMP_NUM_THREADS', '1')
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
+import hypothesis
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+SHARED_DATA = REPOSITORY.parent / 'shared' / 'data'
+
+# A busy machine is no failure: the search is bounded by the number of examples, not by the clock.
+hypothesis.settings.register_profile('steady', deadline=None)
+hypothesis.settings.load_profile('steady')
+
+
+@pytest.fixture(scope='session')
+def repository() -> Path:
+    """The checkout that is being tested."""
+    return REPOSITORY
+
+
+@pytest.fixture(scope='session')
+def shared_data() -> Path:
+    """Folder of the measured recordings, which are not redistributed; where CI=true they must be there."""
+    if SHARED_DATA.is_dir():
+        return SHARED_DATA
+    sentence = f'the measured recordings are not beside the checkout: {SHARED_DATA} is missing'
+    if os.environ.get('CI', '').lower() == 'true':
+        pytest.fail(sentence)
+    pytest.skip(sentence)
+
+
+@pytest.fixture
+def ros_domain(tmp_path, monkeypatch):
+    """A ROS_DOMAIN_ID that no other test uses at this moment, on loopback alone."""
+    with _free_domain() as domain:
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+        monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
+        yield domain
+
+
+class _free_domain:
+    """Holds a lock file for the first free domain, so that parallel workers and other checkouts keep apart."""
+
+    # Above 101 a domain's ports reach into the range that the kernel gives to outgoing connections.
+    DOMAINS = range(60, 102)
+
+    def __enter__(self) -> int:
+        folder = Path('/tmp/semiparam_ros_test_domains')
+        folder.mkdir(exist_ok=True)
+        for domain in self.DOMAINS:
+            self.lock = (folder / str(domain)).open('w')
+            try:
+                fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return domain
+            except BlockingIOError:
+                self.lock.close()
+        raise RuntimeError('no free ROS domain: more than forty tests are running')
+
+    def __exit__(self, *_: object) -> None:
+        self.lock.close()
