@@ -1,0 +1,166 @@
+"""Log marginal likelihood of a window under the model y = C theta + (phi' x I) alpha + e, with its gradient.
+
+All outputs share phi, so after whitening by ``output_scale`` the covariance of the stacked outputs is
+V = I_n x A + C Gamma C' with A = sigma^2 I + rho^2 Phi Phi'. Only A (through min(t, D)) and a p x p matrix are
+ever factored. The gradient runs backwards: dL/dA once, and from it every length scale (DESIGN, section 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.shared_factor import SharedFactor
+from semiparam_ros.core.types import Array, Stamps
+
+LOG_2PI = float(np.log(2.0 * np.pi))
+RANK_TOLERANCE = 1e-12
+"""Directions of theta that the window excites less than this (relative, columns scaled) keep a zero estimate."""
+
+
+class Slope(NamedTuple):
+    """Derivatives of the log evidence by the logarithm of each hyperparameter; ``tau`` (groups,), scales (n,)."""
+
+    gamma: float
+    rho: float
+    tau: Array
+    sigma: float
+    output_scale: Array
+
+
+class Evidence(NamedTuple):
+    """``value`` [nat]; ``theta`` (p,): posterior mean, or the generalised least squares estimate if profiled."""
+
+    value: float
+    theta: Array
+    slope: Slope | None
+
+
+@dataclass(frozen=True)
+class Window:
+    """The data of one evidence: t samples, n outputs, p coupled columns, m scaled inputs, d frequencies.
+
+    :param outputs: Y (t, n), in N and N m.
+    :param coupled: C (t, n, p); p = 0 for a purely non-parametric model.
+    :param inputs: (x - mean) / scale, (t, m).
+    :param spectrum: omega (d, m), standard normal; d = 0 for a purely parametric model.
+    :param groups: (m,) index of the length scale of each input.
+    :param prior_scale: (p,) prior standard deviations of theta in units of gamma.
+    :param profiled: theta is a hyperparameter maximised in closed form (SP), not a Gaussian variable (P, SPK).
+    """
+
+    outputs: Array
+    coupled: Array
+    inputs: Array
+    spectrum: Array
+    groups: Stamps
+    prior_scale: Array
+    profiled: bool = False
+
+    def thinned(self, rows: int, frequencies: int) -> Window:
+        """The same problem on at most ``rows`` evenly spaced samples and the first ``frequencies`` of omega."""
+        step = max(1, -(-len(self.outputs) // rows))
+        return replace(self, outputs=self.outputs[::step], coupled=self.coupled[::step], inputs=self.inputs[::step],
+                       spectrum=self.spectrum[:frequencies])
+
+
+class Point(NamedTuple):
+    """Where the evidence is taken: ``tau`` (groups,), ``output_scale`` (n,)."""
+
+    gamma: float
+    rho: float
+    tau: Array
+    sigma: float
+    output_scale: Array
+
+
+class _Coupled(NamedTuple):
+    """The estimate of theta and what the gradient needs of it; ``root`` (p, p) has root root' = M^-1."""
+
+    theta: Array
+    root: Array
+    log_determinant: float
+    penalty: float
+    gamma_slope: float
+
+
+def evidence(window: Window, at: Point, gradient: bool = True) -> Evidence:
+    """Log marginal likelihood of the window, O(t D min(t, D)) with or without the gradient."""
+    steps, n, p = window.coupled.shape
+    y = window.outputs / at.output_scale
+    c = (window.coupled / at.output_scale[:, None]).reshape(steps * n, p)
+    scaled_inputs = window.inputs / at.tau[window.groups]
+    phi = harmonics(scaled_inputs @ window.spectrum.T)
+    factor = SharedFactor(at.rho * phi, at.sigma)
+    solved = factor.solve(np.hstack([y, c.reshape(steps, n * p)]))
+    ay, ac = solved[:, :n], np.ascontiguousarray(solved[:, n:]).reshape(steps * n, p)
+    coupled = _estimate(c.T @ ac, ac.T @ y.ravel(), at.gamma * window.prior_scale, window.profiled)
+    errors = y - (c @ coupled.theta).reshape(steps, n)
+    weighted = ay - (ac @ coupled.theta).reshape(steps, n)
+    value = -0.5 * (n * factor.log_determinant + coupled.log_determinant + float(np.sum(errors * weighted))
+                    + coupled.penalty + steps * n * LOG_2PI) - steps * float(np.log(at.output_scale).sum())
+    if not gradient:
+        return Evidence(value, coupled.theta, None)
+    z = np.hstack([weighted, (ac @ coupled.root).reshape(steps, -1)])
+    rho_slope, sigma_slope, by_features = _covariance_slopes(factor, z, n)
+    scale_slope = np.sum(errors * weighted, axis=0) - steps
+    scale_slope += np.sum(((ac @ coupled.root) * (c @ coupled.root)).reshape(steps, n, -1), axis=(0, 2))
+    tau_slope = _length_scale_slopes(at.rho * by_features, phi, scaled_inputs, window, len(at.tau))
+    return Evidence(value, coupled.theta, Slope(coupled.gamma_slope, rho_slope, tau_slope, sigma_slope, scale_slope))
+
+
+def harmonics(phase: Array) -> Array:
+    """Phi = [cos z | sin z] / sqrt(d) for z (t, d), so that each row has norm one."""
+    frequencies = phase.shape[1]
+    phi = np.empty((len(phase), 2 * frequencies))
+    np.cos(phase, out=phi[:, :frequencies])
+    np.sin(phase, out=phi[:, frequencies:])
+    return phi / np.sqrt(max(frequencies, 1))
+
+
+def _estimate(information: Array, right: Array, prior_std: Array, profiled: bool) -> _Coupled:
+    """theta from N = C'A^-1 C and h = C'A^-1 y, under the prior or by generalised least squares."""
+    if not len(right):
+        return _Coupled(right, information, 0.0, 0.0, 0.0)
+    return _least_squares(information, right) if profiled else _posterior(information, right, prior_std)
+
+
+def _least_squares(information: Array, right: Array) -> _Coupled:
+    """Maximum likelihood: by the envelope theorem the gradient sees no change of theta, hence no root."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
+    kept = values > RANK_TOLERANCE * values[-1]
+    basis = scale[:, None] * vectors[:, kept]
+    theta = basis @ ((basis.T @ right) / values[kept])
+    return _Coupled(theta, np.zeros((len(right), 0)), 0.0, 0.0, 0.0)
+
+
+def _posterior(information: Array, right: Array, prior_std: Array) -> _Coupled:
+    """M = Gamma^-1 + N through W = I + Gamma^1/2 N Gamma^1/2, which stays finite for gamma to 0 and to infinity."""
+    values, vectors = np.linalg.eigh(prior_std[:, None] * information * prior_std)
+    eigenvalues = 1.0 + np.maximum(values, 0.0)
+    root = prior_std[:, None] * vectors / np.sqrt(eigenvalues)
+    white = vectors @ ((vectors.T @ (prior_std * right)) / eigenvalues)
+    penalty = float(white @ white)
+    slope = penalty - float(np.sum(1.0 - 1.0 / eigenvalues))
+    return _Coupled(prior_std * white, root, float(np.log(eigenvalues).sum()), penalty, slope)
+
+
+def _covariance_slopes(factor: SharedFactor, z: Array, n: int) -> tuple[float, float, Array]:
+    """Slopes by log rho and log sigma, and dL/dF (t, D), all from dL/dA = (Z Z' - n A^-1) / 2."""
+    solved = factor.solved_features()
+    by_features = z @ (z.T @ factor.features) - n * solved
+    # sigma^2 tr A^-1 = t - tr(F'A^-1 F) keeps its absolute accuracy as sigma vanishes
+    noise_trace = factor.rows - float(np.sum(factor.features * solved))
+    sigma_slope = factor.noise * float(np.sum(z * z)) - n * noise_trace
+    return float(np.sum(by_features * factor.features)), sigma_slope, by_features
+
+
+def _length_scale_slopes(by_phi: Array, phi: Array, scaled: Array, window: Window, groups: int) -> Array:
+    """dL/dlog tau (groups,) from dL/dPhi: back through cos and sin to z = omega' x / tau."""
+    d = len(window.spectrum)
+    by_phase = by_phi[:, d:] * phi[:, :d] - by_phi[:, :d] * phi[:, d:]
+    by_input = -np.sum((by_phase.T @ scaled) * window.spectrum, axis=0)
+    return np.bincount(window.groups, weights=by_input, minlength=groups)

@@ -1,0 +1,68 @@
+"""Random Fourier features of the Gaussian kernel (Rahimi and Recht 2007; Romeres et al. 2016, section IV)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+KINDS = 3  # position, velocity, acceleration
+
+
+class RandomFeatures:
+    """phi(x) = [cos z, sin z] / sqrt(d) with z = omega'(x - mean) / (scale tau), omega ~ N(0, I), D = 2 d.
+
+    phi(x)'phi(x') tends to exp(-|x - x'|^2 / (2 tau^2)) on scaled inputs, and phi'phi = 1.
+    """
+
+    def __init__(self, n_inputs: int, count: int, seed: int, tau: Sequence[float], input_mean: Array,
+                 input_scale: Array) -> None:
+        """``count`` is D (even); ``tau`` holds 1, 3 (position, velocity, acceleration) or n_inputs length scales."""
+        if count < 2 or count % 2:
+            raise SemiparamError(f'features.count is {count}; expected an even number of at least 2.')
+        self.count = count
+        self.input_mean = np.asarray(input_mean, dtype=float)
+        self.input_scale = np.asarray(input_scale, dtype=float)
+        self.omega = np.random.default_rng(seed).standard_normal((count // 2, n_inputs))
+        self.tau = tuple(float(value) for value in tau)
+        divisor = self.input_scale * spread(self.tau, n_inputs)
+        self._omega = np.asfortranarray(self.omega / divisor)
+        self._phase = self._omega @ self.input_mean
+        self._norm = 1.0 / np.sqrt(count // 2)
+
+    def __call__(self, x: Array) -> Array:
+        """(D,) features of one input (m,)."""
+        z = self._omega @ x
+        z -= self._phase
+        phi = np.empty(self.count)
+        half = self.count // 2
+        np.cos(z, out=phi[:half])
+        np.sin(z, out=phi[half:])
+        phi *= self._norm
+        return phi
+
+    def batch(self, x: Array) -> Array:
+        """(N, D) features of inputs (N, m)."""
+        z = x @ self._omega.T - self._phase
+        return np.asarray(np.hstack([np.cos(z), np.sin(z)]) * self._norm)
+
+
+def spread(tau: Sequence[float], n_inputs: int) -> Array:
+    """One length scale for each input, from one for all, one for each kind, or one for each input."""
+    if len(tau) == 1:
+        return np.full(n_inputs, tau[0])
+    if len(tau) == KINDS:
+        return np.repeat(np.asarray(tau, dtype=float), n_inputs // KINDS)
+    if len(tau) == n_inputs:
+        return np.asarray(tau, dtype=float)
+    raise SemiparamError(f'{len(tau)} length scales for {n_inputs} inputs; expected 1, {KINDS} or {n_inputs}.')
+
+
+def input_scaling(inputs: Array) -> tuple[Array, Array]:
+    """Mean and scale (standard deviation; 1 where an input does not move) of a window of inputs (N, m)."""
+    scale = inputs.std(axis=0)
+    floor = 1e-9 * max(1.0, float(np.abs(inputs).max()))
+    return inputs.mean(axis=0), np.where(scale > floor, scale, 1.0)

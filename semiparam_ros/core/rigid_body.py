@@ -1,0 +1,216 @@
+"""The rigid-body regressor psi(x): outputs linear in the inertial parameters of the links.
+
+A wrench sensor sees the bodies that hang on it. They are a tree of their own whose root moves with the sensor, so the
+wrench is the first six rows of that tree's joint-torque regressor with a free-flying root (Atkeson et al. 1986).
+Joint efforts take the regressor of the whole arm. Columns are reduced to the identifiable combinations, an orthonormal
+basis of the row space: a prior gamma^2 I on all inertial parameters stays gamma^2 I on the base parameters.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.core import urdf as urdf_tree
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+OUTPUTS = ('wrench', 'effort')
+CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
+GRAVITY = np.array([0.0, 0.0, -9.81])
+RANK_TOLERANCE = 1e-8
+PROBES = 400
+
+
+class RigidBody:
+    """Regressor of ``outputs`` for the named joints of one arm.
+
+    Build it with :meth:`from_urdf`. Inputs are arrays over the named joints in their order, in rad, rad/s and rad/s^2
+    (m for prismatic ones).
+    """
+
+    def __init__(self, arm: pin.Model, distal: pin.Model | None, frame: str | None, joints: Sequence[str],
+                 sign: float) -> None:
+        self.joints = tuple(joints)
+        self.outputs = 'effort' if distal is None else 'wrench'
+        self.sensor_frame = frame
+        self.sign = sign
+        self.arm = arm
+        self.distal = distal
+        self._arm_data = arm.createData()
+        self._columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
+        if distal is not None:
+            self._frame = arm.getFrameId('semiparam_sensor')
+            self._distal_data = distal.createData()
+            shared = [name for name in list(distal.names)[2:] if name in joints]
+            self._distal_from = np.array([list(joints).index(name) for name in shared], dtype=int)
+        self.basis = self._identifiable_basis()
+
+    @classmethod
+    def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
+                  convention: str = 'action', locked: Mapping[str, float] | None = None) -> RigidBody:
+        """Read an arm from URDF text.
+
+        :param joints: moving joints, in the order of the inputs; all others stay at ``locked`` [rad] (0 unless given).
+        :param outputs: ``wrench`` at ``sensor_frame`` or joint ``effort``.
+        :param convention: the wrench is the ``action`` on the distal bodies, or their ``reaction`` on the sensor.
+        Raises SemiparamError for an unknown joint, frame, output or convention.
+        """
+        if outputs not in OUTPUTS:
+            raise SemiparamError(f"outputs '{outputs}' is unknown; expected one of {', '.join(OUTPUTS)}.")
+        if convention not in CONVENTIONS:
+            raise SemiparamError(f"wrench_convention '{convention}' is unknown; expected action or reaction.")
+        robot = urdf_tree.parse(urdf)
+        urdf_tree.check_joints(robot, joints)
+        locked = dict(locked or {})
+        arm = _reduced(_build(robot), joints, locked)
+        if outputs == 'effort':
+            return cls(arm, None, None, joints, 1.0)
+        if not sensor_frame:
+            raise SemiparamError('sensor_frame is empty; a wrench needs the link or joint that carries the sensor.')
+        link = urdf_tree.sensor_link(robot, sensor_frame)
+        _mark_sensor(arm, _build(robot), joints, locked, link)
+        subtree = ElementTree.fromstring(urdf_tree.distal_subtree(robot, link))
+        inside = set(urdf_tree.joint_types(subtree))
+        distal = _reduced(_build(subtree, pin.JointModelFreeFlyer()), [name for name in joints if name in inside],
+                          {name: value for name, value in locked.items() if name in inside}, keep_root=True)
+        return cls(arm, distal, sensor_frame, joints, CONVENTIONS[convention])
+
+    @property
+    def n_joints(self) -> int:
+        """Number of moving joints."""
+        return len(self.joints)
+
+    @property
+    def n_outputs(self) -> int:
+        """Six for a wrench, n_joints for efforts."""
+        return 6 if self.outputs == 'wrench' else self.n_joints
+
+    @property
+    def n_parameters(self) -> int:
+        """Number p of identifiable base parameters."""
+        return int(self.basis.shape[1])
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Channel labels: fx..tz, or the joints."""
+        return ('fx', 'fy', 'fz', 'tx', 'ty', 'tz') if self.outputs == 'wrench' else self.joints
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """Unit of each channel."""
+        return ('N',) * 3 + ('N m',) * 3 if self.outputs == 'wrench' else ('N m',) * self.n_joints
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies whose ten inertial parameters are the columns of :meth:`full_regressor`."""
+        model = self.arm if self.distal is None else self.distal
+        names = list(model.names)[1:]
+        return tuple(names) if self.distal is None else (str(self.sensor_frame), *names[1:])
+
+    @cached_property
+    def inertial_parameters(self) -> Array:
+        """(10 n_bodies,) m, m c, and inertia about the body's origin, as the URDF gives them."""
+        model = self.arm if self.distal is None else self.distal
+        return np.concatenate([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
+
+    @property
+    def base_parameters(self) -> Array:
+        """(p,) the URDF's inertial parameters in the identifiable basis."""
+        return np.asarray(self.basis.T @ self.inertial_parameters)
+
+    def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """(n, p) matrix psi with outputs = psi @ base_parameters."""
+        return np.asarray(self.full_regressor(position, velocity, acceleration) @ self.basis)
+
+    def regressors(self, samples: Samples) -> Array:
+        """(N, n, p) one regressor for each sample."""
+        full = [self.full_regressor(*row)
+                for row in zip(samples.position, samples.velocity, samples.acceleration, strict=True)]
+        return np.asarray(np.array(full).reshape(len(samples), self.n_outputs, -1) @ self.basis)
+
+    def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """(n, 10 n_bodies) matrix before the reduction to base parameters."""
+        q, dq, ddq = self._arm_vector(position), self._arm_vector(velocity), self._arm_vector(acceleration)
+        if self.distal is None:
+            full = pin.computeJointTorqueRegressor(self.arm, self._arm_data, q, dq, ddq)
+            return np.asarray(full[self._columns])
+        pin.forwardKinematics(self.arm, self._arm_data, q, dq, ddq)
+        return self.sign * self._sensor_rows(position, velocity, acceleration)
+
+    def sensor_placement(self, position: Array) -> pin.SE3:
+        """Pose of the sensor frame in the base, at a joint position (n_joints,)."""
+        pin.framesForwardKinematics(self.arm, self._arm_data, self._arm_vector(position))
+        return self._arm_data.oMf[self._frame].copy()
+
+    def _sensor_rows(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        data, frame = self._arm_data, self._frame
+        placement = pin.updateFramePlacement(self.arm, data, frame)
+        twist = pin.getFrameVelocity(self.arm, data, frame, pin.LOCAL).vector
+        change = pin.getFrameAcceleration(self.arm, data, frame, pin.LOCAL).vector
+        take = self._distal_from
+        q = np.concatenate([pin.SE3ToXYZQUAT(placement), position[take]])
+        full = pin.computeJointTorqueRegressor(self.distal, self._distal_data, q,
+                                               np.concatenate([twist, velocity[take]]),
+                                               np.concatenate([change, acceleration[take]]))
+        return np.asarray(full[:6])
+
+    def _arm_vector(self, values: Array) -> Array:
+        vector = np.empty(self.arm.nv)
+        vector[self._columns] = values
+        return vector
+
+    def _identifiable_basis(self) -> Array:
+        rng = np.random.default_rng(0)
+        probes = (rng.uniform(-np.pi, np.pi, (PROBES, self.n_joints)), rng.normal(0, 2, (PROBES, self.n_joints)),
+                  rng.normal(0, 5, (PROBES, self.n_joints)))
+        stacked = np.vstack([self.full_regressor(*row) for row in zip(*probes, strict=True)])
+        scale = 1.0 / np.sqrt(len(stacked))
+        _, singular, directions = np.linalg.svd(stacked * scale, full_matrices=False)
+        rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+        return np.ascontiguousarray(directions[:rank].T)
+
+
+def _build(robot: ElementTree.Element, root: pin.JointModel | None = None) -> pin.Model:
+    text = ElementTree.tostring(robot, encoding='unicode')
+    try:
+        model = pin.buildModelFromXML(text) if root is None else pin.buildModelFromXML(text, root)
+    except Exception as error:
+        raise SemiparamError(f'the robot description cannot be read as a robot: {str(error).strip()}') from error
+    model.gravity.linear = GRAVITY
+    return model
+
+
+def _posture(model: pin.Model, locked: Mapping[str, float]) -> Array:
+    posture = pin.neutral(model)
+    for name, value in locked.items():
+        if not model.existJointName(name):
+            raise SemiparamError(f"locked joint '{name}' is not a moving joint of the robot description.")
+        posture[model.joints[model.getJointId(name)].idx_q] = value
+    return np.asarray(posture)
+
+
+def _reduced(model: pin.Model, joints: Sequence[str], locked: Mapping[str, float],
+             keep_root: bool = False) -> pin.Model:
+    moving = set(joints) | ({model.names[1]} if keep_root else set())
+    frozen = [model.getJointId(name) for name in list(model.names)[1:] if name not in moving]
+    return pin.buildReducedModel(model, frozen, _posture(model, locked))
+
+
+def _mark_sensor(arm: pin.Model, full: pin.Model, joints: Sequence[str], locked: Mapping[str, float],
+                 link: str) -> None:
+    """Add a frame ``semiparam_sensor`` to the arm, where the sensor's link is (fixed to its nearest moving joint)."""
+    posture = _posture(full, locked)
+    data = full.createData()
+    pin.framesForwardKinematics(full, data, posture)
+    placement = data.oMf[full.getFrameId(link, pin.FrameType.BODY)]
+    joint = full.frames[full.getFrameId(link, pin.FrameType.BODY)].parentJoint
+    while joint and full.names[joint] not in joints:
+        joint = full.parents[joint]
+    carrier = arm.getJointId(full.names[joint]) if joint else 0
+    arm.addFrame(pin.Frame('semiparam_sensor', carrier, 0, data.oMi[joint].actInv(placement), pin.FrameType.OP_FRAME))
