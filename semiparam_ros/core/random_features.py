@@ -26,7 +26,7 @@ class RandomFeatures:
         self.count = count
         self.input_mean = np.asarray(input_mean, dtype=float)
         self.input_scale = np.asarray(input_scale, dtype=float)
-        self.omega = np.random.default_rng(seed).standard_normal((count // 2, n_inputs))
+        self.omega = spectrum(n_inputs, count, seed)
         self.tau = tuple(float(value) for value in tau)
         divisor = self.input_scale * spread(self.tau, n_inputs)
         self._omega = np.asfortranarray(self.omega / divisor)
@@ -48,6 +48,11 @@ class RandomFeatures:
         """(N, D) features of inputs (N, m)."""
         z = x @ self._omega.T - self._phase
         return np.asarray(np.hstack([np.cos(z), np.sin(z)]) * self._norm)
+
+
+def spectrum(n_inputs: int, count: int, seed: int) -> Array:
+    """omega (d, n_inputs), the seeded standard normal frequencies of D = ``count`` = 2 d features."""
+    return np.random.default_rng(seed).standard_normal((count // 2, n_inputs))
 
 
 def spread(tau: Sequence[float], n_inputs: int) -> Array:

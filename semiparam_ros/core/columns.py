@@ -1,0 +1,100 @@
+"""The coupled columns C = [psi | offset | effects]: everything of the output that is linear in theta."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.types import Array
+
+OFFSET_PRIOR_SCALE = 100.0
+Memory = Any
+
+
+class Effect(Protocol):
+    """A physical cause with its nonlinear parameters set: it may move the inputs, shape psi, and add columns.
+
+    Each method takes what the effect remembered of earlier samples (None at the start) where it needs a past.
+    """
+
+    @property
+    def n_columns(self) -> int:
+        """Coefficients that the estimator learns for it."""
+
+    @property
+    def prior_scale(self) -> Array:
+        """(n_columns,) prior standard deviation of each coefficient over gamma, in the coefficient's unit."""
+
+    def correct(self, body: RigidBody, samples: Samples) -> tuple[RigidBody, Samples]:
+        """The body and the inputs as they really are (a joint's zero, the direction of gravity)."""
+
+    def transform(self, regressors: Array, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        """The regressors (N, n, p) as the sensor sees them (a gain, a delay)."""
+
+    def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        """(N, n, n_columns) further columns."""
+
+
+class CoupledColumns:
+    """Assembles C for a rigid body and its declared effects; a wrench always has a constant offset."""
+
+    def __init__(self, body: RigidBody, effects: Sequence[Effect] = ()) -> None:
+        self.body, self.effects = body, tuple(effects)
+        self.has_offset = body.outputs == 'wrench'
+        self._offset = np.eye(body.n_outputs)[:, :body.n_outputs * self.has_offset]
+
+    @property
+    def n_columns(self) -> int:
+        """p, all blocks together."""
+        return self.body.n_parameters + self._offset.shape[1] + sum(effect.n_columns for effect in self.effects)
+
+    @property
+    def blocks(self) -> dict[str, slice]:
+        """Where the rigid body and the offset stand in theta, and each effect under its place in the list."""
+        sizes = {'rigid_body': self.body.n_parameters, 'offset': self._offset.shape[1]}
+        sizes |= {str(index): effect.n_columns for index, effect in enumerate(self.effects)}
+        ends = np.cumsum(list(sizes.values())).tolist()
+        return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+    @property
+    def prior_scale(self) -> Array:
+        """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters, wide for an offset."""
+        return np.concatenate([np.ones(self.body.n_parameters), np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE),
+                               *(effect.prior_scale for effect in self.effects)])
+
+    @property
+    def prior_mean(self) -> Array:
+        """(p,) the inertias of the robot description, and no offset and no effect."""
+        mean = np.zeros(self.n_columns)
+        mean[:self.body.n_parameters] = self.body.base_parameters
+        return mean
+
+    def one(self, sample: Sample, origin: int, memory: Memory = None) -> tuple[Array, Memory]:
+        """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]: where time starts."""
+        if not self.effects:
+            psi = self.body.regressor(sample.position, sample.velocity, sample.acceleration)
+            return np.hstack([psi, self._offset]), None
+        columns, memory = self.batch(Samples(np.array([sample.stamp]), sample.position[None], sample.velocity[None],
+                                             sample.acceleration[None], sample.outputs[None], origin), memory)
+        return columns[0], memory
+
+    def batch(self, samples: Samples, memory: Memory = None) -> tuple[Array, Memory]:
+        """(N, n, p) columns of consecutive samples and what the effects remember after the last one."""
+        body, inputs = self.body, samples
+        for effect in self.effects:
+            body, inputs = effect.correct(body, inputs)
+        past = memory or [(None, None)] * len(self.effects)
+        future: list[tuple[Memory, Memory]] = []
+        psi = body.regressors(inputs)
+        parts = []
+        for effect, (shaped, remembered) in zip(self.effects, past, strict=True):
+            psi, shaped = effect.transform(psi, inputs, shaped)
+            columns, remembered = effect.columns(body, inputs, remembered)
+            future.append((shaped, remembered))
+            parts.append(columns)
+        offset = np.broadcast_to(self._offset, (len(samples), *self._offset.shape))
+        return np.concatenate([psi, offset, *parts], axis=2), future

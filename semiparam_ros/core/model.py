@@ -1,0 +1,229 @@
+"""The estimator: predict one sample, then learn it, for every model class of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.columns import CoupledColumns, Effect, Memory
+from semiparam_ros.core.horizon import HorizonErrors, HorizonIndex
+from semiparam_ros.core.hyperparameters import Hyperparameters, estimate
+from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
+from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.core.variants import VARIANTS, Variant
+from semiparam_ros.core.window import LengthScales, Noise
+from semiparam_ros.errors import SemiparamError
+
+PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """What a user chooses of the model; see docs/parameters.md. ``hyperparameters`` None: from the initial window."""
+
+    variant: str = 'SPK-ML'
+    features_count: int = 500
+    features_seed: int = 0
+    length_scales: LengthScales = 'kind'
+    noise: Noise = 'output'
+    initial_samples: int = 1000
+    horizon: int = 25
+    forgetting: float = 1.0
+    hyperparameters: Hyperparameters | None = None
+    input_mean: tuple[float, ...] = ()
+    input_scale: tuple[float, ...] = ()
+
+
+class Prediction(NamedTuple):
+    """What the model said of one sample before learning it, in N, N m; and the horizon that it completed."""
+
+    mean: Array  # (n,)
+    std: Array  # (n,) predictive, noise included
+    log_density: float  # of the measured outputs [nat]; NaN outputs give NaN
+    ready: bool  # the initial window is over
+    horizon: HorizonErrors | None
+    sample: Sample
+    prior: Prior
+    columns: Array
+    fixed: Array
+    memory: Memory
+
+
+class Model:
+    """One variant with its hyperparameters: scaled outputs, features, a fixed mean where pi is fixed, the recursion."""
+
+    def __init__(self, variant: Variant, hyperparameters: Hyperparameters, features: RandomFeatures | None,
+                 prior_scale: Array, prior_mean: Array | None = None, forgetting: float = 1.0) -> None:
+        self.variant, self.hyperparameters, self.features = variant, hyperparameters, features
+        self.output_scale = np.asarray(hyperparameters.output_scale, dtype=float)
+        learnt = variant.pi == 'learnt'
+        self.pi = np.asarray(hyperparameters.pi, dtype=float) if variant.pi == 'fixed' else None
+        self.recursion = SemiParametricRecursion(
+            len(self.output_scale), features.count if features else 0,
+            hyperparameters.gamma * prior_scale if learnt else np.zeros(0), hyperparameters.rho,
+            hyperparameters.sigma, prior_mean if learnt else None, forgetting)
+
+    @property
+    def theta(self) -> Array:
+        """(p,) coefficients of the coupled columns, learnt or fixed; empty for a non-parametric model."""
+        return self.recursion.theta if self.pi is None else self.pi
+
+    def theta_std(self) -> Array:
+        """(p,) their posterior standard deviations; zero where pi is fixed."""
+        if self.pi is not None:
+            return np.zeros_like(self.pi)
+        return np.asarray(np.sqrt(np.diag(self.recursion.theta_covariance())))
+
+    def predict(self, x: Array, columns: Array) -> tuple[Prior, Array, Array]:
+        """The recursion's prior, its columns (n, p) and the fixed mean (n,), all in units of ``output_scale``."""
+        scaled = columns / self.output_scale[:, None]
+        fixed = np.zeros(len(self.output_scale)) if self.pi is None else scaled @ self.pi
+        learnt = scaled if self.variant.pi == 'learnt' else scaled[:, :0]
+        phi = self.features(x) if self.features else np.zeros(0)
+        return self.recursion.predict(phi, learnt), learnt, fixed
+
+
+class Estimator:
+    """Online semi-parametric model of one robot's outputs.
+
+    The first ``initial_samples`` are answered by the rigid body alone, which starts from the robot description's
+    inertias. They then give the hyperparameters, are learnt by the chosen variant, and it takes over.
+    """
+
+    def __init__(self, body: RigidBody, options: ModelOptions | None = None, effects: Sequence[Effect] = ()) -> None:
+        self.options = options or ModelOptions()
+        self.variant = variant_named(self.options.variant)
+        self.columns = CoupledColumns(body, effects)
+        self.body = body
+        self.window: list[Sample] = []
+        self.input_scaling: tuple[Array, Array] | None = None
+        self._origin: int | None = None
+        self._memory: Memory = None
+        given = self.options.hyperparameters
+        self.ready = given is not None
+        self.model = self._provisional() if given is None else self._given(given)
+        self.horizon = self._new_horizon()
+
+    def step(self, sample: Sample, learn: bool = True) -> Prediction:
+        """Predict the sample, then learn it (unless told not to)."""
+        prediction = self.predict(sample)
+        return prediction._replace(horizon=self.observe(prediction, learn))
+
+    def predict(self, sample: Sample) -> Prediction:
+        """Predict the outputs at the sample's inputs; nothing changes. Unknown outputs may be NaN."""
+        origin = sample.stamp if self._origin is None else self._origin
+        columns, memory = self.columns.one(sample, origin, self._memory)
+        x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
+        prior, learnt, fixed = self.model.predict(x, columns)
+        scale = self.model.output_scale
+        mean, std = scale * (prior.mean + fixed), scale * np.sqrt(np.diag(prior.covariance))
+        density = log_density(sample.outputs / scale - fixed - prior.mean, prior.covariance)
+        return Prediction(mean, std, density - float(np.log(scale).sum()), self.ready, None, sample, prior, learnt,
+                          fixed, memory)
+
+    def observe(self, prediction: Prediction, learn: bool = True) -> HorizonErrors | None:
+        """Charge the sample of the latest prediction to the horizon index, and learn it; the horizon it completed."""
+        sample, scale = prediction.sample, self.model.output_scale
+        self._origin = sample.stamp if self._origin is None else self._origin
+        self._memory = prediction.memory
+        outputs = sample.outputs / scale
+        complete = self.horizon.score(prediction.prior.phi, prediction.columns, prediction.fixed, outputs)
+        if learn:
+            self.model.recursion.learn(prediction.prior, outputs - prediction.fixed)
+        self.horizon.remember(sample.stamp, self.model.recursion)
+        if learn and not self.ready:
+            self.window.append(sample)
+            if len(self.window) >= self.options.initial_samples:
+                self.finish_window()
+        return complete
+
+    def finish_window(self) -> None:
+        """End the initial window now: estimate hyperparameters from it, learn it, and let the variant take over.
+
+        Raises SemiparamError when the window holds too little to estimate from.
+        """
+        samples = Samples.from_list(self.window)
+        columns, _ = self.columns.batch(samples)
+        scaling = input_scaling(samples.inputs)
+        hyperparameters = self._estimate(samples, columns, scaling)
+        self.input_scaling = scaling
+        self.model = self._build(hyperparameters)
+        for sample, column in zip(samples, columns, strict=True):
+            self._learn_quietly(sample, column)
+        self.ready = True
+        self.horizon = self._new_horizon()
+
+    def clear_pending(self) -> None:
+        """Forget half-finished horizons and what effects remember, as after a jump of the clock; keep the model."""
+        self.horizon.clear()
+        self._memory = None
+
+    def hyperparameters(self) -> Hyperparameters:
+        """Those in use, with pi as it stands."""
+        theta = tuple(self.model.theta.tolist())
+        return replace(self.model.hyperparameters, pi=theta or None)
+
+    def _learn_quietly(self, sample: Sample, columns: Array) -> None:
+        x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
+        prior, _, fixed = self.model.predict(x, columns)
+        self.model.recursion.learn(prior, sample.outputs / self.model.output_scale - fixed)
+
+    def _estimate(self, samples: Samples, columns: Array, scaling: tuple[Array, Array]) -> Hyperparameters:
+        options, inputs = self.options, (samples.inputs - scaling[0]) / scaling[1]
+        omega = spectrum(inputs.shape[1], options.features_count, options.features_seed)
+        return estimate(options.variant, samples.outputs, columns, inputs, omega,
+                        length_scales=options.length_scales, noise=options.noise,
+                        prior_scale=self.columns.prior_scale)
+
+    def _given(self, hyperparameters: Hyperparameters) -> Model:
+        options, size = self.options, 3 * self.body.n_joints
+        mean, scale = np.array(options.input_mean), np.array(options.input_scale)
+        if self.variant.features and not len(mean) == len(scale) == size:
+            raise SemiparamError(f'hyperparameters.input_mean and .input_scale hold {len(mean)} and {len(scale)} '
+                                 f'values; expected {size}, three for each joint.')
+        if self.variant.pi == 'fixed' and len(hyperparameters.pi or ()) != self.columns.n_columns:
+            raise SemiparamError(f'hyperparameters.pi holds {len(hyperparameters.pi or ())} values; expected '
+                                 f'{self.columns.n_columns} for {options.variant} with these effects.')
+        if len(hyperparameters.output_scale) != self.body.n_outputs:
+            raise SemiparamError(f'hyperparameters.output_scale holds {len(hyperparameters.output_scale)} values; '
+                                 f'expected {self.body.n_outputs}.')
+        self.input_scaling = (mean, scale)
+        return self._build(hyperparameters)
+
+    def _build(self, hyperparameters: Hyperparameters) -> Model:
+        assert self.input_scaling is not None
+        features = None
+        if self.variant.features:
+            features = RandomFeatures(3 * self.body.n_joints, self.options.features_count, self.options.features_seed,
+                                      hyperparameters.tau, *self.input_scaling)
+        return Model(self.variant, hyperparameters, features, self.columns.prior_scale,
+                     forgetting=self.options.forgetting)
+
+    def _provisional(self) -> Model:
+        hyperparameters = Hyperparameters(gamma=PROVISIONAL_GAMMA, rho=1.0, tau=(1.0,), sigma=PROVISIONAL_SIGMA,
+                                          output_scale=(1.0,) * self.body.n_outputs, pi=None)
+        return Model(VARIANTS['P'], hyperparameters, None, self.columns.prior_scale, self.columns.prior_mean)
+
+    def _new_horizon(self) -> HorizonIndex:
+        recursion = self.model.recursion
+        return HorizonIndex(self.options.horizon, recursion.n_outputs, recursion.n_features, recursion.n_columns)
+
+
+def variant_named(name: str) -> Variant:
+    """The variant of that name, or a SemiparamError that lists them."""
+    if name not in VARIANTS:
+        raise SemiparamError(f"variant '{name}' is unknown; expected one of {', '.join(VARIANTS)}.")
+    return VARIANTS[name]
+
+
+def log_density(innovation: Array, covariance: Array) -> float:
+    """Log of N(innovation; 0, covariance), for (n,) and (n, n) [nat]."""
+    lower = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(lower, innovation)
+    return float(-0.5 * white @ white - np.log(np.diag(lower)).sum() - 0.5 * len(white) * np.log(2.0 * np.pi))
