@@ -1,0 +1,138 @@
+"""ROS parameter files: reading the section of one node, and writing one with every parameter explained."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+import textwrap
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.parameter import Parameter
+from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest
+from semiparam_ros.settings.table import BY_NAME, PARAMETERS
+
+WIDTH = 110
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML takes 1e-7 for a text, ROS for a number; so do we."""
+
+
+_Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(r'^[-+]?\d+[eE][-+]?\d+$'), list('-+0123456789'))
+
+
+def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
+    """Settings of one node from a ROS parameter file; sections ``node``, ``/ns/node`` and ``/**`` apply in order.
+
+    Raises SemiparamError, naming the file, when it cannot be read or a parameter is refused.
+    """
+    return Settings.from_mapping(read_params(path, node) if path is not None else {}, where=str(path or ''))
+
+
+def read_params(path: str | Path, node: str = 'estimator') -> dict[str, Any]:
+    """Unchecked names (dotted) and values of one node's sections."""
+    document = _parse(Path(path))
+    values: dict[str, Any] = {}
+    sections = {name: body for name, body in document.items() if _applies(str(name), node)}
+    if not sections:
+        found = ', '.join(map(str, document)) or 'nothing'
+        raise SemiparamError(f"{path}: no section for node '{node}' (found: {found}); expected '{node}:' or '/**:'.")
+    for name, body in sections.items():
+        values.update(_section(body, str(name), str(path)))
+    return values
+
+
+def dump_params(settings: Settings, path: str | Path, node: str = 'estimator') -> None:
+    """Write a parameter file that the node and every command load: the whole file or nothing."""
+    path = Path(path)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+        with os.fdopen(handle, 'w', encoding='utf-8') as stream:
+            stream.write(params_text(settings, node))
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise SemiparamError(f'cannot write {path}: {error.strerror}.') from error
+
+
+def params_text(settings: Settings, node: str = 'estimator') -> str:
+    """The parameter file, each value under its explanation."""
+    lines = [f'{node}:', '  ros__parameters:']
+    groups: dict[str, list[Parameter]] = {}
+    for parameter in PARAMETERS:
+        groups.setdefault(parameter.name.rpartition('.')[0], []).append(parameter)
+    for group, members in groups.items():
+        indent = '      ' if group else '    '
+        lines += [f'    {group}:'] if group else []
+        for parameter in members:
+            lines += textwrap.wrap(_comment(parameter), WIDTH, initial_indent=f'{indent}# ',
+                                   subsequent_indent=f'{indent}# ', break_on_hyphens=False)
+            name = parameter.name.rpartition('.')[2]
+            lines.append(f'{indent}{name}: {_scalar(getattr(settings, parameter.field))}')
+    return '\n'.join(lines) + '\n'
+
+
+def _comment(parameter: Parameter) -> str:
+    details = [parameter.permitted, f'[{parameter.unit}]' if parameter.unit else '', 'live' if parameter.live else '']
+    return f'{parameter.description} ({", ".join(filter(None, [parameter.kind, *details]))})'
+
+
+def _scalar(value: Any) -> str:
+    """One value on one line, as YAML and as ROS reads it."""
+    flow = list(value) if isinstance(value, tuple) else value
+    text = yaml.safe_dump(flow, default_flow_style=True, width=2**31, allow_unicode=True)
+    return text.removesuffix('...\n').strip()
+
+
+def _parse(path: Path) -> Mapping[str, Any]:
+    try:
+        document = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)
+    except OSError as error:
+        raise SemiparamError(f'cannot read the parameter file {path}: {error.strerror}.') from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, 'problem_mark', None)
+        line = f' in line {mark.line + 1}' if mark else ''
+        problem = getattr(error, 'problem', None) or 'not UTF-8 text'
+        raise SemiparamError(f'{path} is not valid YAML{line}: {problem}.') from error
+    if not isinstance(document, dict):
+        raise SemiparamError(f'{path} holds no parameters; expected a ROS parameter file that starts with estimator:.')
+    return document
+
+
+def _applies(section: str, node: str) -> bool:
+    """Whether ROS would hand a section to the node: by its name in any namespace, or by a wildcard."""
+    name = section.rstrip('/').rpartition('/')[2]
+    return name in ('**', '*', node) or section.lstrip('/') == node.lstrip('/')
+
+
+def _section(body: Any, name: str, path: str) -> dict[str, Any]:
+    parameters = body.get('ros__parameters') if isinstance(body, dict) else None
+    if not isinstance(parameters, dict):
+        raise SemiparamError(f"{path}: section '{name}' holds no 'ros__parameters:'; expected a ROS parameter file.")
+    values = dict(_flat(parameters, ''))
+    for key, value in values.items():
+        if isinstance(value, list) and len({type(item) for item in value}) > 1:
+            raise SemiparamError(f'{path}: {key} mixes types in one list, which ROS refuses; write 1.0, not 1, among '
+                                 'decimal numbers.')
+    if '*' in name:
+        return {key: value for key, value in values.items() if _is_ours(key)}
+    return values
+
+
+def _is_ours(name: str) -> bool:
+    """A wildcard section serves other nodes as well: only what could be ours, or a misspelling of it, concerns us."""
+    return name in BY_NAME or is_foreign(name) or nearest(name) is not None
+
+
+def _flat(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f'{prefix}{key}.')
+        else:
+            yield f'{prefix}{key}', value

@@ -1,0 +1,67 @@
+"""Where the URDF comes from, and which of its joints move."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from semiparam_ros.core import urdf as urdf_tree
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.table import Table
+
+PACKAGE_URI = 'package://'
+SOURCE_TREE = Path(__file__).resolve().parents[2]
+
+
+def robot_description(settings: Table, given: str | None = None) -> str:
+    """URDF text: the file, else the parameter, else what was ``given`` (by the topic or the bag).
+
+    Raises SemiparamError when there is none, or the file cannot be read.
+    """
+    if settings.robot_description_file:
+        path = resolved(settings.robot_description_file)
+        try:
+            return path.read_text(encoding='utf-8')
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else 'not UTF-8 text'
+            raise SemiparamError(f'robot_description_file: cannot read {path}: {reason}.') from error
+    text = settings.robot_description or given
+    if not text:
+        raise SemiparamError('no robot description: expected the parameter robot_description_file, or a '
+                             'robot_description as a parameter, on its topic or in the bag.')
+    return text
+
+
+def moving_joints(settings: Table, urdf: str) -> tuple[str, ...]:
+    """The joints of the inputs, in order: the parameter, or all that the URDF lets move and nobody locks."""
+    if settings.joints:
+        return settings.joints
+    types = urdf_tree.joint_types(urdf_tree.parse(urdf))
+    joints = tuple(name for name, kind in types.items()
+                   if kind in urdf_tree.MOVING and name not in settings.locked_joints_names)
+    if not joints:
+        raise SemiparamError('the robot description has no moving joint that is not locked; expected at least one.')
+    return joints
+
+
+def resolved(name: str) -> Path:
+    """A path from ``package://PACKAGE/PATH``, or from a plain one (with ~).
+
+    Raises SemiparamError for a package that is not installed.
+    """
+    if not name.startswith(PACKAGE_URI):
+        return Path(name).expanduser()
+    package, _, inside = name.removeprefix(PACKAGE_URI).partition('/')
+    candidates = [folder / inside for folder in _share_folders(package)]
+    if not candidates:
+        raise SemiparamError(f"'{name}' names the package '{package}', which is not in AMENT_PREFIX_PATH.")
+    return next((path for path in candidates if path.exists()), candidates[0])
+
+
+def _share_folders(package: str) -> list[Path]:
+    """Where a package keeps its files: installed by colcon, by pip, or (ours) the source tree itself."""
+    prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
+    folders = [Path(prefix, 'share', package) for prefix in prefixes if prefix]
+    found = [folder for folder in folders if folder.is_dir()]
+    return [SOURCE_TREE, *found] if package == 'semiparam_ros' and (SOURCE_TREE / 'config').is_dir() else found

@@ -1,0 +1,137 @@
+"""Rules that tie several parameters together: each a pure function that returns a full sentence, or None.
+
+The node refuses a parameter change with them, and the offline commands a parameter file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+
+from semiparam_ros.settings.table import Table
+
+KINDS_OF_INPUT = 3
+EFFECT = re.compile(r'^(?P<kind>[A-Za-z][\w.]*)(@(?P<where>[^\s{}]+))?\s*(?P<values>\{.*\})?$', re.DOTALL)
+
+
+def sensor_frame_is_named(table: Table) -> str | None:
+    """A wrench is measured somewhere."""
+    if table.outputs == 'wrench' and not table.sensor_frame:
+        return ('sensor_frame is empty; with outputs wrench it must name the link or fixed joint of the URDF that '
+                'carries the sensor.')
+    return None
+
+
+def one_robot_description(table: Table) -> str | None:
+    """Two descriptions could contradict each other."""
+    if table.robot_description_file and table.robot_description:
+        return 'robot_description_file and robot_description are both given; expected one of them.'
+    return None
+
+
+def joints_are_distinct(table: Table) -> str | None:
+    """A joint is named once, and moves or is locked."""
+    for name, names in (('joints', table.joints), ('locked_joints.names', table.locked_joints_names)):
+        if (repeated := _repeated(names)) is not None:
+            return f"{name} holds '{repeated}' twice; expected distinct joint names."
+    for joint in table.joints:
+        if joint in table.locked_joints_names:
+            return f"joint '{joint}' is in joints and in locked_joints.names; expected it in one of them."
+    return None
+
+
+def locked_joints_have_positions(table: Table) -> str | None:
+    """One position for each name."""
+    names, positions = table.locked_joints_names, table.locked_joints_positions
+    if len(names) != len(positions):
+        return (f'locked_joints.names holds {len(names)} joints and locked_joints.positions {len(positions)} values; '
+                'expected as many.')
+    return None
+
+
+def features_come_in_pairs(table: Table) -> str | None:
+    """Each frequency gives a cosine and a sine."""
+    if table.features_count % 2:
+        return f'features.count is {table.features_count}; expected an even number, a cosine and a sine each.'
+    return None
+
+
+def shadow_variants_are_distinct(table: Table) -> str | None:
+    """The same variant twice would learn the same."""
+    if (repeated := _repeated(table.shadow_variants)) is not None:
+        return f"shadow_variants holds '{repeated}' twice; expected distinct variants."
+    return None
+
+
+def gate_has_hysteresis(table: Table) -> str | None:
+    """It must open below where it closes."""
+    if table.gate_release > table.gate_threshold:
+        return (f'gate.release is {table.gate_release:g} and gate.threshold {table.gate_threshold:g}; expected release '
+                'not above threshold.')
+    return None
+
+
+def hyperparameters_have_sizes(table: Table) -> str | None:
+    """Scalars hold one value, the others as many as there are inputs or outputs."""
+    expected: list[tuple[str, Sequence[float], int | None]] = [
+        ('gamma', table.hyperparameters_gamma, 1), ('rho', table.hyperparameters_rho, 1),
+        ('sigma', table.hyperparameters_sigma, 1), ('tau', table.hyperparameters_tau, _n_length_scales(table)),
+        ('output_scale', table.hyperparameters_output_scale, 6 if table.outputs == 'wrench' else _n_joints(table)),
+        ('input_mean', table.hyperparameters_input_mean, _n_inputs(table)),
+        ('input_scale', table.hyperparameters_input_scale, _n_inputs(table))]
+    for name, values, size in expected:
+        if values and size is not None and len(values) != size:
+            return f'hyperparameters.{name} holds {len(values)} values; expected {size}, or none to estimate them.'
+    return None
+
+
+def input_scaling_is_whole(table: Table) -> str | None:
+    """Mean and scale belong together."""
+    mean, scale = table.hyperparameters_input_mean, table.hyperparameters_input_scale
+    if bool(mean) != bool(scale):
+        given, missing = ('input_mean', 'input_scale') if mean else ('input_scale', 'input_mean')
+        return f'hyperparameters.{given} is given without hyperparameters.{missing}; expected both or neither.'
+    return None
+
+
+def effects_are_well_formed(table: Table) -> str | None:
+    """Each is kind, kind@where, or either with {json}; which kinds there are, the effects know."""
+    for text in table.effects:
+        match = EFFECT.match(text)
+        if match is None:
+            return f"effects holds '{text}'; expected kind, kind@where, or either followed by {{json}}."
+        try:
+            json.loads(match['values'] or '{}')
+        except json.JSONDecodeError as error:
+            return f"the values of effect '{text}' are not valid JSON ({error.msg} at column {error.colno})."
+    if (repeated := _repeated(table.effects)) is not None:
+        return f"effects holds '{repeated}' twice; expected distinct effects."
+    return None
+
+
+RULES: tuple[Callable[[Table], str | None], ...] = (
+    sensor_frame_is_named, one_robot_description, joints_are_distinct, locked_joints_have_positions,
+    features_come_in_pairs, shadow_variants_are_distinct, gate_has_hysteresis, hyperparameters_have_sizes,
+    input_scaling_is_whole, effects_are_well_formed)
+
+
+def broken_rule(table: Table) -> str | None:
+    """The sentence of the first rule that does not hold, or None."""
+    return next((sentence for rule in RULES if (sentence := rule(table)) is not None), None)
+
+
+def _repeated(names: Sequence[str]) -> str | None:
+    return next((name for index, name in enumerate(names) if name in names[:index]), None)
+
+
+def _n_joints(table: Table) -> int | None:
+    return len(table.joints) or None
+
+
+def _n_inputs(table: Table) -> int | None:
+    return KINDS_OF_INPUT * len(table.joints) or None
+
+
+def _n_length_scales(table: Table) -> int | None:
+    return {'one': 1, 'kind': KINDS_OF_INPUT, 'input': _n_inputs(table)}[table.features_length_scales]

@@ -1,0 +1,91 @@
+"""The immutable snapshot of all parameters that an estimator works from."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.rules import broken_rule
+from semiparam_ros.settings.table import BY_NAME, PARAMETERS, ROS_NAMES, ROS_PREFIXES, Table
+
+
+@dataclass(frozen=True)
+class Settings(Table):
+    """Every parameter as an attribute, dots as underscores: ``settings.features_count``.
+
+    ``Settings(...)`` takes the values unchecked, for tests and for code; :meth:`from_mapping` checks them.
+    """
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any], where: str = '') -> Settings:
+        """Checked settings from parameter names and values, the others at their defaults.
+
+        :param where: named in errors, such as the parameter file.
+        Raises SemiparamError for an unknown name, a wrong type or range, and a broken rule.
+        """
+        settings = cls().changed(values, where)
+        if (sentence := broken_rule(settings)) is not None:
+            raise SemiparamError(located(sentence, where))
+        return settings
+
+    def changed(self, values: Mapping[str, Any], where: str = '') -> Settings:
+        """These settings with some replaced; each value is checked by itself, the rules across are not."""
+        fields = {}
+        for name, value in values.items():
+            if is_foreign(name):
+                continue
+            if name not in BY_NAME:
+                raise SemiparamError(located(unknown_name(name), where))
+            converted = BY_NAME[name].convert(value)
+            if (sentence := BY_NAME[name].refusal(converted)) is not None:
+                raise SemiparamError(located(sentence, where))
+            fields[BY_NAME[name].field] = converted
+        return replace(self, **fields)
+
+    def mapping(self) -> dict[str, Any]:
+        """Parameter name to value, in the order of the table."""
+        return {parameter.name: getattr(self, parameter.field) for parameter in PARAMETERS}
+
+
+def refusal(settings: Settings, changes: Mapping[str, Any]) -> str | None:
+    """Why a change to valid settings is refused, as one sentence, or None: what the node answers."""
+    for name in changes:
+        if name in BY_NAME and not BY_NAME[name].live:
+            return f'{name} cannot change while the node runs; start it again with the new value.'
+    try:
+        return broken_rule(settings.changed(changes))
+    except SemiparamError as error:
+        return str(error)
+
+
+def differences(before: Settings, after: Settings) -> list[str]:
+    """Names of the parameters that differ."""
+    old, new = before.mapping(), after.mapping()
+    return [name for name in old if old[name] != new[name]]
+
+
+def unknown_name(name: str) -> str:
+    """A sentence that names the nearest valid parameter."""
+    near = nearest(name)
+    hint = f"; the nearest is '{near}'" if near else '; docs/parameters.md lists them all'
+    return f"there is no parameter '{name}'{hint}."
+
+
+def nearest(name: str, names: Iterable[str] = BY_NAME) -> str | None:
+    """The known name that a misspelt one most resembles, or None when none is near."""
+    plain = {known.replace('.', '_').lower(): known for known in names}
+    close = difflib.get_close_matches(name.replace('.', '_').lower(), plain, n=1, cutoff=0.6)
+    return plain[close[0]] if close else None
+
+
+def is_foreign(name: str) -> bool:
+    """Parameters of rclpy itself, which stand in the same files."""
+    return name in ROS_NAMES or name.startswith(ROS_PREFIXES)
+
+
+def located(sentence: str, where: str) -> str:
+    """Name the place before the sentence."""
+    return f'{where}: {sentence}' if where else sentence

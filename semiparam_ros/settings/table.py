@@ -1,0 +1,147 @@
+"""The one table of parameters: declaration, checks, snapshot, parameter files and documentation come from it.
+
+Add a parameter by adding a field here. Rules that tie several parameters together are in ``rules``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from semiparam_ros.settings.parameter import Parameter, declare, from_field
+
+VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS')
+OUTPUTS = ('wrench', 'effort')
+
+
+@dataclass(frozen=True)
+class Table:
+    """Field: parameter name with dots as underscores; its metadata: the row."""
+
+    # Robot
+    robot_description_file: str = declare(
+        'robot_description_file', '', 'URDF file: a path, or package://PACKAGE/PATH. Empty: robot_description, the '
+        'latched topic robot_description, or the one recorded in the bag.')
+    robot_description: str = declare(
+        'robot_description', '', 'The URDF itself as text. Empty: see robot_description_file.')
+    joints: tuple[str, ...] = declare(
+        'joints', (), 'Moving joints, in the order of the inputs. Empty: every moving joint of the URDF that is not '
+        'locked.')
+    sensor_frame: str = declare(
+        'sensor_frame', '', 'Link or fixed joint of the URDF that carries the force/torque sensor; needed when outputs '
+        'is wrench.')
+    outputs: str = declare(
+        'outputs', 'wrench', 'What is predicted: the wrench at the sensor frame, or the effort of every joint.',
+        choices=OUTPUTS)
+    wrench_convention: str = declare(
+        'wrench_convention', 'action', 'Whether the measured wrench acts on the distal links (action) or is their '
+        'reaction on the sensor (reaction).', choices=('action', 'reaction'))
+    locked_joints_names: tuple[str, ...] = declare(
+        'locked_joints.names', (), 'Joints held at the posture given in locked_joints.positions; joints named neither '
+        'here nor in joints are held at 0.')
+    locked_joints_positions: tuple[float, ...] = declare(
+        'locked_joints.positions', (), 'One position for each of locked_joints.names.', unit='rad')
+
+    # Model
+    variant: str = declare(
+        'variant', 'SPK-ML', 'Model variant: rigid body (P), random features (NP), rigid body as the mean (SP, SP2) '
+        'or in the kernel (SPK); hyperparameters by marginal likelihood (ML) or validation set (VS).',
+        choices=VARIANTS, live=True)
+    shadow_variants: tuple[str, ...] = declare(
+        'shadow_variants', (), 'Variants that learn beside the active one, to compare their horizon errors.',
+        choices=VARIANTS, live=True)
+    effects: tuple[str, ...] = declare(
+        'effects', (), "Declared effects, each 'kind' or 'kind@where', optionally followed by {json} with values that "
+        'a diagnosis found.', live=True)
+    learning: bool = declare('learning', True, 'Learn from every sample; false: predict only.', live=True)
+    forgetting: float = declare(
+        'forgetting', 1.0, 'Forgetting factor for each sample; 1.0 forgets nothing, 0.999 has a memory of about 1000 '
+        'samples.', minimum=0.5, maximum=1.0, live=True)
+    noise: str = declare(
+        'noise', 'one', 'One noise level for all outputs (in units of their scale), or one for each output.',
+        choices=('one', 'output'), live=True)
+    initial_samples: int = declare(
+        'initial.samples', 1000, 'Samples of the initial window, from which the hyperparameters are estimated.',
+        minimum=20, maximum=1000000)
+
+    # Random features
+    features_count: int = declare(
+        'features.count', 500, 'Number D of random features (cosines and sines, hence even).',
+        minimum=2, maximum=20000)
+    features_seed: int = declare('features.seed', 0, 'Seed of the random frequencies.', minimum=0, maximum=2**31 - 1)
+    features_length_scales: str = declare(
+        'features.length_scales', 'kind', 'One length scale for all inputs, one for each kind (position, velocity, '
+        'acceleration), or one for each input.', choices=('one', 'kind', 'input'))
+
+    # Hyperparameters
+    hyperparameters_gamma: tuple[float, ...] = declare(
+        'hyperparameters.gamma', (), 'Prior standard deviation of the base parameters (one value). Empty, here and '
+        'below: estimated from the initial window.', minimum=0.0)
+    hyperparameters_rho: tuple[float, ...] = declare(
+        'hyperparameters.rho', (), 'Prior standard deviation of the non-parametric part, in output scales (one value).',
+        minimum=0.0)
+    hyperparameters_tau: tuple[float, ...] = declare(
+        'hyperparameters.tau', (), 'Length scales in units of input_scale: 1, 3 or one for each input, as '
+        'features.length_scales says.', minimum=1e-9)
+    hyperparameters_sigma: tuple[float, ...] = declare(
+        'hyperparameters.sigma', (), 'Standard deviation of the noise, in output scales (one value).', minimum=1e-12)
+    hyperparameters_output_scale: tuple[float, ...] = declare(
+        'hyperparameters.output_scale', (), 'Scale of each output.', unit='N, N m', minimum=1e-12)
+    hyperparameters_pi: tuple[float, ...] = declare(
+        'hyperparameters.pi', (), 'Base parameters that are the fixed mean of SP and SP2.')
+    hyperparameters_input_mean: tuple[float, ...] = declare(
+        'hyperparameters.input_mean', (), 'Mean of each input: positions, then velocities, then accelerations.',
+        unit='rad, rad/s, rad/s^2')
+    hyperparameters_input_scale: tuple[float, ...] = declare(
+        'hyperparameters.input_scale', (), 'Scale of each input.', unit='rad, rad/s, rad/s^2', minimum=1e-12)
+
+    # Horizon error
+    horizon_length: int = declare(
+        'horizon.length', 25, 'Length T of the horizon error.', unit='samples', minimum=1, maximum=10000, live=True)
+
+    # Time
+    alignment_tolerance: float = declare(
+        'alignment.tolerance', 0.02, 'Largest distance from a wrench to the joint state it is matched with; between '
+        'two joint states the inputs are interpolated.', unit='s', minimum=0.0, maximum=10.0)
+    acceleration_source: str = declare(
+        'acceleration.source', 'auto', 'Accelerations measured on joint_accelerations, or filtered from the '
+        'velocities; auto: measured where that topic is published.', choices=('auto', 'measured', 'filter'))
+    acceleration_cutoff: float = declare(
+        'acceleration.cutoff', 5.0, 'Cut-off frequency of the causal acceleration filter.', unit='Hz', minimum=1e-3,
+        maximum=1e5)
+
+    # Contact gate
+    gate_enabled: bool = declare(
+        'gate.enabled', False, 'Do not learn from samples that the model finds implausible, such as contacts.',
+        live=True)
+    gate_threshold: float = declare(
+        'gate.threshold', 6.0, 'The gate closes when the root mean square of the innovations, in predictive standard '
+        'deviations, exceeds this.', minimum=0.0, live=True)
+    gate_release: float = declare(
+        'gate.release', 3.0, 'The gate opens again when it has stayed below this for gate.hold.', minimum=0.0,
+        live=True)
+    gate_hold: float = declare(
+        'gate.hold', 0.2, 'See gate.release.', unit='s', minimum=0.0, maximum=60.0, live=True)
+    gate_timeout: float = declare(
+        'gate.timeout', 5.0, 'A gate closed for longer opens: the robot has changed, it is not touched. 0: never.',
+        unit='s', minimum=0.0, live=True)
+
+    # Node
+    queue_depth: int = declare(
+        'queue_depth', 0, 'Messages kept for each input topic while the node is busy; 0 keeps all.', minimum=0,
+        maximum=100000)
+    reliability: str = declare(
+        'reliability', 'auto', 'Reliability asked of the input topics; auto: reliable, until a publisher offers only '
+        'best_effort.', choices=('auto', 'reliable', 'best_effort'))
+    retained_samples: int = declare(
+        'retained.samples', 20000, 'Latest samples kept, beside the initial window, to build another variant or to '
+        'diagnose.', minimum=0, maximum=10000000)
+    state_file: str = declare(
+        'state_file', 'semiparam_state.npz', 'File of save_state and load_state.', live=True)
+
+
+PARAMETERS: tuple[Parameter, ...] = tuple(from_field(row) for row in fields(Table))
+BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+
+# use_sim_time and its kind belong to every ROS node; they stand in parameter files beside ours.
+ROS_NAMES = ('use_sim_time', 'start_type_description_service')
+ROS_PREFIXES = ('qos_overrides.',)
