@@ -117,7 +117,7 @@ def harmonics(phase: Array) -> Array:
     phi = np.empty((len(phase), 2 * frequencies))
     np.cos(phase, out=phi[:, :frequencies])
     np.sin(phase, out=phi[:, frequencies:])
-    return phi / np.sqrt(max(frequencies, 1))
+    return np.asarray(phi / np.sqrt(max(frequencies, 1)))
 
 
 def _estimate(information: Array, right: Array, prior_std: Array, profiled: bool) -> _Coupled:
@@ -163,4 +163,4 @@ def _length_scale_slopes(by_phi: Array, phi: Array, scaled: Array, window: Windo
     d = len(window.spectrum)
     by_phase = by_phi[:, d:] * phi[:, :d] - by_phi[:, :d] * phi[:, d:]
     by_input = -np.sum((by_phase.T @ scaled) * window.spectrum, axis=0)
-    return np.bincount(window.groups, weights=by_input, minlength=groups)
+    return np.bincount(window.groups, weights=by_input, minlength=groups).astype(np.float64)

@@ -52,7 +52,7 @@ class SharedFactor:
 
 
 def _cholesky(gram: Array, noise: float) -> Array:
-    """Lower factor of gram + noise I; rounding may eat a tiny noise, then the least jitter that restores it is added."""
+    """Lower factor of gram + noise I; where rounding eats a tiny noise, the least jitter that helps is added."""
     if not len(gram):
         return gram
     scale = float(np.trace(gram)) / len(gram)

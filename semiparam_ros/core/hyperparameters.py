@@ -1,0 +1,114 @@
+"""Hyperparameters of every model class, estimated from the initial window and then kept (DESIGN, section 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from semiparam_ros.core.evidence import Window
+from semiparam_ros.core.marginal_likelihood import maximise_evidence
+from semiparam_ros.core.types import Array
+from semiparam_ros.core.validation import Grid, select_by_validation
+from semiparam_ros.core.window import (
+    LengthScales,
+    Noise,
+    check_window,
+    input_groups,
+    least_squares,
+    residual_scale,
+)
+from semiparam_ros.errors import SemiparamError
+
+ESTIMATED_VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS')
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What the initial window decides once; what a class does not have is 0, or None for ``pi``.
+
+    :param gamma: prior standard deviation of theta (times the block's own prior scale).
+    :param rho: prior standard deviation of the feature weights; of output k it is rho * output_scale[k].
+    :param tau: 1 length scale, 3 (position, velocity, acceleration) or one for each input, of scaled inputs.
+    :param sigma: noise standard deviation; of output k it is sigma * output_scale[k].
+    :param output_scale: (n,), geometric mean one; ones when all outputs share one noise.
+    :param pi: (p,) coefficients of the coupled columns, for SP and SP2.
+    """
+
+    gamma: float
+    rho: float
+    tau: tuple[float, ...]
+    sigma: float
+    output_scale: tuple[float, ...]
+    pi: tuple[float, ...] | None = None
+
+
+def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectrum: Array, *,
+             length_scales: LengthScales = 'one', noise: Noise = 'one', method: str = 'quasi-newton',
+             prior_scale: Array | None = None, starts: int = 4, jobs: int = 1, grid: Grid | None = None,
+             progress: Callable[[int, int], None] | None = None) -> Hyperparameters:
+    """Estimate the hyperparameters of a variant from its initial window.
+
+    :param outputs: Y (t, n). :param coupled: C (t, n, p), offset columns included; ignored by NP.
+    :param inputs: scaled inputs (t, m). :param spectrum: omega (d, m) of the random features; ignored by P.
+    :param length_scales: one, one for each kind of input, or one for each input (VS: by kind at most).
+    :param noise: one standard deviation, or one for each output.
+    :param method: 'quasi-newton' or 'nelder-mead'; of no consequence to the VS variants.
+    :param prior_scale: (p,) prior standard deviations of theta in units of gamma; ones if left out.
+    :param progress: called as progress(done, total) by the VS variants.
+    :raises SemiparamError: unknown variant, too few samples, a constant or non-finite channel.
+    """
+    if variant not in ESTIMATED_VARIANTS:
+        raise SemiparamError(f"unknown variant '{variant}'; expected one of {', '.join(ESTIMATED_VARIANTS)}.")
+    check_window(outputs, coupled, inputs)
+    kind, _, selection = variant.partition('-')
+    scale = np.ones(coupled.shape[2]) if prior_scale is None else np.asarray(prior_scale, dtype=float)
+    groups = input_groups('kind' if selection == 'VS' and length_scales == 'input' else length_scales,
+                          inputs.shape[1])
+    if selection == 'VS':
+        return _by_validation(kind, Window(outputs, coupled, inputs, spectrum, groups, scale), noise, grid, progress)
+    return _by_evidence(kind, Window(outputs, coupled, inputs, spectrum, groups, scale), noise, method, starts, jobs)
+
+
+def _by_evidence(kind: str, window: Window, noise: Noise, method: str, starts: int, jobs: int) -> Hyperparameters:
+    pi = None
+    if kind == 'SP2':
+        pi = plain_least_squares(window.outputs, window.coupled, noise)
+    maximum = maximise_evidence(_window_of_kind(kind, window, pi), noise, method, starts, jobs)
+    at = maximum.at
+    pi = maximum.theta if kind == 'SP' else pi
+    return Hyperparameters(at.gamma, at.rho, tuple(at.tau.tolist()), at.sigma, tuple(at.output_scale.tolist()),
+                           None if pi is None else tuple(pi.tolist()))
+
+
+def _by_validation(kind: str, window: Window, noise: Noise, grid: Grid | None,
+                   progress: Callable[[int, int], None] | None) -> Hyperparameters:
+    choice = select_by_validation(window, kind == 'SP2', noise, grid or Grid(), progress)
+    pi = plain_least_squares(window.outputs, window.coupled, noise) if kind == 'SP2' else None
+    return Hyperparameters(0.0, choice.rho, choice.tau, choice.sigma, choice.output_scale,
+                           None if pi is None else tuple(pi.tolist()))
+
+
+def _window_of_kind(kind: str, window: Window, pi: Array | None) -> Window:
+    """The window with only the terms that the class has (the table of DESIGN, section 2)."""
+    steps, n, _ = window.coupled.shape
+    without = (np.zeros((steps, n, 0)), np.zeros(0))
+    inputs, spectrum, groups = window.inputs, window.spectrum, window.groups
+    outputs, coupled, scale = window.outputs, window.coupled, window.prior_scale
+    if kind == 'P':
+        spectrum, groups = spectrum[:0], np.zeros(len(groups), dtype=np.int64)
+    if kind == 'SP2' and pi is not None:
+        outputs = outputs - coupled @ pi
+    if kind in ('NP', 'SP2'):
+        coupled, scale = without
+    return Window(outputs, coupled, inputs, spectrum, groups, scale, profiled=kind == 'SP')
+
+
+def plain_least_squares(outputs: Array, coupled: Array, noise: Noise) -> Array:
+    """pi (p,) of SP2; with one noise for each output its channels are weighed by their own residuals."""
+    pi = least_squares(outputs, coupled)
+    if noise == 'one':
+        return pi
+    scale = residual_scale(outputs - coupled @ pi, outputs)
+    return least_squares(outputs / scale, coupled / scale[:, None])
