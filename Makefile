@@ -19,7 +19,8 @@ $(STAMP): setup.py setup.cfg
 	    { echo 'make: no python3 of version 3.10 to 3.13 with the venv module was found (make setup PYTHON=...)' >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip 'setuptools<80' wheel
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@# setuptools warns of the source tree in every editable installation
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
 	@touch $@
 
 lint: setup

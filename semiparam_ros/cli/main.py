@@ -29,9 +29,13 @@ def main(argv: Sequence[str] | None = None, prog: str = 'semiparam') -> int:
     os.environ.setdefault('OMP_NUM_THREADS', '1')
     arguments, ros_arguments = split_ros_arguments(sys.argv[1:] if argv is None else argv)
     try:
-        code = _dispatch(arguments, ros_arguments, prog)
-        sys.stdout.flush()
-        return code
+        try:
+            return _dispatch(arguments, ros_arguments, prog)
+        finally:
+            sys.stdout.flush()
+    except SystemExit as stop:
+        # argparse leaves this way, with 0 after --help and 2 after a mistake.
+        return int(stop.code or 0)
     except SemiparamError as error:
         return _complain(prog, str(error), BAD_INPUT)
     except KeyboardInterrupt:
@@ -85,13 +89,14 @@ def _dispatch(argv: list[str], ros_arguments: list[str], prog: str) -> int:
 def _overview() -> argparse.ArgumentParser:
     """The parser of the first word alone."""
     lines = [f'  {command:<10}{summary(command)}' for command in COMMANDS]
-    parser = argparse.ArgumentParser(prog='semiparam', description="Learn a robot's inverse dynamics while it moves.",
+    parser = argparse.ArgumentParser(prog='semiparam', usage='%(prog)s [--version] COMMAND ...',
+                                     description="Learn a robot's inverse dynamics while it moves.",
                                      formatter_class=argparse.RawDescriptionHelpFormatter,
                                      epilog='\n'.join(['commands:', *lines, '',
                                                        'semiparam COMMAND --help explains each.']))
     parser.add_argument('--version', action='version', version=f'semiparam_ros {__version__}')
     parser.add_argument('command', choices=COMMANDS, metavar='COMMAND', help='one of the commands below')
-    parser.add_argument('arguments', nargs=argparse.REMAINDER, metavar='...', help=argparse.SUPPRESS)
+    parser.add_argument('arguments', nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     return parser
 
 

@@ -1,0 +1,105 @@
+"""Dependencies point one way only, and no module outgrows a reader's patience."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / 'semiparam_ros'
+MODULES = sorted(PACKAGE.rglob('*.py'))
+MOST_LINES = 250
+
+ANYTHING = {'errors', 'core', 'effects', 'diagnosis', 'simulation', 'settings', 'bags', 'ros', 'report', 'cli'}
+
+# What each layer may know of the package besides itself.
+MAY_IMPORT = {
+    'errors': set(),
+    'core': {'errors'},
+    'effects': {'errors', 'core'},
+    'diagnosis': {'errors', 'core', 'effects'},
+    # Shares nothing with what is tested against it: array types are no knowledge.
+    'simulation': {'errors', 'core.types'},
+    'settings': {'errors', 'core', 'effects'},
+    'bags': {'errors', 'core', 'settings'},
+    'ros': ANYTHING,
+    'report': ANYTHING,
+    'cli': ANYTHING,
+}
+
+# The numbers know no ROS, no bag format and no terminal.
+NUMERIC = ('core', 'effects', 'diagnosis', 'simulation')
+NUMERIC_MAY_IMPORT = {'numpy', 'scipy', 'pinocchio', 'joblib'}
+ONLY_ROS = {'rclpy', 'rcl_interfaces', 'sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'trajectory_msgs',
+            'diagnostic_msgs', 'rosgraph_msgs', 'builtin_interfaces'}
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names of everything a module imports, at its top or inside its functions."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{path} imports relatively, which hides its layer'
+            found.add(node.module)
+            found.update(f'{node.module}.{alias.name}' for alias in node.names)
+    return found
+
+
+def layer(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix('.py')
+
+
+def offences(path: Path) -> list[str]:
+    """The package's own modules that this one must not know."""
+    mine = layer(path)
+    if mine == '__init__':
+        return []
+    allowed = {f'semiparam_ros.{name}' for name in MAY_IMPORT[mine] | {mine}} | {'semiparam_ros.__version__'}
+    inside = {name for name in imports(path) if name.startswith('semiparam_ros.')}
+    return sorted(name for name in inside
+                  if not any(name == start or name.startswith(f'{start}.') for start in allowed)
+                  # `from semiparam_ros.core import types`: the parent itself names no module.
+                  and not any(start.startswith(f'{name}.') for start in allowed))
+
+
+def within(*layers: str) -> list[Path]:
+    return [path for path in MODULES if layer(path) in layers]
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(PACKAGE))
+
+
+def test_every_layer_has_a_rule():
+    assert {layer(path) for path in MODULES} <= {*MAY_IMPORT, '__init__'}
+
+
+@pytest.mark.parametrize('path', MODULES, ids=name_of)
+def test_dependencies_point_one_way(path):
+    assert offences(path) == []
+
+
+@pytest.mark.parametrize('path', within(*NUMERIC), ids=name_of)
+def test_numbers_need_numeric_libraries_alone(path):
+    outside = {name.split('.')[0] for name in imports(path)} - {'semiparam_ros', *sys.stdlib_module_names}
+    assert outside <= NUMERIC_MAY_IMPORT
+
+
+@pytest.mark.parametrize('path', within('settings', 'bags', 'report'), ids=name_of)
+def test_offline_parts_run_without_ros(path):
+    assert not {name.split('.')[0] for name in imports(path)} & ONLY_ROS
+
+
+def test_no_module_is_too_long():
+    lengths = {name_of(path): len(path.read_text(encoding='utf-8').splitlines()) for path in MODULES}
+    assert {name: lines for name, lines in lengths.items() if lines > MOST_LINES} == {}
+
+
+def test_the_rule_catches_an_upward_import(tmp_path, monkeypatch):
+    module = tmp_path / 'core' / 'wrong.py'
+    module.parent.mkdir()
+    module.write_text('def later():\n    from semiparam_ros.effects import registry\n')
+    monkeypatch.setitem(globals(), 'PACKAGE', tmp_path)
+    assert offences(module) == ['semiparam_ros.effects', 'semiparam_ros.effects.registry']
