@@ -8,6 +8,7 @@ basis of the row space: a prior gamma^2 I on all inertial parameters stays gamma
 
 from __future__ import annotations
 
+import copy
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -43,9 +44,9 @@ class RigidBody:
         self.arm = arm
         self.distal = distal
         self._arm_data = arm.createData()
-        self._columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
+        self.arm_columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
         if distal is not None:
-            self._frame = arm.getFrameId('semiparam_sensor')
+            self.sensor_index = arm.getFrameId('semiparam_sensor')
             self._distal_data = distal.createData()
             shared = [name for name in list(distal.names)[2:] if name in joints]
             self._distal_from = np.array([list(joints).index(name) for name in shared], dtype=int)
@@ -136,20 +137,20 @@ class RigidBody:
 
     def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(n, 10 n_bodies) matrix before the reduction to base parameters."""
-        q, dq, ddq = self._arm_vector(position), self._arm_vector(velocity), self._arm_vector(acceleration)
+        q, dq, ddq = self.arm_vector(position), self.arm_vector(velocity), self.arm_vector(acceleration)
         if self.distal is None:
             full = pin.computeJointTorqueRegressor(self.arm, self._arm_data, q, dq, ddq)
-            return np.asarray(full[self._columns])
+            return np.asarray(full[self.arm_columns])
         pin.forwardKinematics(self.arm, self._arm_data, q, dq, ddq)
         return self.sign * self._sensor_rows(position, velocity, acceleration)
 
     def sensor_placement(self, position: Array) -> pin.SE3:
         """Pose of the sensor frame in the base, at a joint position (n_joints,)."""
-        pin.framesForwardKinematics(self.arm, self._arm_data, self._arm_vector(position))
-        return self._arm_data.oMf[self._frame].copy()
+        pin.framesForwardKinematics(self.arm, self._arm_data, self.arm_vector(position))
+        return self._arm_data.oMf[self.sensor_index].copy()
 
     def _sensor_rows(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        data, frame = self._arm_data, self._frame
+        data, frame = self._arm_data, self.sensor_index
         placement = pin.updateFramePlacement(self.arm, data, frame)
         twist = pin.getFrameVelocity(self.arm, data, frame, pin.LOCAL).vector
         change = pin.getFrameAcceleration(self.arm, data, frame, pin.LOCAL).vector
@@ -160,9 +161,18 @@ class RigidBody:
                                                np.concatenate([change, acceleration[take]]))
         return np.asarray(full[:6])
 
-    def _arm_vector(self, values: Array) -> Array:
+    def with_gravity(self, gravity: Array) -> RigidBody:
+        """The same body and base parameters under another gravity (3,) [m/s^2], in the base's axes."""
+        other = copy.copy(self)
+        other.arm, other._arm_data = _with_gravity(self.arm, gravity)
+        if self.distal is not None:
+            other.distal, other._distal_data = _with_gravity(self.distal, gravity)
+        return other
+
+    def arm_vector(self, values: Array) -> Array:
+        """Values of the named joints in the order of the model."""
         vector = np.empty(self.arm.nv)
-        vector[self._columns] = values
+        vector[self.arm_columns] = values
         return vector
 
     def _identifiable_basis(self) -> Array:
@@ -184,6 +194,12 @@ def _build(robot: ElementTree.Element, root: pin.JointModel | None = None) -> pi
         raise SemiparamError(f'the robot description cannot be read as a robot: {str(error).strip()}') from error
     model.gravity.linear = GRAVITY
     return model
+
+
+def _with_gravity(model: pin.Model, gravity: Array) -> tuple[pin.Model, pin.Data]:
+    model = model.copy()
+    model.gravity.linear = gravity
+    return model, model.createData()
 
 
 def _posture(model: pin.Model, locked: Mapping[str, float]) -> Array:

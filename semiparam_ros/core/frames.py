@@ -1,0 +1,109 @@
+"""What a force at a link does to the outputs, and how a link moves: the ground that many effects stand on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+VISCOUS_STEP = 1e-6
+
+
+class FrameMotion(NamedTuple):
+    """A link's frame over N samples, in the base."""
+
+    position: Array  # (N, 3) [m]
+    velocity: Array  # (N, 3) [m/s]
+    rotation: Array  # (N, 3, 3) link to base
+    force_map: Array  # (N, n, 3) outputs caused by an external unit force at the frame's origin, along base axes
+
+
+def loaded_links(body: RigidBody) -> dict[str, int]:
+    """For each body that the outputs feel, the farthest of its links with mass or children, and the body's number.
+
+    These are the places where a load or an outside force can be told from another body's.
+    """
+    model = body.arm if body.distal is None else body.distal
+    links: dict[int, tuple[float, str]] = {}
+    for frame in model.frames:
+        joint = frame.parentJoint
+        if frame.type != pin.FrameType.BODY or joint == 0:
+            continue
+        reach = float(np.linalg.norm(frame.placement.translation))
+        if joint not in links or reach > links[joint][0] + 1e-9:
+            links[joint] = (reach, frame.name)
+    return {name: joint - 1 for joint, (_, name) in sorted(links.items())}
+
+
+def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
+    """Motion of a link and the outputs' response to a force on it. An unknown link raises SemiparamError."""
+    frame = _frame(body.arm, link, body)
+    respond = _wrench_response(body) if body.distal is not None else _effort_response(body, frame)
+    data, model = body.arm.createData(), body.arm
+    rows = []
+    for position, velocity in zip(samples.position, samples.velocity, strict=True):
+        pin.forwardKinematics(model, data, body.arm_vector(position), body.arm_vector(velocity))
+        placement = pin.updateFramePlacement(model, data, frame)
+        speed = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
+        rows.append((placement.translation.copy(), speed.copy(), placement.rotation.copy(),
+                     respond(data, placement.translation)))
+    return FrameMotion(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
+    """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body."""
+    model = body.arm if body.distal is None else body.distal
+    frame = model.frames[_frame(model, link, body)]
+    placement = frame.placement
+    rotation, shift = placement.rotation, placement.translation
+    return frame.parentJoint - 1, np.column_stack([_moved(unit, rotation, shift) for unit in np.eye(10)])
+
+
+def load_regressor(body: RigidBody, samples: Samples, link: str) -> Array:
+    """(N, n, 10) outputs caused by a load on ``link``: mass, first moment and inertia in the link's frame."""
+    index, transform = load_transform(body, link)
+    columns = slice(10 * index, 10 * index + 10)
+    rows = zip(samples.position, samples.velocity, samples.acceleration, strict=True)
+    return np.array([body.full_regressor(*row)[:, columns] for row in rows]) @ transform
+
+
+def _moved(parameters: Array, rotation: Array, shift: Array) -> Array:
+    """Inertial parameters (m, m c, Ixx Ixy Iyy Ixz Iyz Izz) of a frame, seen from its parent."""
+    mass, moment = parameters[0], rotation @ parameters[1:4]
+    xx, xy, yy, xz, yz, zz = parameters[4:]
+    inertia = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
+    outer = np.outer(shift, moment)
+    second = mass * np.outer(shift, shift) + outer + outer.T
+    inertia = inertia + np.trace(second) * np.eye(3) - second
+    return np.array([mass, *(moment + mass * shift), inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2],
+                     inertia[1, 2], inertia[2, 2]])
+
+
+def _wrench_response(body: RigidBody) -> Callable[[pin.Data, Array], Array]:
+    def respond(data: pin.Data, point: Array) -> Array:
+        sensor = pin.updateFramePlacement(body.arm, data, body.sensor_index)
+        to_sensor = sensor.rotation.T
+        return -body.sign * np.vstack([to_sensor, to_sensor @ pin.skew(point - sensor.translation)])
+    return respond
+
+
+def _effort_response(body: RigidBody, frame: int) -> Callable[[pin.Data, Array], Array]:
+    def respond(data: pin.Data, point: Array) -> Array:
+        pin.computeJointJacobians(body.arm, data)
+        jacobian = pin.getFrameJacobian(body.arm, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+        return -np.asarray(jacobian[:, body.arm_columns].T)
+    return respond
+
+
+def _frame(model: pin.Model, link: str, body: RigidBody) -> int:
+    if not model.existFrame(link, pin.FrameType.BODY):
+        raise SemiparamError(f"link '{link}' is not a link of the robot description that the outputs feel; "
+                             f'expected one of {", ".join(loaded_links(body))}.')
+    return int(model.getFrameId(link, pin.FrameType.BODY))
