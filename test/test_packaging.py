@@ -1,0 +1,214 @@
+"""The same tree installs with pip and builds with colcon, and says the same of itself everywhere."""
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import xml.etree.ElementTree as ElementTree
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+import semiparam_ros
+from semiparam_ros.cli.main import COMMANDS
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PROGRAMS = ('semiparam', 'estimator', 'bag_replay')
+SOURCES = ('setup.py', 'setup.cfg', 'pyproject.toml', 'package.xml', 'LICENSE', 'MANIFEST.in', 'semiparam_ros',
+           'resource', 'config', 'launch', 'bags', 'scripts', 'test')
+
+# rosdep's name for each Python package; None where rosdep has none, with the reason.
+ROSDEP = {
+    'ros-jazzy-rclpy': ('rclpy', 'rmw_fastrtps_cpp'),
+    'ros-jazzy-common-interfaces': ('sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'trajectory_msgs',
+                                    'diagnostic_msgs'),
+    'numpy': 'python3-numpy',
+    'scipy': 'python3-scipy',
+    'pin': 'pinocchio',
+    'mcap': None,  # comes with mcap-ros2-support
+    'zstandard': None,  # comes with mcap
+    'lz4': None,  # comes with mcap
+    'mcap-ros2-support': 'mcap-ros2-support',
+    'rosbags': 'python3-rosbags-pip',
+    'rich': 'python3-rich',
+    'matplotlib': 'python3-matplotlib',
+    'joblib': 'python3-joblib',
+    'pyyaml': 'python3-yaml',
+    'jinja2': 'python3-jinja2',
+    'pytest': 'python3-pytest',
+    'pytest-xdist': 'python3-pytest-xdist',
+    'pytest-timeout': 'python3-pytest-timeout',
+    'hypothesis': 'python3-hypothesis',
+    'ruff': 'python3-ruff-pip',
+    'mypy': 'python3-mypy',
+    'types-pyyaml': 'python3-types-pyyaml',
+    'idyntree': None,  # not released into Jazzy: its tests skip there
+    'colcon-common-extensions': 'python3-colcon-common-extensions',
+    'setuptools': 'python3-setuptools',
+}
+
+
+def declared() -> dict[str, list[str]]:
+    """REQUIRES, and the extras by name, as setup.py states them."""
+    constants = {}
+    for statement in ast.parse((REPOSITORY / 'setup.py').read_text()).body:
+        if isinstance(statement, ast.Assign) and statement.targets[0].id in ('REQUIRES', 'EXTRAS'):
+            constants[statement.targets[0].id] = ast.literal_eval(statement.value)
+    return {'': constants['REQUIRES'], **constants['EXTRAS']}
+
+
+def plain(requirement: str) -> str:
+    """The package's name without its extras and versions."""
+    return re.match(r'[\w.-]+', requirement)[0].lower()
+
+
+def manifest() -> ElementTree.Element:
+    return ElementTree.parse(REPOSITORY / 'package.xml').getroot()
+
+
+def keys(*tags: str) -> set[str]:
+    return {element.text for tag in tags for element in manifest().findall(tag)}
+
+
+def wanted_keys(requirements: list[str]) -> set[str]:
+    found = [ROSDEP[plain(requirement)] for requirement in requirements]
+    return {key for entry in found if entry for key in ([entry] if isinstance(entry, str) else entry)}
+
+
+def test_package_xml_declares_what_setup_py_requires():
+    assert wanted_keys(declared()['']) <= keys('exec_depend')
+    assert wanted_keys(declared()['test']) <= keys('exec_depend', 'test_depend')
+
+
+def test_package_xml_declares_no_python_package_that_setup_py_lacks():
+    python = {key for key in keys('exec_depend', 'test_depend') if key.startswith('python3-') or key.endswith('-pip')}
+    assert python <= wanted_keys([*declared()[''], *declared()['test']])
+
+
+def test_versions_and_licence_agree():
+    assert manifest().findtext('version') == semiparam_ros.__version__
+    assert manifest().findtext('license') == 'Apache-2.0'
+    assert 'Apache License' in (REPOSITORY / 'LICENSE').read_text()[:200]
+
+
+def test_every_import_is_declared():
+    """Each distribution that the package imports is in setup.py, or is what ros-jazzy-... stands for."""
+    imported = {name.split('.')[0] for path in (REPOSITORY / 'semiparam_ros').rglob('*.py') for name in imports(path)}
+    outside = imported - {'semiparam_ros', *sys.stdlib_module_names}
+    mentioned = {plain(requirement) for group in ('', 'dask') for requirement in declared()[group]}
+    owners = {name: {owner.lower() for owner in packages_distributions().get(name, [])} for name in outside}
+    undeclared = {name for name, found in owners.items()
+                  if not found & mentioned and not from_ros(name) and name not in optional()}
+    assert undeclared == set()
+
+
+def imports(path: Path) -> set[str]:
+    tree = list(ast.walk(ast.parse(path.read_text(encoding='utf-8'))))
+    plainly = {alias.name for node in tree if isinstance(node, ast.Import) for alias in node.names}
+    return plainly | {node.module for node in tree if isinstance(node, ast.ImportFrom)}
+
+
+def from_ros(name: str) -> bool:
+    """rclpy and the message packages, which package.xml names one by one."""
+    return name in keys('exec_depend')
+
+
+def optional() -> set[str]:
+    """Modules of the extra `dask`, absent unless asked for."""
+    return {'distributed', 'dask'}
+
+
+def copy_sources(target: Path) -> Path:
+    """A clean copy of what the package is built from: building in place would leave traces in the checkout."""
+    target.mkdir(parents=True)
+    skip = shutil.ignore_patterns('__pycache__', '*.egg-info', '.*cache')
+    for name in SOURCES:
+        source = REPOSITORY / name
+        if source.is_dir():
+            shutil.copytree(source, target / name, symlinks=True, ignore=skip)
+        elif source.exists():
+            shutil.copy(source, target / name)
+    return target
+
+
+def run(*command: object, **options) -> str:
+    result = subprocess.run([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                            text=True, timeout=200, check=False, **options)
+    assert result.returncode == 0, f'{command}\n{result.stdout}'
+    return result.stdout
+
+
+@pytest.fixture(scope='module')
+def prefix(tmp_path_factory) -> Path:
+    """A new venv into which `pip install .` put the package; its dependencies are this environment's."""
+    folder = tmp_path_factory.mktemp('pip')
+    source = copy_sources(folder / 'source')
+    target = folder / 'venv'
+    run(sys.executable, '-m', 'venv', '--without-pip', target)
+    packages = next((target / 'lib').glob('python*')) / 'site-packages'
+    # A plain line adds the folder without reading its .pth files, and so without the checkout installed there.
+    (packages / 'dependencies.pth').write_text(sysconfig.get_path('purelib') + '\n')
+    run(sys.executable, '-m', 'pip', '--python', target / 'bin/python', 'install', '--no-deps', '--no-build-isolation',
+        '--disable-pip-version-check', source, cwd=folder)
+    return target
+
+
+@pytest.mark.slow
+def test_pip_puts_the_programs_into_bin(prefix):
+    for program in PROGRAMS:
+        assert 'usage:' in run(prefix / 'bin' / program, '--help')
+    assert not {path.name for path in (prefix / 'bin').iterdir()} & set(COMMANDS), 'they would hide other programs'
+
+
+@pytest.mark.slow
+def test_pip_installs_its_own_copy_with_the_data(prefix):
+    where = run(prefix / 'bin/python', '-c', 'import semiparam_ros; print(semiparam_ros.__file__)', cwd=prefix)
+    assert Path(where.strip()).is_relative_to(prefix)
+    share = prefix / 'share/semiparam_ros'
+    for folder in ('config', 'launch', 'bags'):
+        shipped = {path.name for path in (REPOSITORY / folder).rglob('*') if path.is_file()}
+        assert {path.name for path in (share / folder).rglob('*') if path.is_file()} == shipped
+    assert (prefix / 'share/ament_index/resource_index/packages/semiparam_ros').is_file()
+    assert (Path(where.strip()).parent / 'py.typed').is_file()
+
+
+@pytest.fixture(scope='module', params=['copied', 'symlinked'])
+def workspace(request, tmp_path_factory) -> Path:
+    """A colcon workspace with the package in it, built."""
+    folder = tmp_path_factory.mktemp('colcon')
+    copy_sources(folder / 'src/semiparam_ros')
+    options = ['--symlink-install'] if request.param == 'symlinked' else []
+    run(Path(sys.executable).with_name('colcon'), 'build', '--event-handlers', 'console_cohesion+', *options,
+        cwd=folder, env=environment())
+    return folder
+
+
+def environment() -> dict[str, str]:
+    """What a user has after activating the environment."""
+    return {**os.environ, 'PATH': f'{Path(sys.executable).parent}:{os.environ["PATH"]}', 'PYTHONPATH': ''}
+
+
+@pytest.mark.slow
+def test_colcon_makes_every_command_reachable_by_ros2_run(workspace):
+    programs = workspace / 'install/semiparam_ros/lib/semiparam_ros'
+    assert {path.name for path in programs.iterdir()} == {*PROGRAMS, *COMMANDS}
+    assert all(os.access(path, os.X_OK) for path in programs.iterdir())
+    for program in ('semiparam', 'estimator', 'bag_replay', 'evaluate'):
+        script = f'. install/setup.sh && {programs / program} --help'
+        assert f'usage: {"semiparam evaluate" if program == "evaluate" else program}' in run(
+            'sh', '-c', script, cwd=workspace, env=environment())
+
+
+@pytest.mark.slow
+def test_colcon_installs_what_ros_looks_for(workspace):
+    install = workspace / 'install/semiparam_ros'
+    assert (install / 'share/ament_index/resource_index/packages/semiparam_ros').is_file()
+    assert (install / 'share/semiparam_ros/package.xml').is_file()
+    assert (install / 'share/semiparam_ros/launch/estimator.launch.py').is_file()
+    found = run('sh', '-c', '. install/setup.sh && python -c "import semiparam_ros; print(semiparam_ros.__file__)"',
+                cwd=workspace, env=environment())
+    assert Path(found.strip()).resolve().is_relative_to(workspace.resolve())
