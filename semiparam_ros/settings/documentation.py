@@ -13,8 +13,8 @@ from semiparam_ros.settings.table import PARAMETERS
 HEADER = """# Parameters
 
 Made from the table in `semiparam_ros/settings/table.py` by `python -m semiparam_ros.settings.documentation`;
-edit it there. One file configures the node (`semiparam run --params FILE`, or `--ros-args --params-file FILE`) and every
-offline command (`--params FILE`). `config/estimator.yaml` holds every parameter at its default.
+edit it there. One file configures the node (`semiparam run --params FILE`, or `--ros-args --params-file FILE`)
+and every offline command (`--params FILE`). `config/estimator.yaml` holds every parameter at its default.
 
 A parameter marked *live* may change while the node runs (`ros2 param set`); the others are read at the start.
 A value that is refused leaves everything as it was, and the answer says why in one sentence. ROS tells numbers by

@@ -12,6 +12,13 @@ from collections.abc import Callable, Sequence
 from semiparam_ros.settings.table import Table
 
 KINDS_OF_INPUT = 3
+HYPERPARAMETERS = ('gamma', 'rho', 'tau', 'sigma', 'output_scale', 'pi', 'input_mean', 'input_scale')
+FEATURES = ('rho', 'tau', 'input_mean', 'input_scale')
+NOISE = ('sigma', 'output_scale')
+NEEDED = {'P': ('gamma', *NOISE), 'NP': (*FEATURES, *NOISE), 'SP': (*FEATURES, *NOISE, 'pi'),
+          'SP2': (*FEATURES, *NOISE, 'pi'), 'SPK': ('gamma', *FEATURES, *NOISE)}
+"""What each class of variants has (DESIGN, section 2)."""
+
 EFFECT = re.compile(r'^(?P<kind>[A-Za-z][\w.]*)(@(?P<where>[^\s{}]+))?\s*(?P<values>\{.*\})?$', re.DOTALL)
 
 
@@ -95,6 +102,19 @@ def input_scaling_is_whole(table: Table) -> str | None:
     return None
 
 
+def hyperparameters_suffice(table: Table) -> str | None:
+    """Given hyperparameters replace the initial window, so they must hold all that the variant has."""
+    given = {name: bool(getattr(table, f'hyperparameters_{name}')) for name in HYPERPARAMETERS}
+    if not any(given.values()):
+        return None
+    kind = table.variant.partition('-')[0]
+    missing = [name for name in NEEDED[kind] if not given[name]]
+    if missing:
+        return (f'hyperparameters.{missing[0]} is empty, but {table.variant} needs it once any is given; expected all '
+                'of them, or none to estimate them.')
+    return None
+
+
 def effects_are_well_formed(table: Table) -> str | None:
     """Each is kind, kind@where, or either with {json}; which kinds there are, the effects know."""
     for text in table.effects:
@@ -113,7 +133,7 @@ def effects_are_well_formed(table: Table) -> str | None:
 RULES: tuple[Callable[[Table], str | None], ...] = (
     sensor_frame_is_named, one_robot_description, joints_are_distinct, locked_joints_have_positions,
     features_come_in_pairs, shadow_variants_are_distinct, gate_has_hysteresis, hyperparameters_have_sizes,
-    input_scaling_is_whole, effects_are_well_formed)
+    input_scaling_is_whole, hyperparameters_suffice, effects_are_well_formed)
 
 
 def broken_rule(table: Table) -> str | None:

@@ -57,7 +57,7 @@ class Table:
         'forgetting', 1.0, 'Forgetting factor for each sample; 1.0 forgets nothing, 0.999 has a memory of about 1000 '
         'samples.', minimum=0.5, maximum=1.0, live=True)
     noise: str = declare(
-        'noise', 'one', 'One noise level for all outputs (in units of their scale), or one for each output.',
+        'noise', 'output', 'One standard deviation of the noise for all outputs, or one for each output.',
         choices=('one', 'output'), live=True)
     initial_samples: int = declare(
         'initial.samples', 1000, 'Samples of the initial window, from which the hyperparameters are estimated.',

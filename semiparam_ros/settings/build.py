@@ -1,0 +1,72 @@
+"""Building the estimator that the settings describe, for the node and the offline commands alike."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, cast
+
+from semiparam_ros.core.hyperparameters import Hyperparameters
+from semiparam_ros.core.model import Estimator, ModelOptions
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.settings import robot_description as description
+from semiparam_ros.settings.table import Table
+
+if TYPE_CHECKING:
+    from semiparam_ros.core.columns import Effect
+    from semiparam_ros.core.window import LengthScales, Noise
+
+
+def build_estimator(settings: Table, robot_description: str | None = None) -> Estimator:
+    """The estimator of these settings; ``robot_description`` is the URDF of the topic or the bag, if there is one.
+
+    Raises SemiparamError when the URDF, a joint, the sensor frame, an effect or a hyperparameter does not fit.
+    """
+    body = build_rigid_body(settings, robot_description)
+    return Estimator(body, model_options(settings), declared_effects(settings, body))
+
+
+def build_rigid_body(settings: Table, robot_description: str | None = None) -> RigidBody:
+    """The rigid-body regressor of the moving joints."""
+    urdf = description.robot_description(settings, robot_description)
+    locked = dict(zip(settings.locked_joints_names, settings.locked_joints_positions, strict=True))
+    return RigidBody.from_urdf(urdf, description.moving_joints(settings, urdf), settings.outputs,
+                               settings.sensor_frame or None, settings.wrench_convention, locked)
+
+
+def model_options(settings: Table) -> ModelOptions:
+    """The part of the settings that the model itself knows."""
+    return ModelOptions(
+        variant=settings.variant, features_count=settings.features_count, features_seed=settings.features_seed,
+        length_scales=cast('LengthScales', settings.features_length_scales), noise=cast('Noise', settings.noise),
+        initial_samples=settings.initial_samples, horizon=settings.horizon_length, forgetting=settings.forgetting,
+        hyperparameters=given_hyperparameters(settings), input_mean=settings.hyperparameters_input_mean,
+        input_scale=settings.hyperparameters_input_scale)
+
+
+def given_hyperparameters(settings: Table) -> Hyperparameters | None:
+    """Those of the parameter file, or None when the initial window is to give them."""
+    if not settings.hyperparameters_sigma:
+        return None
+    gamma, rho = settings.hyperparameters_gamma, settings.hyperparameters_rho
+    return Hyperparameters(
+        gamma=gamma[0] if gamma else 0.0, rho=rho[0] if rho else 0.0, tau=settings.hyperparameters_tau,
+        sigma=settings.hyperparameters_sigma[0], output_scale=settings.hyperparameters_output_scale,
+        pi=settings.hyperparameters_pi or None)
+
+
+def hyperparameter_values(hyperparameters: Hyperparameters, input_mean: tuple[float, ...],
+                          input_scale: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+    """The parameters that hand hyperparameters on to the next start; the inverse of :func:`given_hyperparameters`."""
+    scalars = {name: float(getattr(hyperparameters, name)) for name in ('gamma', 'rho', 'sigma')}
+    values: dict[str, tuple[float, ...]] = {name: (value,) if value > 0.0 else () for name, value in scalars.items()}
+    values |= {'tau': hyperparameters.tau, 'output_scale': hyperparameters.output_scale,
+               'pi': hyperparameters.pi or (), 'input_mean': input_mean, 'input_scale': input_scale}
+    return {f'hyperparameters.{name}': value for name, value in values.items()}
+
+
+def declared_effects(settings: Table, body: RigidBody) -> list[Effect]:
+    """The effects of the parameter ``effects``, in its order."""
+    if not settings.effects:
+        return []
+    effects = importlib.import_module('semiparam_ros.effects')  # only who declares an effect pays for loading them
+    return list(effects.declared(settings.effects, body))
