@@ -1,0 +1,140 @@
+"""What every bag offers, whatever its format: topics, times, messages in an order, and an account of damage."""
+
+from __future__ import annotations
+
+import os
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+from semiparam_ros.bags import schemas
+from semiparam_ros.bags.losses import Losses
+from semiparam_ros.bags.qos import Qos
+from semiparam_ros.bags.schemas import UNKNOWN, Decoder, Schema
+from semiparam_ros.errors import SemiparamError
+
+ORDERS = ('log', 'publish', 'header')
+_STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
+
+
+class Message(NamedTuple):
+    """One message. Times in ns since the epoch; ``raw`` is CDR with its 4-byte header.
+
+    ``data`` has the message's fields as attributes (arrays are lists); it is None where no definition of the type is
+    known, or where ``decode=False`` asked for the bytes alone.
+    """
+
+    topic: str
+    type: str
+    log_time: int
+    publish_time: int
+    data: Any
+    raw: bytes
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """One topic: full type name, number of messages, the agreed QoS and all recorded offers, the definition."""
+
+    type: str
+    count: int
+    qos: Qos
+    offers: tuple[Qos, ...] = ()
+    schema: Schema = UNKNOWN
+    encoding: str = 'cdr'
+
+
+class BagReader(ABC):
+    """A bag opened for reading. Use it in a ``with`` block, or call :meth:`close`."""
+
+    topics: dict[str, TopicInfo]
+    start_ns: int
+    end_ns: int
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.topics = {}
+        self.start_ns = self.end_ns = 0
+        self._undecodable: dict[str, int] = {}
+
+    @property
+    def duration_ns(self) -> int:
+        """Log time of the last message less that of the first [ns]."""
+        return self.end_ns - self.start_ns
+
+    @property
+    def message_count(self) -> int:
+        """Messages of all topics, counted before any damage where the bag tells."""
+        return sum(info.count for info in self.topics.values())
+
+    @property
+    @abstractmethod
+    def losses(self) -> Losses:
+        """What cannot be read. Complete whenever asked: parts not read so far are checked first."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
+
+    @abstractmethod
+    def _log_order(self, topics: Collection[str], start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
+        """Messages (``data`` None) of ``topics`` in order of log time, start_ns <= log_time < end_ns."""
+
+    def messages(self, topics: Collection[str] | None = None, order: str = 'log', start_ns: int | None = None,
+                 end_ns: int | None = None, decode: bool = True) -> Iterator[Message]:
+        """Messages in order of time; those of equal times in the order in which they were recorded.
+
+        :param topics: only these (all of them by default).
+        :param order: 'log', 'publish' or 'header' (the header's stamp; log time for types without a header). The
+            last two hold the chosen messages in memory.
+        :param start_ns: only messages at or after this log time; ``end_ns``: only before it.
+        :param decode: False leaves ``data`` None, which is several times faster.
+        """
+        if order not in ORDERS:
+            raise SemiparamError(f'message order {order!r} is unknown: expected one of {list(ORDERS)}.')
+        wanted = set(self.topics) if topics is None else set(topics) & set(self.topics)
+        found = self._log_order(wanted, start_ns, end_ns)
+        if order != 'log':
+            found = iter(sorted(found, key=self._publish_time if order == 'publish' else self.header_time))
+        return self._decoded(found) if decode else found
+
+    @staticmethod
+    def _publish_time(message: Message) -> int:
+        return message.publish_time
+
+    def header_time(self, message: Message) -> int:
+        """Stamp of the message's header [ns], read without decoding; the log time where there is no header."""
+        info = self.topics[message.topic]
+        if info.encoding != 'cdr' or not schemas.has_header(info.type, info.schema) or len(message.raw) < 12:
+            return message.log_time
+        seconds, nanoseconds = _STAMP[message.raw[1] & 1].unpack_from(message.raw, 4)
+        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+    def _decoded(self, found: Iterator[Message]) -> Iterator[Message]:
+        decoders = {topic: self._decoder(info) for topic, info in self.topics.items()}
+        for message in found:
+            decode = decoders[message.topic]
+            if decode is None:
+                yield message
+                continue
+            try:
+                data = decode(message.raw)
+            except Exception:  # bytes that do not fit their type fail in any way: struct, Unicode, memory ...
+                self._undecodable[message.topic] = self._undecodable.get(message.topic, 0) + 1
+                continue
+            yield message._replace(data=data)
+
+    @staticmethod
+    def _decoder(info: TopicInfo) -> Decoder | None:
+        return schemas.decoder(info.type, info.schema) if info.encoding == 'cdr' else None
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()

@@ -1,0 +1,122 @@
+"""sqlite3 bags of rosbag2 and bags of ROS 1, read with ``rosbags`` and handed on as CDR of ROS 2 types."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+import rosbags.rosbag1
+import rosbags.rosbag2
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+
+from semiparam_ros.bags import qos, schemas
+from semiparam_ros.bags.base import BagReader, Message, TopicInfo
+from semiparam_ros.bags.losses import Losses
+from semiparam_ros.bags.qos import LATCHED, Qos
+from semiparam_ros.bags.ros1_types import Ros1Types
+from semiparam_ros.bags.schemas import Schema
+from semiparam_ros.errors import SemiparamError
+
+_ENCODINGS = {MessageDefinitionFormat.MSG: 'ros2msg', MessageDefinitionFormat.IDL: 'ros2idl'}
+
+
+class _RosbagsBag(BagReader):
+    """What the two formats share: the readers of ``rosbags`` have the same shape."""
+
+    kind: str
+
+    def __init__(self, path: str | os.PathLike[str], reader: Callable[[Path], Any]) -> None:
+        super().__init__(path)
+        self._saved: int | None = None
+        try:
+            self._reader = reader(self.path)
+            self._reader.open()
+        except Exception as error:  # ReaderError, apsw errors, struct.error, KeyError ...
+            raise self._refusal(error) from error
+        if self._reader.message_count:
+            self.start_ns, self.end_ns = self._reader.start_time, self._reader.end_time - 1
+
+    def _refusal(self, error: Exception) -> SemiparamError:
+        text = str(error).strip().rstrip('.')
+        return SemiparamError(f'{str(self.path)!r} cannot be read as {self.kind}, it is damaged or was not finished: '
+                              f'{text or type(error).__name__}.')
+
+    def _log_order(self, topics: Collection[str], start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
+        connections = [connection for connection in self._reader.connections if connection.topic in topics]
+        if not connections:
+            return
+        try:
+            for connection, time, raw in self._reader.messages(connections, start=start_ns, stop=end_ns):
+                yield Message(connection.topic, self.topics[connection.topic].type, time, time, None,
+                              self._cdr(connection, raw))
+        except Exception as error:
+            raise self._refusal(error) from error
+
+    def _cdr(self, connection: Connection, raw: bytes) -> bytes:
+        return bytes(raw)
+
+    @property
+    def losses(self) -> Losses:
+        """These formats have no checksums and cannot be read past damage, so only undecodable messages are known."""
+        if self._saved is None:
+            self._saved = sum(1 for _ in self._log_order(self.topics.keys(), None, None))
+        return Losses(str(self.path), self._saved, self.message_count, undecodable=dict(self._undecodable))
+
+    def close(self) -> None:
+        self._reader.close()
+
+
+class SqliteBag(_RosbagsBag):
+    """A .db3 file, or a rosbag2 directory of any storage that ``rosbags`` knows."""
+
+    kind = 'a rosbag2 bag'
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        super().__init__(path, rosbags.rosbag2.Reader)
+        for connection in sorted(self._reader.connections, key=lambda connection: connection.topic):
+            offers = tuple(_offer(profile) for profile in connection.ext.offered_qos_profiles)
+            schema = Schema(_ENCODINGS.get(connection.msgdef.format, ''), connection.msgdef.data)
+            self.topics[connection.topic] = TopicInfo(schemas.full_type(connection.msgtype), connection.msgcount,
+                                                      qos.agreed(offers), offers, schema)
+
+
+class Ros1Bag(_RosbagsBag):
+    """A bag of ROS 1. Types get their ROS 2 names and definitions; latched topics become transient local."""
+
+    kind = 'a ROS 1 bag'
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        super().__init__(path, rosbags.rosbag1.Reader)
+        try:
+            self._types = Ros1Types({each.msgtype: each.msgdef.data for each in self._reader.connections})
+        except Exception as error:  # definitions that do not parse
+            raise self._refusal(error) from error
+        for topic, info in sorted(self._reader.topics.items()):
+            connection = info.connections[0]
+            offers = tuple(LATCHED if each.ext.latching else Qos() for each in info.connections)
+            self.topics[topic] = TopicInfo(self._types.ros2_name(connection.msgtype), info.msgcount,
+                                           qos.agreed(offers), offers, self._types.schema(connection.msgtype))
+
+    def _cdr(self, connection: Connection, raw: bytes) -> bytes:
+        return self._types.cdr(connection.msgtype, raw)
+
+
+def _offer(profile: Any) -> Qos:
+    """A profile as ``rosbags`` holds it."""
+    return qos.parse_profiles([{
+        'history': profile.history.name, 'depth': profile.depth, 'reliability': profile.reliability.name,
+        'durability': profile.durability.name, 'liveliness': profile.liveliness.name,
+        **{name: {'sec': getattr(profile, name).sec, 'nsec': getattr(profile, name).nsec}
+           for name in ('deadline', 'lifespan', 'liveliness_lease_duration')}}])[0]
+
+
+def is_sqlite(path: Path, magic: bytes) -> bool:
+    """Whether a file is sqlite by its first bytes, or by its name where those are damaged."""
+    return magic.startswith(b'SQLite format 3\x00') or path.suffix == '.db3'
+
+
+def is_ros1(path: Path, magic: bytes) -> bool:
+    """Whether a file is a ROS 1 bag by its first bytes, or by its name where those are damaged."""
+    return magic.startswith(b'#ROSBAG') or path.suffix == '.bag'

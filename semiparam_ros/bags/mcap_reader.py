@@ -1,0 +1,134 @@
+"""MCAP bags, intact or damaged, read chunk by chunk."""
+
+from __future__ import annotations
+
+import heapq
+import mmap
+import os
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+from semiparam_ros.bags import mcap_records, qos, salvage, schemas
+from semiparam_ros.bags.base import BagReader, Message, TopicInfo
+from semiparam_ros.bags.losses import Losses
+from semiparam_ros.bags.mcap_index import Incomplete, Index, Segment, read_summary
+from semiparam_ros.bags.mcap_records import MAGIC, Damage, Entry
+from semiparam_ros.bags.schemas import UNKNOWN, Schema
+from semiparam_ros.errors import SemiparamError
+
+
+class McapBag(BagReader):
+    """An MCAP file. Damage costs the chunks it lies in and nothing else; :attr:`losses` tells which."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        super().__init__(path)
+        self._file = self.path.open('rb')
+        try:
+            self._buffer: Any = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
+        except ValueError as error:
+            self._file.close()
+            raise SemiparamError(f'{str(path)!r} is empty: expected an MCAP bag.') from error
+        self._index = _index(self._buffer)
+        # How many messages each segment read so far held; None for one that is lost.
+        self._read: dict[Segment, int | None] = {}
+        self._reasons: list[str] = []
+        self.start_ns, self.end_ns = self._index.start_ns, self._index.end_ns
+        self._channel_topics = {channel.id: channel.topic for channel in self._index.definitions.channels.values()}
+        self.topics = _topics(self._index)
+        if not self.topics and self._index.reasons:
+            self.close()
+            raise SemiparamError(f'{str(path)!r} holds no readable message: {"; ".join(self._index.reasons)}.')
+
+    def _log_order(self, topics: Collection[str], start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
+        info = {channel: (topic, self.topics[topic].type) for channel, topic in self._channel_topics.items()
+                if topic in topics}
+        low = -1 if start_ns is None else start_ns
+        high = 2**64 if end_ns is None else end_ns
+        for entry in self._merged(info.keys(), low, high):
+            topic, type_name = info[entry.channel]
+            yield Message(topic, type_name, entry.log_time, entry.publish_time, None, entry.raw)
+
+    def _merged(self, channels: Collection[int], low: int, high: int) -> Iterator[Entry]:
+        """Entries of all segments in order of time. Chunks may overlap: an entry waits for those that begin before."""
+        heap: list[tuple[int, int, int, Entry]] = []
+        for number, segment in enumerate(sorted(self._index.segments, key=lambda s: s.start_ns)):
+            if segment.start_ns >= high or segment.end_ns < low or not _holds(segment, channels):
+                continue
+            while heap and heap[0][0] < segment.start_ns:
+                yield heapq.heappop(heap)[3]
+            for position, entry in enumerate(self._entries(segment)):
+                if entry.channel in channels and low <= entry.log_time < high:
+                    heapq.heappush(heap, (entry.log_time, number, position, entry))
+        while heap:
+            yield heapq.heappop(heap)[3]
+
+    def _entries(self, segment: Segment) -> list[Entry]:
+        """The messages of a segment; none, and an entry in the account, when it is damaged."""
+        definitions = self._index.definitions
+        try:
+            if segment.chunk is None:
+                found = mcap_records.entries(self._buffer, definitions, segment.offset, segment.end)
+            else:
+                found = mcap_records.entries(mcap_records.unpack(self._buffer, segment.chunk), definitions)
+        except Damage as damage:
+            self._read[segment] = None
+            if str(damage) not in self._reasons:
+                self._reasons.append(str(damage))
+            return []
+        self._read[segment] = sum(entry.channel in self._channel_topics for entry in found)
+        return found
+
+    @property
+    def losses(self) -> Losses:
+        for segment in self._index.segments:
+            if segment not in self._read:
+                self._entries(segment)
+        lost = [segment for segment in self._index.segments if self._read[segment] is None]
+        index = self._index
+        return Losses(str(self.path), sum(count or 0 for count in self._read.values()), index.intact, index.chunks,
+                      index.chunks_lost + len(lost),
+                      sorted(index.byte_ranges + [(segment.offset, segment.end) for segment in lost]),
+                      index.reasons + self._reasons, dict(self._undecodable))
+
+    def close(self) -> None:
+        self._buffer.close()
+        self._file.close()
+
+
+def _holds(segment: Segment, channels: Collection[int]) -> bool:
+    return segment.channels is None or not segment.channels.isdisjoint(channels)
+
+
+def _index(buffer: Any) -> Index:
+    """The summary, or what a walk over the whole file finds."""
+    reason = None if bytes(buffer[:len(MAGIC)]) == MAGIC else 'the start of the file is damaged'
+    try:
+        index = read_summary(buffer)
+    except Incomplete:
+        return salvage.scan(buffer, reason)
+    except Damage as damage:
+        return salvage.scan(buffer, '; '.join(filter(None, (reason, str(damage)))))
+    index.reasons += [reason] if reason else []
+    return index
+
+
+def _topics(index: Index) -> dict[str, TopicInfo]:
+    """Topics by name; several channels of one topic are added up."""
+    topics: dict[str, TopicInfo] = {}
+    for channel in sorted(index.definitions.channels.values(), key=lambda channel: channel.topic):
+        schema = index.definitions.schemas.get(channel.schema_id)
+        type_name = schemas.full_type(schema.name) if schema else ''
+        offers = qos.parse_profiles(channel.metadata.get('offered_qos_profiles'))
+        before = topics.get(channel.topic)
+        if before:
+            offers = before.offers + offers
+        count = index.counts.get(channel.id, 0) + (before.count if before else 0)
+        text = Schema(schema.encoding, schema.data.decode(errors='replace')) if schema else UNKNOWN
+        topics[channel.topic] = TopicInfo(type_name, count, qos.agreed(offers), offers, text, channel.message_encoding)
+    return topics
+
+
+def is_mcap(path: Path, magic: bytes) -> bool:
+    """Whether a file is MCAP by its first bytes, or by its name where those are damaged."""
+    return magic.startswith(MAGIC) or '.mcap' in path.name

@@ -1,0 +1,69 @@
+"""Opening bags of every format that ROS users have."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from semiparam_ros.bags.base import BagReader, Message, TopicInfo
+from semiparam_ros.bags.foreign_reader import Ros1Bag, SqliteBag, is_ros1, is_sqlite
+from semiparam_ros.bags.losses import Losses
+from semiparam_ros.bags.mcap_reader import McapBag, is_mcap
+from semiparam_ros.bags.merging import MergedBag
+from semiparam_ros.errors import SemiparamError
+
+__all__ = ['BagReader', 'Losses', 'Message', 'TopicInfo', 'open_bag']
+
+
+def open_bag(path: str | os.PathLike[str]) -> BagReader:
+    """Open an MCAP file, a rosbag2 directory, a .db3 file or a ROS 1 .bag.
+
+    A damaged MCAP file is opened as far as it can be read: see ``losses``. What is no bag, or holds no readable
+    message because of damage, raises SemiparamError.
+    """
+    path = Path(path)
+    try:
+        return _open_directory(path) if path.is_dir() else _open_file(path)
+    except OSError as error:
+        raise SemiparamError(f'{str(path)!r} cannot be opened: {error.strerror or error}.') from error
+
+
+def _open_file(path: Path) -> BagReader:
+    with path.open('rb') as file:
+        magic = file.read(32)
+    if not magic:
+        raise SemiparamError(f'{str(path)!r} is empty: expected a bag.')
+    if is_mcap(path, magic):
+        return McapBag(path)
+    if is_sqlite(path, magic):
+        return SqliteBag(path)
+    if is_ros1(path, magic):
+        return Ros1Bag(path)
+    raise SemiparamError(f'{str(path)!r} is no bag: expected an MCAP file, a rosbag2 directory, a .db3 file or a '
+                         'ROS 1 .bag.')
+
+
+def _open_directory(path: Path) -> BagReader:
+    """A rosbag2 directory: its MCAP files are read here, whatever else it holds is left to ``rosbags``."""
+    description = _metadata(path)
+    files = [path / Path(name).name for name in description.get('relative_file_paths') or ()]
+    packed = str(description.get('compression_mode') or 'none').lower() in ('file', 'message')
+    if not files:
+        # A recorder that was killed has not written its metadata.yaml.
+        files = sorted([*path.glob('*.mcap'), *path.glob('*.mcap.partial'), *path.glob('*.db3')])
+    if not files:
+        raise SemiparamError(f'{str(path)!r} is no bag: expected a directory with metadata.yaml, .mcap or .db3 files.')
+    if packed or (description and files[0].suffix == '.db3'):
+        return SqliteBag(path)
+    return MergedBag(path, [_open_file(file) for file in files])
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    """What metadata.yaml says; nothing where it is missing or damaged, since the files themselves tell enough."""
+    try:
+        return dict(yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information'])
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError):
+        return {}

@@ -1,0 +1,106 @@
+"""Message definitions of ROS 2 Jazzy by type name, and the CDR codec that they give.
+
+The definitions come from the type store of ``rosbags``; encoding and decoding is ``mcap-ros2-support`` for every
+kind of bag, so that a message looks the same whichever file it came from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
+from rosbags.typesys import Stores, get_types_from_idl, get_typestore
+from rosbags.typesys.store import Typestore
+
+from semiparam_ros.errors import SemiparamError
+
+Decoder = Callable[[bytes], Any]
+Encoder = Callable[[Any], bytes]
+
+
+class Schema(NamedTuple):
+    """A message definition: ``encoding`` is 'ros2msg', 'ros2idl' or '' (unknown), ``text`` its full text."""
+
+    encoding: str
+    text: str
+
+
+UNKNOWN = Schema('', '')
+
+
+@cache
+def jazzy_types() -> Typestore:
+    """The message types of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def full_type(name: str) -> str:
+    """'sensor_msgs/JointState' and 'sensor_msgs/msg/JointState' are the same type; the second form is returned."""
+    package, _, rest = name.partition('/')
+    return name if '/' in rest else f'{package}/msg/{rest}'
+
+
+def is_jazzy_type(type_name: str) -> bool:
+    """Whether ROS 2 Jazzy's common interfaces define ``type_name``."""
+    return full_type(type_name) in jazzy_types().fielddefs
+
+
+@cache
+def jazzy_schema(type_name: str) -> Schema:
+    """The definition of ``type_name``; a type that Jazzy does not have raises SemiparamError."""
+    if not is_jazzy_type(type_name):
+        raise SemiparamError(f'message type {type_name!r} is unknown: expected one of ROS 2 Jazzy, '
+                             "for example 'sensor_msgs/msg/JointState'.")
+    return Schema('ros2msg', jazzy_types().generate_msgdef(full_type(type_name), ros_version=2)[0])
+
+
+@cache
+def type_hash(type_name: str) -> str:
+    """The RIHS01 hash of a Jazzy type, '' for other types."""
+    return jazzy_types().hash_rihs01(full_type(type_name)) if is_jazzy_type(type_name) else ''
+
+
+@cache
+def message_text(type_name: str, schema: Schema) -> str | None:
+    """The definition as .msg text: the bag's own, else Jazzy's, else None."""
+    if schema.encoding == 'ros2msg' and schema.text:
+        return schema.text
+    if schema.encoding == 'ros2idl' and schema.text:
+        return _text_from_idl(type_name, schema.text)
+    return jazzy_schema(type_name).text if is_jazzy_type(type_name) else None
+
+
+def _text_from_idl(type_name: str, text: str) -> str:
+    store = get_typestore(Stores.EMPTY)
+    parts = [part.split('\n', 1)[-1] if part.startswith('IDL: ') else part for part in text.split('=' * 80 + '\n')]
+    for part in filter(str.strip, parts):
+        store.register(get_types_from_idl(part))
+    return store.generate_msgdef(full_type(type_name), ros_version=2)[0]
+
+
+@cache
+def decoder(type_name: str, schema: Schema = UNKNOWN) -> Decoder | None:
+    """The function that turns CDR bytes into an object with the message's fields; None when nothing defines it."""
+    try:
+        text = message_text(type_name, schema)
+        return None if text is None else generate_dynamic(type_name, text).get(type_name)
+    except Exception:  # a definition that its parser refuses, in whatever way, is one we do not have
+        return None
+
+
+@cache
+def encoder(type_name: str, schema: Schema = UNKNOWN) -> Encoder:
+    """The function that turns a dict or an object into CDR bytes; an unknown type raises SemiparamError."""
+    text = message_text(type_name, schema) or jazzy_schema(type_name).text
+    return serialize_dynamic(type_name, text)[type_name]
+
+
+@cache
+def has_header(type_name: str, schema: Schema = UNKNOWN) -> bool:
+    """Whether messages of this type begin with a std_msgs/Header, whose stamp is then bytes 4 to 12."""
+    fields = (line.split() for line in (message_text(type_name, schema) or '').splitlines())
+    first = next((words for words in fields if len(words) > 1 and not words[0].startswith('#')
+                  and '=' not in ''.join(words)), [''])
+    return first[0] in ('std_msgs/Header', 'std_msgs/msg/Header', 'Header')
