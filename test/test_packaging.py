@@ -212,3 +212,36 @@ def test_colcon_installs_what_ros_looks_for(workspace):
     found = run('sh', '-c', '. install/setup.sh && python -c "import semiparam_ros; print(semiparam_ros.__file__)"',
                 cwd=workspace, env=environment())
     assert Path(found.strip()).resolve().is_relative_to(workspace.resolve())
+
+
+LAUNCH_FILES = sorted((REPOSITORY / 'launch').glob('*.launch.py'))
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_files_start_programs_that_exist(path):
+    """`launch` is no wheel, so that only what a launch file names can be checked everywhere."""
+    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    nodes = [{word.arg: word.value for word in call.keywords} for call in calls
+             if isinstance(call.func, ast.Name) and call.func.id == 'Node']
+    started = {(node['package'].value, node['executable'].value) for node in nodes}
+    assert started or 'estimator.launch.py' in path.read_text()
+    assert {package for package, _ in started} <= {'semiparam_ros', *keys('exec_depend')}
+    assert {program for package, program in started if package == 'semiparam_ros'} <= set(PROGRAMS)
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_files_name_files_that_are_shipped(path):
+    words = [node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
+    files = re.compile(r'[\w.]+\.(yaml|mcap|urdf|launch\.py)')
+    named = [word for word in words if isinstance(word, str) and files.fullmatch(word)]
+    assert named
+    for name in named:
+        assert any((REPOSITORY / folder / name).is_file() for folder in ('config', 'bags', 'launch')), name
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_files_describe_something_to_the_real_launch(path):
+    pytest.importorskip('launch_ros', reason='launch and launch_ros come with a ROS 2 installation, not from PyPI')
+    namespace: dict = {}
+    exec(compile(path.read_text(), str(path), 'exec'), namespace)
+    assert namespace['generate_launch_description']().entities

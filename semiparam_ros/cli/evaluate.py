@@ -1,0 +1,146 @@
+"""`semiparam evaluate BAG...`: the node's estimator on recordings, without DDS."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from semiparam_ros.cli.options import add_json_option, add_params_option, console, output, progress_bar, write_json
+from semiparam_ros.errors import SemiparamError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from semiparam_ros.bags.loading import LoadedBag
+    from semiparam_ros.cli.scores import Scores
+    from semiparam_ros.core.model import Estimator
+    from semiparam_ros.settings import Settings
+
+HELP = 'Predict, then learn, every sample of recordings, and report the errors of one or several variants.'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `semiparam evaluate`."""
+    parser.add_argument('bags', metavar='BAG', nargs='+', type=Path,
+                        help='recordings (.mcap, rosbag2 directory, .db3, ROS 1 .bag), one after the other')
+    add_params_option(parser)
+    parser.add_argument('--variant', metavar='V', action='append', dest='variants',
+                        help='variant to evaluate instead of the one in the parameters; may be repeated; "all" for all')
+    parser.add_argument('--train', metavar='BAG', type=Path, action='append', default=[],
+                        help='learn this recording first, without scoring it; may be repeated')
+    parser.add_argument('--frozen', action='store_true', help='predict without learning (needs --train)')
+    add_json_option(parser)
+    parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
+    parser.add_argument('--plot', metavar='FILE', type=Path, help='plot both indices over time (.png, .svg or .pdf)')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate every variant in turn on the same samples."""
+    from semiparam_ros.cli.tables import print_scores
+    from semiparam_ros.settings import load_params
+
+    settings = load_params(args.params)
+    variants = chosen_variants(args.variants, settings)
+    if args.frozen and not args.train:
+        raise SemiparamError('--frozen predicts with what was learnt from --train BAG, which is missing.')
+    training, bags = load_bags(args.train, settings), load_bags(args.bags, settings)
+    with progress_bar() as progress:
+        scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress)
+                  for variant in variants}
+    results = {variant: score.result(args.series) for variant, score in scores.items()}
+    print_scores(output, results)
+    write_outputs(args, results, scores, bags)
+    return 0
+
+
+def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str]:
+    """Checked names, each once, in the order asked for; by default the variant of the settings."""
+    from semiparam_ros.core.model import variant_named
+    from semiparam_ros.core.variants import VARIANTS
+
+    names = [name for word in asked or [settings.variant] for name in (VARIANTS if word == 'all' else [word])]
+    for name in names:
+        variant_named(name)
+    return list(dict.fromkeys(names))
+
+
+def load_bags(paths: Sequence[Path], settings: Settings) -> list[LoadedBag]:
+    """The samples of each recording; what had to be left out is said on standard error."""
+    from semiparam_ros.bags.loading import load_samples
+
+    bags = [load_samples(path, settings) for path in paths]
+    for path, bag in zip(paths, bags, strict=True):
+        left_out = ', '.join(f'{count} {reason}' for reason, count in sorted(bag.faults.items()) if count)
+        if left_out:
+            console.print(f'{path}: left out {left_out}.', highlight=False, markup=False)
+    return bags
+
+
+def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
+             progress: Progress) -> Scores:
+    """Scores of one variant over ``bags``, from the first sample that it predicts itself.
+
+    The initial window is answered by the rigid body alone, whatever the variant, and takes no part in the figures.
+    Raises SemiparamError when the recordings are over before the initial window is.
+    """
+    from semiparam_ros.cli.scores import Scores
+    from semiparam_ros.settings.build import build_estimator
+
+    description = next((bag.robot_description for bag in [*bags, *training] if bag.robot_description), None)
+    estimator = build_estimator(settings, description)
+    total = sum(len(bag.samples) for bag in [*training, *bags])
+    task = progress.add_task(settings.variant, total=total)
+    for bag in training:
+        learn(estimator, bag, progress, task)
+    if training and not estimator.ready:
+        estimator.finish_window()
+    scores = Scores(settings.outputs)
+    for bag in bags:
+        score(estimator, bag, scores, settings.learning and not frozen, progress, task)
+    if not len(scores):
+        raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
+                             '(parameter initial.samples).')
+    return scores
+
+
+def learn(estimator: Estimator, bag: LoadedBag, progress: Progress, task: Any) -> None:
+    """Learn one recording without scoring it."""
+    for sample in bag.samples:
+        estimator.step(sample)
+        progress.advance(task)
+    estimator.clear_pending()
+
+
+def score(estimator: Estimator, bag: LoadedBag, scores: Scores, learning: bool, progress: Progress, task: Any) -> None:
+    """Predict, then perhaps learn, one recording."""
+    scores.start_recording(bag.samples.origin)
+    for sample in bag.samples:
+        start = time.perf_counter()
+        prediction = estimator.step(sample, learning)
+        elapsed = time.perf_counter() - start
+        progress.advance(task)
+        if not prediction.ready:
+            continue
+        scores.add(sample.outputs, prediction.mean, elapsed)
+        if prediction.horizon is not None:
+            scores.add_horizon(prediction.horizon)
+    estimator.clear_pending()
+
+
+def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, Scores],
+                  bags: Sequence[LoadedBag]) -> None:
+    """The JSON file and the plot, where asked for."""
+    if args.json:
+        write_json(args.json, {
+            'command': 'evaluate', 'bags': [str(path) for path in args.bags],
+            'train': [str(path) for path in args.train], 'frozen': args.frozen, 'variants': results,
+            'left_out': [dict(bag.faults) for bag in bags]})
+    if args.plot:
+        from semiparam_ros.cli.plots import plot_indices
+
+        plot_indices(args.plot, scores)
+        console.print(f'plot: {args.plot}', highlight=False, markup=False)

@@ -1,0 +1,110 @@
+"""How well one model predicted: errors, horizon indices and times, gathered sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.types import Array
+
+TRANSIENT_S = 30.0
+"""The first part of learning, reported apart from the steady state as in the paper."""
+
+INDICES = ('eps_force', 'eps_torque', 'eps_centred_force', 'eps_centred_torque')
+EFFORT_INDICES = ('eps_effort', 'eps_centred_effort')
+
+
+class Scores:
+    """Figures of one variant over the samples that it predicted, from its first own prediction on.
+
+    :param outputs: `wrench` (three forces, three torques) or `effort`.
+    """
+
+    def __init__(self, outputs: str) -> None:
+        self.outputs = outputs
+        self._measured: list[Array] = []
+        self._errors: list[Array] = []
+        self._seconds: list[float] = []
+        self._times: list[float] = []
+        self._indices: list[tuple[float, ...]] = []
+        self._origin, self._offset = 0, 0.0
+
+    def start_recording(self, origin: int) -> None:
+        """Stamps [ns] from now on belong to another recording, which starts at ``origin`` and continues the last."""
+        self._offset = self._times[-1] if self._times else 0.0
+        self._origin = origin
+
+    def add(self, measured: Array, predicted: Array, seconds: float | None = None) -> None:
+        """One sample's outputs (n,), the prediction of them, and the time that prediction and update took [s]."""
+        self._measured.append(measured)
+        self._errors.append(predicted - measured)
+        if seconds is not None:
+            self._seconds.append(seconds)
+
+    def add_horizon(self, horizon: HorizonErrors) -> None:
+        """The horizon errors of one origin."""
+        self._times.append(self._offset + 1e-9 * (horizon.origin - self._origin))
+        self._indices.append(means(horizon.eps, self.outputs) + means(horizon.eps_centred, self.outputs))
+
+    def __len__(self) -> int:
+        return len(self._errors)
+
+    @property
+    def index_names(self) -> tuple[str, ...]:
+        """The indices in the order of :meth:`index_series`."""
+        return INDICES if self.outputs == 'wrench' else EFFORT_INDICES
+
+    def index_series(self) -> tuple[Array, Array]:
+        """(N,) times of the origins since the start of the first recording [s], and (N, n_indices) values."""
+        return np.array(self._times), np.array(self._indices).reshape(-1, len(self.index_names))
+
+    def result(self, series: bool = False) -> dict[str, Any]:
+        """All figures by name, in SI units; None where there is nothing to take the mean of."""
+        nmse, rmse = normalised_errors(np.array(self._errors), np.array(self._measured))
+        known = [value for value in nmse if value is not None]
+        figures: dict[str, Any] = {'samples': len(self), 'nmse': nmse, 'nmse_mean': _mean(known), 'rmse': rmse}
+        figures |= dict.fromkeys(('eps_force', 'eps_torque'))
+        times, values = self.index_series()
+        figures |= {name: by_phase(times, column) for name, column in zip(self.index_names, values.T, strict=True)}
+        figures['update_ms'] = update_times(self._seconds)
+        if series:
+            columns = {name: column.tolist() for name, column in zip(self.index_names, values.T, strict=True)}
+            figures['series'] = {'time_s': times.tolist(), **columns}
+        return figures
+
+
+def means(eps: Array, outputs: str) -> tuple[float, ...]:
+    """eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
+    if outputs == 'wrench':
+        return float(np.mean(eps[:3])), float(np.mean(eps[3:]))
+    return (float(np.mean(eps)),)
+
+
+def normalised_errors(errors: Array, measured: Array) -> tuple[list[float | None], list[float]]:
+    """Mean squared error over the channel's variance (None for a constant channel), and its root, for (N, n)."""
+    square = np.mean(errors**2, axis=0)
+    variance = np.var(measured, axis=0)
+    ratios = [float(a / b) if b > 0.0 else None for a, b in zip(square, variance, strict=True)]
+    return ratios, np.sqrt(square).tolist()
+
+
+def by_phase(times: Array, values: Array) -> dict[str, float | None]:
+    """Means over everything, the transient (the first 30 s after learning starts) and the steady state after it."""
+    early = times - times[:1] < TRANSIENT_S if len(times) else np.zeros(0, dtype=bool)
+    return {'mean': _mean(values), 'first_30_s': _mean(values[early]), 'steady_state': _mean(values[~early])}
+
+
+def update_times(seconds: Iterable[float]) -> dict[str, float] | None:
+    """Median and 99th percentile [ms]."""
+    milliseconds = 1e3 * np.array(list(seconds))
+    if not milliseconds.size:
+        return None
+    median, p99 = np.percentile(milliseconds, [50, 99]).tolist()
+    return {'median': median, 'p99': p99}
+
+
+def _mean(values: Array | list[float]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
