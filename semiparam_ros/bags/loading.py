@@ -1,0 +1,151 @@
+"""A whole recording as samples: what the node would have received, without a node."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from semiparam_ros.bags import recording_layout as layout
+from semiparam_ros.bags.alignment import SampleStream
+from semiparam_ros.bags.base import BagReader
+from semiparam_ros.bags.losses import Losses
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.core.kinematics import CausalDifferentiator
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.robot_description import moving_joints, robot_description
+from semiparam_ros.settings.table import Table
+
+
+class Topics(NamedTuple):
+    """Names of the topics in the bag."""
+
+    joint_states: str = layout.JOINT_STATES
+    wrench: str = layout.WRENCH
+    accelerations: str = layout.JOINT_ACCELERATIONS
+    robot_description: str = layout.ROBOT_DESCRIPTION
+
+
+class LoadedBag(NamedTuple):
+    """Samples of a bag, the URDF it carries (None: none), refused messages by reason with the last one's sentence.
+
+    ``frame_id`` is that of the wrenches, '' for efforts; ``losses`` tells what of a damaged bag could not be read.
+    """
+
+    samples: Samples
+    robot_description: str | None
+    faults: Counter[str]
+    joints: tuple[str, ...]
+    frame_id: str
+    last_fault: str
+    losses: Losses
+
+
+def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics | None = None) -> LoadedBag:
+    """Every sample of the bag at ``path``, equal to those the node makes from the same messages.
+
+    A bag without a topic that ``settings`` need, or with no sample at all, raises SemiparamError.
+    """
+    topics = topics or Topics()
+    with open_bag(path) as bag:
+        measured = measured_accelerations(settings, topics.accelerations in bag.topics)
+        needed = _needed(topics, settings.outputs, measured)
+        _require(bag, needed)
+        description = recorded_description(bag, topics.robot_description)
+        joints = _joints(settings, description, bag)
+        stream = sample_stream(settings, joints, measured, capacity=None)
+        frame_id, samples = _read(bag, stream, topics, needed)
+        if not samples:
+            raise SemiparamError(_nothing_matched(bag, stream, needed))
+        return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, stream.last_fault,
+                         bag.losses)
+
+
+def measured_accelerations(settings: Table, published: bool) -> bool:
+    """Whether accelerations are taken from their topic, by ``acceleration.source`` and whether it is published."""
+    return settings.acceleration_source == 'measured' or (settings.acceleration_source == 'auto' and published)
+
+
+def sample_stream(settings: Table, joints: tuple[str, ...], measured: bool,
+                  capacity: int | None = None) -> SampleStream:
+    """The stream that these settings ask for; the node and :func:`load_samples` both get theirs here."""
+    differentiator = None if measured else CausalDifferentiator(len(joints), settings.acceleration_cutoff)
+    return SampleStream(joints, settings.outputs, settings.sensor_frame, settings.alignment_tolerance,
+                        differentiator, measured, capacity)
+
+
+def feed_joint_state(stream: SampleStream, message: Any) -> list[Sample]:
+    """Hand a sensor_msgs/JointState on, from a bag or from rclpy."""
+    return stream.joint_state(layout.stamp_ns(message.header.stamp), message.name, message.position,
+                              message.velocity, message.effort)
+
+
+def feed_wrench(stream: SampleStream, message: Any) -> list[Sample]:
+    """Hand a geometry_msgs/WrenchStamped on."""
+    force, torque = message.wrench.force, message.wrench.torque
+    return stream.wrench(layout.stamp_ns(message.header.stamp), message.header.frame_id,
+                         (force.x, force.y, force.z, torque.x, torque.y, torque.z))
+
+
+def feed_accelerations(stream: SampleStream, message: Any) -> list[Sample]:
+    """Hand a trajectory_msgs/JointTrajectory with one point on; without one its accelerations count as missing."""
+    values = message.points[0].accelerations if len(message.points) == 1 else ()
+    return stream.accelerations(layout.stamp_ns(message.header.stamp), message.joint_names, values)
+
+
+def recorded_description(bag: BagReader, topic: str = layout.ROBOT_DESCRIPTION) -> str | None:
+    """The last robot description of a bag, None where there is none."""
+    text = None
+    for message in bag.messages([topic]):
+        text = getattr(message.data, 'data', None) or text
+    return text
+
+
+def _needed(topics: Topics, outputs: str, measured: bool) -> dict[str, str]:
+    """Topics that take part, with the types they must have."""
+    needed = {topics.joint_states: layout.TYPES[layout.JOINT_STATES]}
+    if outputs == 'wrench':
+        needed[topics.wrench] = layout.TYPES[layout.WRENCH]
+    if measured:
+        needed[topics.accelerations] = layout.TYPES[layout.JOINT_ACCELERATIONS]
+    return needed
+
+
+def _require(bag: BagReader, needed: dict[str, str]) -> None:
+    for topic, type_name in needed.items():
+        if topic not in bag.topics:
+            raise SemiparamError(f'{str(bag.path)!r} has no topic {topic}; it has {", ".join(bag.topics) or "none"}.')
+        if bag.topics[topic].type != type_name:
+            raise SemiparamError(f'{str(bag.path)!r}: topic {topic} holds {bag.topics[topic].type}; expected '
+                                 f'{type_name}.')
+
+
+def _joints(settings: Table, description: str | None, bag: BagReader) -> tuple[str, ...]:
+    """The moving joints; where neither the settings nor a URDF name them the sentence has to name the bag."""
+    if settings.joints:
+        return settings.joints
+    try:
+        return moving_joints(settings, robot_description(settings, description))
+    except SemiparamError as error:
+        raise SemiparamError(f'{str(bag.path)!r}: {error}') from error
+
+
+def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: dict[str, str]) -> tuple[str, list[Sample]]:
+    """(frame of the wrenches, samples) of all messages in the order in which they were recorded."""
+    feeds: dict[str, Callable[[SampleStream, Any], list[Sample]]] = {
+        topics.joint_states: feed_joint_state, topics.wrench: feed_wrench, topics.accelerations: feed_accelerations}
+    samples: list[Sample] = []
+    frame_id = ''
+    for message in bag.messages(needed.keys()):
+        samples += feeds[message.topic](stream, message.data)
+        if not frame_id and message.topic == topics.wrench:
+            frame_id = message.data.header.frame_id
+    return frame_id, samples
+
+
+def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str]) -> str:
+    counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
+    reason = stream.last_fault or f'{stream.pending} outputs have no joint state at or after their stamps.'
+    return f'{str(bag.path)!r} holds no complete sample ({counts} messages): {reason}'
