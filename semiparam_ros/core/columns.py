@@ -29,11 +29,11 @@ class Effect(Protocol):
     def prior_scale(self) -> Array:
         """(n_columns,) prior standard deviation of each coefficient over gamma, in the coefficient's unit."""
 
-    def correct(self, body: RigidBody, samples: Samples) -> tuple[RigidBody, Samples]:
-        """The body and the inputs as they really are (a joint's zero, the direction of gravity)."""
+    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
+        """The body and the inputs as they really are (a joint's zero, the direction of gravity, a delay)."""
 
-    def transform(self, regressors: Array, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """The regressors (N, n, p) as the sensor sees them (a gain, a delay)."""
+    def transform(self, body: RigidBody, regressors: Array) -> Array:
+        """The regressors (N, n, p) as the sensor reports them (a gain, a rotation)."""
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """(N, n, n_columns) further columns."""
@@ -84,17 +84,22 @@ class CoupledColumns:
 
     def batch(self, samples: Samples, memory: Memory = None) -> tuple[Array, Memory]:
         """(N, n, p) columns of consecutive samples and what the effects remember after the last one."""
-        body, inputs = self.body, samples
-        for effect in self.effects:
-            body, inputs = effect.correct(body, inputs)
         past = memory or [(None, None)] * len(self.effects)
-        future: list[tuple[Memory, Memory]] = []
+        body, inputs, corrected = self.corrected(samples, [entry[0] for entry in past])
         psi = body.regressors(inputs)
-        parts = []
-        for effect, (shaped, remembered) in zip(self.effects, past, strict=True):
-            psi, shaped = effect.transform(psi, inputs, shaped)
-            columns, remembered = effect.columns(body, inputs, remembered)
-            future.append((shaped, remembered))
+        parts, added = [], []
+        for effect, entry in zip(self.effects, past, strict=True):
+            psi = effect.transform(body, psi)
+            columns, remembered = effect.columns(body, inputs, entry[1])
             parts.append(columns)
+            added.append(remembered)
         offset = np.broadcast_to(self._offset, (len(samples), *self._offset.shape))
-        return np.concatenate([psi, offset, *parts], axis=2), future
+        return np.concatenate([psi, offset, *parts], axis=2), list(zip(corrected, added, strict=True))
+
+    def corrected(self, samples: Samples, past: Sequence[Memory] = ()) -> tuple[RigidBody, Samples, list[Memory]]:
+        """Body and inputs after the corrections of every effect, and what they remember of them."""
+        body, inputs, future = self.body, samples, []
+        for effect, memory in zip(self.effects, past or [None] * len(self.effects), strict=True):
+            body, inputs, remembered = effect.correct(body, inputs, memory)
+            future.append(remembered)
+        return body, inputs, future

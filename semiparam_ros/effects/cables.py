@@ -1,0 +1,119 @@
+"""Cables and hoses that run along the arm: springs, and springs that slip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.frames import frame_motion, loaded_links
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, joint_index
+
+SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+SLIP_SHARES = (0.02, 0.05, 0.12, 0.3, 0.7)
+
+
+class _Cable(Effect):
+    """Acts at a link through its position, or on the sensor through a joint's angle."""
+
+    outputs: ClassVar[tuple[str, ...]] = ('wrench',)
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return (*loaded_links(body), *body.joints)
+
+
+class CableSpring(_Cable):
+    """A spring: at a link its force is affine in position, along a joint its wrench is linear in the angle."""
+
+    kind: ClassVar[str] = 'cable_spring'
+    sentence: ClassVar[str] = 'a cable or hose pulls like a spring'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('cable_hysteresis', 'external_force', 'gravity_tilt')
+    separated_by: ClassVar[str] = 'slow motion over the whole workspace, where inertia plays no part'
+    links_are_tips: ClassVar[bool] = True
+    coefficient_scale: ClassVar[float] = 1000.0
+
+    @property
+    def n_columns(self) -> int:
+        return 9 if self.value('at_link') else len(CHANNELS)
+
+    @classmethod
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+        return ({'at_link': float(where not in body.joints)},)
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        if not self.value('at_link'):
+            return tuple(Coefficient(f'stiffness_{name}', f'{unit}/rad')
+                         for name, unit in zip(CHANNELS, body.output_units, strict=True))
+        stiffnesses = tuple(Coefficient(f'stiffness_{"xyz"[i]}{"xyz"[j]}', 'N/m') for i, j in SYMMETRIC)
+        return (*(Coefficient(f'force_{axis}', 'N') for axis in 'xyz'), *stiffnesses)
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        if not self.value('at_link'):
+            return samples.position[:, joint_index(body, self.where), None, None] * np.eye(len(CHANNELS)), None
+        motion = frame_motion(body, samples, str(self.where))
+        forces = np.zeros((len(samples), 3, 9))
+        forces[:, :, :3] = np.eye(3)
+        for column, (i, j) in enumerate(SYMMETRIC, start=3):
+            forces[:, i, column] = -motion.position[:, j]
+            forces[:, j, column] = -motion.position[:, i]
+        return motion.force_map @ forces, None
+
+
+class CableHysteresis(_Cable):
+    """Dahl's model: the cable pulls back over ``slip`` of travel, then slips (z' = dx - |dx| z / slip)."""
+
+    kind: ClassVar[str] = 'cable_hysteresis'
+    sentence: ClassVar[str] = 'a cable or hose drags with hysteresis: it pulls back, then slips'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('cable_spring', 'viscous_drag')
+    separated_by: ClassVar[str] = 'reversals after long and after short travels'
+    shape_units: ClassVar[dict[str, str]] = {'slip': 'rad or m'}
+
+    @property
+    def n_columns(self) -> int:
+        return 1 if self.value('at_link') else len(CHANNELS)
+
+    @classmethod
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+        if where in body.joints:
+            reach = float(np.ptp(samples.position[:, joint_index(body, where)]))
+            return [{'at_link': 0.0, 'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
+        reach = float(np.ptp(frame_motion(body, samples, str(where)).position, axis=0).max())
+        return [{'at_link': 1.0, 'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        if self.value('at_link'):
+            return (Coefficient('force', 'N'),)
+        return tuple(Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True))
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        slip = self.value('slip', 0.1)
+        if not self.value('at_link'):
+            travel = samples.position[:, joint_index(body, self.where), None]
+            state, memory = dahl_state(travel, slip, memory)
+            return state[:, :, None] * np.eye(len(CHANNELS)), memory
+        motion = frame_motion(body, samples, str(self.where))
+        state, memory = dahl_state(motion.position, slip, memory)
+        return motion.force_map @ -state[:, :, None], memory
+
+
+def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memory]:
+    """(N, k) state in [-1, 1] along travels (N, k), and (last travel, last state) to go on from.
+
+    Each step of travel is followed exactly: the state decays towards its direction over ``slip``.
+    """
+    place, state = memory if memory is not None else (travel[0], np.zeros(travel.shape[1]))
+    steps = np.diff(travel, axis=0, prepend=place[None])
+    length = np.linalg.norm(steps, axis=1)
+    decay = np.exp(-length / slip)
+    aims = np.divide(steps, length[:, None], out=np.zeros_like(steps), where=length[:, None] > 0.0)
+    states = np.empty_like(travel)
+    for index, (keep, aim) in enumerate(zip(decay, aims, strict=True)):
+        state = aim + (state - aim) * keep
+        states[index] = state
+    return states, (travel[-1], state)

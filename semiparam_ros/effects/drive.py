@@ -1,0 +1,129 @@
+"""What motors, gears and torque sensors add to a joint's effort."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects.base import Coefficient, Effect, Shape, joint_index, on_joint
+from semiparam_ros.effects.cables import dahl_state
+from semiparam_ros.effects.friction import JointEffect
+
+ORDERS = np.arange(2.0, 240.0, 0.1)
+PEAKS = 3
+
+
+class RotorInertia(JointEffect):
+    """The motor's own inertia, seen through the gear."""
+
+    kind: ClassVar[str] = 'rotor_inertia'
+    sentence: ClassVar[str] = "the motor's rotor resists acceleration"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('payload',)
+    separated_by: ClassVar[str] = "fast motion of this joint in several postures: a link's inertia changes with them"
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('inertia', 'kg m^2'),)
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        return acceleration[:, None]
+
+
+class JointSpring(JointEffect):
+    """A spring across the joint, as a balancer or a stiff cable is."""
+
+    kind: ClassVar[str] = 'joint_spring'
+    sentence: ClassVar[str] = 'a spring acts across the joint'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('effort_offset', 'gravity_tilt', 'joint_offset')
+    separated_by: ClassVar[str] = "the joint's whole range in several postures of the others"
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('stiffness', 'N m/rad'), Coefficient('rest_torque', 'N m'))
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        return np.column_stack([position, np.ones_like(position)])
+
+
+class EffortOffset(JointEffect):
+    """A constant added to the measured effort."""
+
+    kind: ClassVar[str] = 'effort_offset'
+    sentence: ClassVar[str] = "the joint's measured effort has a constant offset"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('asymmetric_friction', 'joint_spring', 'external_force')
+    separated_by: ClassVar[str] = 'motion through the whole range in both directions'
+    may_start: ClassVar[bool] = True
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('offset', 'N m'),)
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        return np.ones((len(position), 1))
+
+
+class EffortGain(Effect):
+    """The measured effort of one joint is too large or too small by a factor."""
+
+    kind: ClassVar[str] = 'effort_gain'
+    outputs: ClassVar[tuple[str, ...]] = ('effort',)
+    sentence: ClassVar[str] = "the joint's effort is measured with a wrong gain (torque constant, gear ratio)"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('load_friction',)
+    separated_by: ClassVar[str] = 'a known load, or motion in which several joints carry the same links'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('gain', ''),)
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return body.joints
+
+    def transform(self, body: RigidBody, regressors: Array) -> Array:
+        gains = np.ones((body.n_outputs, 1))
+        gains[joint_index(body, self.where)] += self.value('gain')
+        return np.asarray(gains * regressors)
+
+
+class TransmissionRipple(JointEffect):
+    """A torque that repeats with the joint's angle, as gears and cogging make it."""
+
+    kind: ClassVar[str] = 'transmission_ripple'
+    sentence: ClassVar[str] = "the gear's torque ripples with the joint's angle"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('periodic_disturbance', 'joint_spring')
+    separated_by: ClassVar[str] = 'the same path at two speeds: a ripple follows the angle, not the clock'
+    shape_units: ClassVar[dict[str, str]] = {'order': '1/rad'}
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('sin', 'N m'), Coefficient('cos', 'N m'))
+
+    @classmethod
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+        joint = joint_index(body, where)
+        position, left = samples.position[:, joint], residual[:, joint] - residual[:, joint].mean()
+        reach = max(float(np.ptp(position)), 1e-6)
+        orders = ORDERS[ORDERS * reach > 2.0 * np.pi]
+        if not len(orders):
+            return ()
+        power = np.array([np.abs(np.exp(1j * order * position) @ left) for order in orders])
+        peaks, _ = find_peaks(power)
+        best = peaks[np.argsort(power[peaks])[::-1][:PEAKS]]
+        return [{'order': float(orders[index])} for index in best]
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        angle = self.value('order', 1.0) * position
+        return np.column_stack([np.sin(angle), np.cos(angle)])
+
+
+class Backlash(JointEffect):
+    """Play in the gear: after each reversal the torque takes ``gap`` of travel to change over."""
+
+    kind: ClassVar[str] = 'backlash'
+    sentence: ClassVar[str] = 'the gear has play: after each reversal its torque takes some travel to change over'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction',)
+    separated_by: ClassVar[str] = 'small reversals, within and beyond the play'
+    shape_units: ClassVar[dict[str, str]] = {'gap': 'rad'}
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('torque', 'N m'),)
+
+    @classmethod
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+        reach = max(float(np.ptp(samples.position[:, joint_index(body, where)])), 1e-6)
+        return [{'gap': reach * share} for share in (0.02, 0.05, 0.12, 0.3)]
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        travel = samples.position[:, joint_index(body, self.where), None]
+        state, memory = dahl_state(travel, self.value('gap', 0.01), memory)
+        return on_joint(body, self.where, state), memory

@@ -1,0 +1,140 @@
+"""What resists a joint's motion in its efforts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects.base import Coefficient, Effect, Shape, joint_index, on_joint
+
+SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
+
+
+class JointEffect(Effect):
+    """Acts on the effort of one joint, through functions of that joint alone."""
+
+    outputs: ClassVar[tuple[str, ...]] = ('effort',)
+    names: ClassVar[tuple[Coefficient, ...]] = ()
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return body.joints
+
+    @property
+    def n_columns(self) -> int:
+        return len(self.names)
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        return self.names
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """(N, c) columns of the joint from its motion (N,)."""
+        raise NotImplementedError
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        joint = joint_index(body, self.where)
+        motion = (samples.position[:, joint], samples.velocity[:, joint], samples.acceleration[:, joint])
+        return on_joint(body, self.where, self.functions(*motion)), None
+
+
+class _Sliding(JointEffect):
+    """Depends on the direction of motion, which turns over within ``turn_speed``."""
+
+    shape_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'stribeck_speed': 'rad/s'}
+
+    @classmethod
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+        fastest = float(np.abs(samples.velocity[:, joint_index(body, where)]).max())
+        return [{'turn_speed': max(fastest, 1e-6) * share} for share in SPEED_SHARES]
+
+    def direction(self, velocity: Array) -> Array:
+        """(N,) sign of the velocity, smoothed where it turns."""
+        return np.tanh(velocity / self.value('turn_speed', 0.01))
+
+
+class ViscousFriction(JointEffect):
+    """Friction in proportion to speed."""
+
+    kind: ClassVar[str] = 'viscous_friction'
+    sentence: ClassVar[str] = 'the joint has viscous friction'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'asymmetric_friction', 'time_delay')
+    separated_by: ClassVar[str] = 'constant speeds, slow and fast, in both directions'
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('viscous', 'N m s/rad'),)
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        return velocity[:, None]
+
+
+class CoulombFriction(_Sliding):
+    """Dry friction: constant against the direction of motion."""
+
+    kind: ClassVar[str] = 'coulomb_friction'
+    sentence: ClassVar[str] = 'the joint has dry (Coulomb) friction'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_friction', 'stribeck_friction', 'load_friction', 'backlash')
+    separated_by: ClassVar[str] = 'constant speeds, slow and fast, in both directions'
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('coulomb', 'N m'),)
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        return self.direction(velocity)[:, None]
+
+
+class StribeckFriction(_Sliding):
+    """Dry friction that is higher near standstill: a part that fades as exp(-(velocity / stribeck_speed)^2)."""
+
+    kind: ClassVar[str] = 'stribeck_friction'
+    sentence: ClassVar[str] = 'the joint sticks: its friction is higher near standstill (Stribeck)'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'asymmetric_friction')
+    separated_by: ClassVar[str] = 'slow motion, below and above the speed where sticking ends'
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('coulomb', 'N m'), Coefficient('stiction', 'N m'))
+
+    @classmethod
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+        fastest = float(np.abs(samples.velocity[:, joint_index(body, where)]).max())
+        coarse = super().searches(body, samples, where, residual)
+        return [{**shape, 'stribeck_speed': max(fastest, 1e-6) * share}
+                for shape in coarse[:3] for share in (0.05, 0.12, 0.3)]
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        direction = self.direction(velocity)
+        fading = np.exp(-((velocity / self.value('stribeck_speed', 0.1)) ** 2))
+        return np.column_stack([direction, direction * fading])
+
+
+class AsymmetricFriction(_Sliding):
+    """Dry and viscous friction that differ between the two directions."""
+
+    kind: ClassVar[str] = 'asymmetric_friction'
+    sentence: ClassVar[str] = "the joint's friction differs between its two directions"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'viscous_friction', 'effort_offset')
+    separated_by: ClassVar[str] = 'equal motion in both directions'
+    names: ClassVar[tuple[Coefficient, ...]] = (
+        Coefficient('coulomb_forward', 'N m'), Coefficient('coulomb_backward', 'N m'),
+        Coefficient('viscous_forward', 'N m s/rad'), Coefficient('viscous_backward', 'N m s/rad'))
+
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        direction = self.direction(velocity)
+        return np.column_stack([np.maximum(direction, 0.0), np.minimum(direction, 0.0),
+                                np.maximum(velocity, 0.0), np.minimum(velocity, 0.0)])
+
+
+class LoadFriction(_Sliding):
+    """Dry friction in proportion to the load that the joint carries, as the rigid body predicts it."""
+
+    kind: ClassVar[str] = 'load_friction'
+    sentence: ClassVar[str] = "the joint's friction grows with the load that it carries"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'effort_gain')
+    separated_by: ClassVar[str] = 'the same motion with and without a load'
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('load_coefficient', ''),)
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        joint = joint_index(body, self.where)
+        parameters = np.array(self.reference) if self.reference else body.base_parameters
+        load = body.regressors(samples)[:, joint] @ parameters
+        values = np.abs(load) * self.direction(samples.velocity[:, joint])
+        return on_joint(body, self.where, values[:, None]), None

@@ -1,0 +1,108 @@
+"""Where the robot is not where its model puts it: a joint's zero, the level of the base, the time of the outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.rigid_body import GRAVITY, RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.effects.base import Coefficient, Effect, joint_index
+
+
+class JointOffset(Effect):
+    """The true angle is the encoder's plus ``offset``."""
+
+    kind: ClassVar[str] = 'joint_offset'
+    sentence: ClassVar[str] = "the joint's zero is off"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('gravity_tilt', 'sensor_misalignment', 'sensor_crosstalk')
+    separated_by: ClassVar[str] = ('motion of the joints before it, which turns a tilt of the base against '
+                                   'the joint, and of those after it')
+    calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('offset', 'rad'),)
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return body.joints
+
+    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
+        position = samples.position.copy()
+        position[:, joint_index(body, self.where)] += self.value('offset')
+        return body, replace(samples, position=position), None
+
+
+class GravityTilt(Effect):
+    """The base is turned by a small rotation about its horizontal axes, so gravity points elsewhere."""
+
+    kind: ClassVar[str] = 'gravity_tilt'
+    sentence: ClassVar[str] = 'the base is not level'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('joint_offset', 'sensor_misalignment')
+    separated_by: ClassVar[str] = 'a turn of the arm about a vertical axis, or a spirit level on the base'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('tilt_x', 'rad'), Coefficient('tilt_y', 'rad'))
+
+    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
+        turn = pin.exp3(np.array([self.value('tilt_x'), self.value('tilt_y'), 0.0]))
+        return body.with_gravity(turn.T @ GRAVITY), samples, None
+
+
+class _Past(NamedTuple):
+    """The last two inputs seen, enough to interpolate between."""
+
+    stamps: Stamps
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+
+class TimeDelay(Effect):
+    """The outputs lag the joint states by ``delay_s`` (lead, when negative)."""
+
+    kind: ClassVar[str] = 'time_delay'
+    sentence: ClassVar[str] = 'the outputs and the joint states are stamped at different times'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_drag', 'viscous_friction')
+    separated_by: ClassVar[str] = 'faster motion: a delay grows with speed, a friction does not'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('delay_s', 's'),)
+    kept: ClassVar[int] = 64
+
+    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
+        past = _Past(samples.stamps, samples.position, samples.velocity, samples.acceleration)
+        if memory is not None:
+            past = _Past(*(np.concatenate(pair) for pair in zip(memory, past, strict=True)))
+        wanted = samples.stamps - round(self.value('delay_s') * 1e9)
+        inputs = _interpolated(past, wanted, np.arange(len(past.stamps) - len(samples), len(past.stamps)))
+        delayed = replace(samples, position=inputs[0], velocity=inputs[1], acceleration=inputs[2])
+        return body, delayed, _Past(*(column[-self.kept:] for column in past))
+
+
+def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, Array, Array]:
+    """Inputs at ``wanted`` [ns] by cubic Hermite pieces that end no later than the sample numbered ``newest``.
+
+    The last piece extrapolates, so that one sample at a time gives what the whole recording gives.
+    """
+    first = newest == 0
+    left = np.searchsorted(past.stamps, wanted, side='right') - 1
+    left = np.clip(left, 0, np.maximum(newest - 1, 0))
+    right = np.minimum(left + 1, len(past.stamps) - 1)
+    step = np.where(first, 1, past.stamps[right] - past.stamps[left])[:, None] * 1e-9
+    ahead = (wanted - past.stamps[left])[:, None] * 1e-9
+    position, _ = _hermite(past.position, past.velocity, left, right, step, ahead / step)
+    velocity, acceleration = _hermite(past.velocity, past.acceleration, left, right, step, ahead / step)
+    if first.any():
+        start = slice(0, 1)
+        position[start] = past.position[start] + ahead[start] * past.velocity[start]
+        velocity[start] = past.velocity[start] + ahead[start] * past.acceleration[start]
+        acceleration[start] = past.acceleration[start]
+    return position, velocity, acceleration
+
+
+def _hermite(values: Array, slopes: Array, left: Stamps, right: Stamps, step: Array, u: Array) -> tuple[Array, Array]:
+    """Value and derivative of the cubic through two values with two slopes, at the share u of the step."""
+    start, end = values[left], values[right]
+    rise, fall = slopes[left] * step, slopes[right] * step
+    square, cube = 3 * (end - start) - 2 * rise - fall, 2 * (start - end) + rise + fall
+    return start + u * (rise + u * (square + u * cube)), (rise + u * (2 * square + 3 * u * cube)) / step

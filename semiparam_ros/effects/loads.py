@@ -1,0 +1,114 @@
+"""Forces from outside the arm: a load that is carried, a push, a fluid, a cable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.frames import frame_motion, load_regressor, loaded_links
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects.base import Coefficient, Effect
+
+
+class _AtLink(Effect):
+    """Something that acts at a link."""
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return tuple(loaded_links(body))
+
+
+class Payload(_AtLink):
+    """A body picked up: mass, first moment and inertia in the link's frame."""
+
+    kind: ClassVar[str] = 'payload'
+    sentence: ClassVar[str] = 'the arm carries a load that the model does not know'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('external_force', 'sensor_offset')
+    separated_by: ClassVar[str] = 'fast motion that turns the load about every axis: weight alone is only a force'
+    must_start: ClassVar[bool] = True
+    coefficient_scale: ClassVar[float] = 10.0
+
+    @property
+    def n_columns(self) -> int:
+        return 10
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        moments = (Coefficient(f'first_moment_{axis}', 'kg m') for axis in 'xyz')
+        inertias = (Coefficient(f'inertia_{axes}', 'kg m^2') for axes in ('xx', 'xy', 'yy', 'xz', 'yz', 'zz'))
+        return Coefficient('mass', 'kg'), *moments, *inertias
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        return load_regressor(body, samples, str(self.where)), None
+
+
+class ExternalForce(_AtLink):
+    """A constant force along the base's axes, at the origin of the link's frame."""
+
+    kind: ClassVar[str] = 'external_force'
+    sentence: ClassVar[str] = 'something pulls or pushes the link with a constant force'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'gravity_tilt', 'sensor_offset')
+    separated_by: ClassVar[str] = 'faster motion: a load has inertia, a constant force has none'
+    may_start: ClassVar[bool] = True
+
+    @property
+    def n_columns(self) -> int:
+        return 3
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        return tuple(Coefficient(f'force_{axis}', 'N') for axis in 'xyz')
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        return frame_motion(body, samples, str(self.where)).force_map, None
+
+
+class _Drag(_AtLink):
+    """A force against the velocity of a link's frame."""
+
+    outputs: ClassVar[tuple[str, ...]] = ('wrench',)
+
+    @property
+    def n_columns(self) -> int:
+        return 1
+
+    def resistance(self, velocity: Array) -> Array:
+        """(N, 3) force for a unit coefficient, from velocities (N, 3) [m/s]."""
+        raise NotImplementedError
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        motion = frame_motion(body, samples, str(self.where))
+        return motion.force_map @ self.resistance(motion.velocity)[:, :, None], None
+
+
+class ViscousDrag(_Drag):
+    """Resistance in proportion to speed."""
+
+    kind: ClassVar[str] = 'viscous_drag'
+    sentence: ClassVar[str] = 'the link moves through something viscous'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('quadratic_drag', 'time_delay')
+    separated_by: ClassVar[str] = 'motion at clearly different speeds'
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        return (Coefficient('drag', 'N s/m'),)
+
+    def resistance(self, velocity: Array) -> Array:
+        return -velocity
+
+
+class QuadraticDrag(_Drag):
+    """Resistance in proportion to the square of the speed."""
+
+    kind: ClassVar[str] = 'quadratic_drag'
+    sentence: ClassVar[str] = 'the link moves through a fluid that resists with the square of the speed'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_drag', 'time_delay')
+    separated_by: ClassVar[str] = 'motion at clearly different speeds'
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        return (Coefficient('drag', 'N s^2/m^2'),)
+
+    def resistance(self, velocity: Array) -> Array:
+        return -np.linalg.norm(velocity, axis=1, keepdims=True) * velocity

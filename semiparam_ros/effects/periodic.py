@@ -1,0 +1,82 @@
+"""Something that shakes: a disturbance of one frequency that has nothing to do with the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.frames import frame_motion, loaded_links
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, joint_index
+
+PEAKS = 4
+
+
+class PeriodicDisturbance(Effect):
+    """A sine and a cosine: in the sensor's axes, as a force at a link along the base's axes, or on a joint."""
+
+    kind: ClassVar[str] = 'periodic_disturbance'
+    sentence: ClassVar[str] = 'something shakes the arm at one frequency'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('transmission_ripple',)
+    separated_by: ClassVar[str] = 'standing still: the disturbance goes on'
+    shape_units: ClassVar[dict[str, str]] = {'frequency_hz': 'Hz'}
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return (None, *loaded_links(body)) if body.outputs == 'wrench' else body.joints
+
+    @property
+    def n_columns(self) -> int:
+        return 2 * int(self.value('directions', 1.0))
+
+    @classmethod
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+        directions = cls._directions(body, samples, where)
+        signal = np.einsum('tni,tn->ti', directions, residual)
+        return [{'frequency_hz': frequency, 'directions': float(directions.shape[2])}
+                for frequency in spectral_peaks(samples.time, signal)]
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        if body.outputs == 'effort':
+            names = [Coefficient('', 'N m')]
+        elif self.where is None:
+            names = [Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True)]
+        else:
+            names = [Coefficient(f'force_{axis}', 'N') for axis in 'xyz']
+        return tuple(Coefficient(f'{part}_{name}'.rstrip('_'), unit) for part in ('sin', 'cos') for name, unit in names)
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        phase = 2.0 * np.pi * self.value('frequency_hz', 1.0) * samples.time[:, None, None]
+        directions = self._directions(body, samples, self.where)
+        return np.concatenate([np.sin(phase) * directions, np.cos(phase) * directions], axis=2), None
+
+    @staticmethod
+    def _directions(body: RigidBody, samples: Samples, where: str | None) -> Array:
+        """(N, n, k) outputs of a unit disturbance in each of its k directions."""
+        if where is None:
+            return np.broadcast_to(np.eye(body.n_outputs), (len(samples), body.n_outputs, body.n_outputs))
+        if body.outputs == 'wrench':
+            return frame_motion(body, samples, where).force_map
+        column = np.eye(body.n_outputs)[:, joint_index(body, where), None]
+        return np.broadcast_to(column, (len(samples), *column.shape))
+
+
+def spectral_peaks(time: Array, signal: Array) -> list[float]:
+    """The strongest frequencies [Hz] of signals (N, k), each channel scaled alike; steps in time may vary a little."""
+    even = np.linspace(time[0], time[-1], len(time))
+    step = even[1] - even[0]
+    columns = [np.interp(even, time, column - column.mean()) for column in (signal / (signal.std(axis=0) + 1e-12)).T]
+    padded = 4 * len(even)
+    window = np.hanning(len(even))
+    power = np.sum([np.abs(np.fft.rfft(column * window, padded)) ** 2 for column in columns], axis=0)
+    frequencies = np.fft.rfftfreq(padded, step)
+    power[frequencies < 2.0 / (time[-1] - time[0])] = 0.0
+    peaks, _ = find_peaks(power)
+    best = peaks[np.argsort(power[peaks])[::-1][:PEAKS]]
+    return [float(frequencies[index]) for index in best]

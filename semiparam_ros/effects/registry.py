@@ -1,0 +1,106 @@
+"""All kinds of effects by name, those of other packages among them, and their text form in parameters.
+
+A package adds a kind with an entry point in the group ``semiparam_ros.effects`` that names a subclass of Effect.
+Text is never evaluated: an effect is written ``kind``, ``kind@where``, or either with a JSON object of numbers.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+from importlib.metadata import entry_points
+
+from semiparam_ros.effects.base import Effect
+from semiparam_ros.effects.cables import CableHysteresis, CableSpring
+from semiparam_ros.effects.drive import (
+    Backlash,
+    EffortGain,
+    EffortOffset,
+    JointSpring,
+    RotorInertia,
+    TransmissionRipple,
+)
+from semiparam_ros.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    LoadFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
+from semiparam_ros.effects.geometry import GravityTilt, JointOffset, TimeDelay
+from semiparam_ros.effects.loads import ExternalForce, Payload, QuadraticDrag, ViscousDrag
+from semiparam_ros.effects.periodic import PeriodicDisturbance
+from semiparam_ros.effects.sensor import (
+    SensorCrosstalk,
+    SensorDrift,
+    SensorGain,
+    SensorMisalignment,
+    SensorOffset,
+    ThermalDrift,
+)
+from semiparam_ros.errors import SemiparamError
+
+GROUP = 'semiparam_ros.effects'
+BUILT_IN: tuple[type[Effect], ...] = (
+    Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
+    JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
+    PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
+    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash)
+
+
+@cache
+def _all_kinds() -> dict[str, type[Effect]]:
+    known = {kind.kind: kind for kind in BUILT_IN}
+    for point in entry_points(group=GROUP):
+        kind = point.load()
+        if not (isinstance(kind, type) and issubclass(kind, Effect) and kind.kind):
+            raise SemiparamError(f"entry point '{point.name}' of group {GROUP} is {kind!r}; expected a subclass of "
+                                 'semiparam_ros.effects.Effect with a kind.')
+        if kind.kind in known:
+            raise SemiparamError(f"entry point '{point.name}' of group {GROUP} defines the kind '{kind.kind}', "
+                                 'which exists already; expected a new name.')
+        known[kind.kind] = kind
+    return known
+
+
+def kinds(outputs: str | None = None) -> dict[str, type[Effect]]:
+    """Every kind by name, or only those that act on ``outputs`` (wrench or effort)."""
+    return {name: kind for name, kind in _all_kinds().items() if outputs is None or outputs in kind.outputs}
+
+
+def effect_to_text(effect: Effect) -> str:
+    """The effect as the parameter ``effects`` holds it; :func:`effect_from_text` reads it back exactly."""
+    values: dict[str, object] = dict(effect.shape)
+    if effect.reference:
+        values['reference'] = list(effect.reference)
+    return effect.kind + (f'@{effect.where}' if effect.where else '') + (json.dumps(values) if values else '')
+
+
+def effect_from_text(text: str) -> Effect:
+    """Read ``kind[@where][{"name": number, ...}]``. Anything else raises SemiparamError."""
+    head, brace, tail = text.strip().partition('{')
+    name, _, where = head.strip().partition('@')
+    if name not in _all_kinds():
+        raise SemiparamError(f"effect '{text}' names no known kind; expected one of {', '.join(_all_kinds())}.")
+    values = _values(text, brace + tail) if brace else {}
+    reference = values.pop('reference', [])
+    if not isinstance(reference, list) or not all(map(_is_number, reference)):
+        raise SemiparamError(f"effect '{text}' has a reference that is not a list of numbers.")
+    wrong = [key for key, value in values.items() if not _is_number(value)]
+    if wrong:
+        raise SemiparamError(f"effect '{text}' has values that are not finite numbers: {', '.join(wrong)}.")
+    shape = {key: float(str(value)) for key, value in values.items()}
+    return _all_kinds()[name](where or None, shape, tuple(float(value) for value in reference))
+
+
+def _values(text: str, part: str) -> dict[str, object]:
+    try:
+        values = json.loads(part)
+    except json.JSONDecodeError as error:
+        raise SemiparamError(f"effect '{text}' does not end in a JSON object of numbers ({error}).") from error
+    return dict(values)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

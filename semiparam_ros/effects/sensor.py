@@ -1,0 +1,147 @@
+"""What a force/torque sensor does to the wrench: bias, drift, temperature, gains, crosstalk, mounting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, channel_units
+
+N_CHANNELS = 6
+
+
+class _ChannelEffect(Effect):
+    """A function of time alone, with one coefficient for each channel."""
+
+    outputs: ClassVar[tuple[str, ...]] = ('wrench',)
+    per: ClassVar[str] = ''
+
+    @property
+    def n_columns(self) -> int:
+        return N_CHANNELS
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        return channel_units(body, self.per)
+
+    def profile(self, time: Array) -> Array:
+        """(N,) the function of time [s] that every channel follows."""
+        return np.ones_like(time)
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        return self.profile(samples.time)[:, None, None] * np.eye(N_CHANNELS), None
+
+
+class SensorOffset(_ChannelEffect):
+    """A jump of the bias; the constant bias of a recording is part of every model with a wrench."""
+
+    kind: ClassVar[str] = 'sensor_offset'
+    sentence: ClassVar[str] = "the sensor's bias jumped, as after a knock, a re-zeroing or a pinched cable"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'external_force', 'sensor_drift')
+    separated_by: ClassVar[str] = 'turning the sensor through gravity: a bias does not turn with it'
+    must_start: ClassVar[bool] = True
+
+
+class SensorDrift(_ChannelEffect):
+    """A bias that grows in proportion to time."""
+
+    kind: ClassVar[str] = 'sensor_drift'
+    sentence: ClassVar[str] = "the sensor's bias drifts steadily with time"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('thermal_drift', 'sensor_offset')
+    separated_by: ClassVar[str] = 'a longer recording: a thermal drift settles, a linear one goes on'
+    per: ClassVar[str] = 's'
+
+    def profile(self, time: Array) -> Array:
+        return time
+
+
+class ThermalDrift(_ChannelEffect):
+    """A bias that settles as exp(-t / time constant)."""
+
+    kind: ClassVar[str] = 'thermal_drift'
+    sentence: ClassVar[str] = 'the sensor warms up: its bias settles exponentially'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_drift', 'sensor_offset')
+    separated_by: ClassVar[str] = 'a recording of several time constants from a cold start'
+    shape_units: ClassVar[dict[str, str]] = {'time_constant_s': 's'}
+
+    @classmethod
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None,
+                 residual: Array) -> Sequence[Shape]:
+        span = float(samples.time[-1] - samples.time[0])
+        return [{'time_constant_s': span * share} for share in (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6, 1.0)]
+
+    def profile(self, time: Array) -> Array:
+        return -np.expm1(-time / self.value('time_constant_s', 60.0))
+
+
+class _Calibration(Effect):
+    """A matrix (6, 6) that multiplies the true wrench, the identity plus the calibrations."""
+
+    outputs: ClassVar[tuple[str, ...]] = ('wrench',)
+
+    def matrix(self) -> Array:
+        """(6, 6) reported wrench over true wrench."""
+        raise NotImplementedError
+
+    def transform(self, body: RigidBody, regressors: Array) -> Array:
+        return np.asarray(self.matrix() @ regressors)
+
+
+class SensorGain(_Calibration):
+    """Each channel reads too much or too little. The common gain of all forces cannot be told from the masses."""
+
+    kind: ClassVar[str] = 'sensor_gain'
+    sentence: ClassVar[str] = 'channels of the sensor have wrong gains'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_crosstalk', 'sensor_misalignment')
+    separated_by: ClassVar[str] = 'motion that turns gravity through every axis of the sensor'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = tuple(Coefficient(f'gain_{name}', '') for name in CHANNELS)
+
+    def matrix(self) -> Array:
+        return np.eye(N_CHANNELS) + np.diag([self.value(f'gain_{name}') for name in CHANNELS])
+
+
+CROSS = tuple((to, by) for to in CHANNELS for by in CHANNELS if to != by)
+
+
+def _cross_unit(to: str, by: str) -> str:
+    if to[0] == by[0]:
+        return ''
+    return 'm' if to[0] == 't' else '1/m'
+
+
+class SensorCrosstalk(_Calibration):
+    """Each channel hears the others: the off-diagonal part of the calibration matrix."""
+
+    kind: ClassVar[str] = 'sensor_crosstalk'
+    sentence: ClassVar[str] = 'channels of the sensor hear one another: its calibration matrix is off'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_misalignment', 'sensor_gain', 'joint_offset', 'gravity_tilt')
+    separated_by: ClassVar[str] = 'motion that turns gravity through every axis of the sensor'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = (
+        *(Coefficient(f'{to}_from_{by}', _cross_unit(to, by)) for to, by in CROSS),
+        *(Coefficient(f'gain_{name}', '') for name in CHANNELS))
+
+    def matrix(self) -> Array:
+        matrix = np.eye(N_CHANNELS) + np.diag([self.value(f'gain_{name}') for name in CHANNELS])
+        for to, by in CROSS:
+            matrix[CHANNELS.index(to), CHANNELS.index(by)] = self.value(f'{to}_from_{by}')
+        return matrix
+
+
+class SensorMisalignment(_Calibration):
+    """The sensor is turned in its mount by a rotation vector."""
+
+    kind: ClassVar[str] = 'sensor_misalignment'
+    sentence: ClassVar[str] = 'the sensor sits turned in its mount'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_crosstalk', 'joint_offset', 'gravity_tilt')
+    separated_by: ClassVar[str] = 'motion of the joints before the sensor about more than one axis'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = tuple(Coefficient(f'rotation_{axis}', 'rad') for axis in 'xyz')
+
+    def matrix(self) -> Array:
+        rotation = pin.exp3(np.array([self.value(f'rotation_{axis}') for axis in 'xyz']))
+        return np.kron(np.eye(2), rotation)
