@@ -1,0 +1,101 @@
+"""Flow control: as fast as the subscriber follows, so that its queue never overflows and no sample is lost.
+
+The follower answers each *request* (one message on the request topic) by one message that carries the request's
+stamp. At most ``window`` requests are on the way at any time; other topics pass freely, for the order of the bag
+ties them to the requests around them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+
+from semiparam_ros.ros.replay_clock import MonotonicClock
+from semiparam_ros.ros.replay_player import Item
+
+
+class FollowerSilent(Exception):
+    """The follower stopped answering: one sentence for the user."""
+
+
+class FlowControl:
+    """A window over the requests that wait for an answer.
+
+    An answer settles its own request and those sent before it, which the follower must have refused: it works in
+    order. So a refused sample costs no more than the patience of one window, and is accounted for as unanswered.
+    Answers without a stamp settle the oldest request. Thread-safe.
+
+    :param request_topic: the topic whose messages are answered, as the bag names it
+    :param window: requests on the way at the same time, at most the follower's queue depth
+    :param timeout_s: silence after which the follower counts as gone [s]; it may rightly think for some seconds
+        when it estimates hyperparameters
+    :param stamp_of: header stamp [ns] of a serialised request
+    """
+
+    def __init__(self, request_topic: str, window: int, timeout_s: float, stamp_of: Callable[[bytes], int],
+                 monotonic: MonotonicClock = time.monotonic_ns) -> None:
+        self.request_topic = request_topic
+        self.window = window
+        self.timeout_s = timeout_s
+        self._stamp_of = stamp_of
+        self._monotonic = monotonic
+        self._lock = threading.Lock()
+        self._waiting: OrderedDict[int, int] = OrderedDict()
+        self._last_sign = monotonic()
+        self.requests = self.answers = self.unexpected = 0
+        self.unanswered_stamps: list[int] = []
+
+    @property
+    def outstanding(self) -> int:
+        """Requests on the way."""
+        return len(self._waiting)
+
+    def patience(self, item: Item) -> float:
+        """0 when ``item`` may be published, else seconds to wait; raises FollowerSilent after the timeout."""
+        with self._lock:
+            if item.topic != self.request_topic or len(self._waiting) < self.window:
+                return 0.0
+            return self._remaining()
+
+    def drain_patience(self) -> float:
+        """0 when every request is settled, else as :meth:`patience`; for the end of the playback."""
+        with self._lock:
+            return self._remaining() if self._waiting else 0.0
+
+    def _remaining(self) -> float:
+        silent = (self._monotonic() - self._last_sign) * 1e-9
+        if silent >= self.timeout_s:
+            raise FollowerSilent(f'the follower has been silent for {silent:.1f} s while {len(self._waiting)} messages '
+                                 f'on {self.request_topic} wait for it; it answered {self.answers} of {self.requests}.')
+        return self.timeout_s - silent
+
+    def sent(self, item: Item) -> None:
+        """Count a request that is about to be published."""
+        if item.topic != self.request_topic:
+            return
+        stamp = self._stamp_of(item.raw)
+        with self._lock:
+            if not self._waiting:
+                self._last_sign = self._monotonic()
+            self.requests += 1
+            self._waiting[self.requests] = stamp
+
+    def answered(self, stamp: int | None) -> None:
+        """Settle the request of this stamp [ns] and those before it; without a stamp, the oldest one."""
+        with self._lock:
+            self._last_sign = self._monotonic()
+            key = next((key for key, waiting in self._waiting.items() if stamp is None or waiting == stamp), None)
+            if key is None:
+                self.unexpected += 1
+                return
+            self.answers += 1
+            while (oldest := self._waiting.popitem(last=False))[0] != key:
+                self.unanswered_stamps.append(oldest[1])
+
+    def give_up(self) -> None:
+        """Count what still waits as unanswered: nothing more is expected."""
+        with self._lock:
+            self.unanswered_stamps.extend(self._waiting.values())
+            self._waiting.clear()
