@@ -1,0 +1,94 @@
+"""The follower of a lossless playback: its answers are received here and open the window of the flow control."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.replay_discovery import owner, wait_until
+from semiparam_ros.ros.replay_flow import FlowControl
+from semiparam_ros.ros.replay_node import ReplayNode
+from semiparam_ros.ros.replay_options import FollowOptions
+from semiparam_ros.ros.replay_qos import from_rclpy, subscription_qos, to_rclpy
+from semiparam_ros.ros.replay_stamps import begins_with_header, read_stamp
+from semiparam_ros.ros.replay_types import message_class
+
+HANDSHAKE_S = 3.0
+
+
+class Follower:
+    """One answering node, connected both ways.
+
+    :param answer_topic: where its answers come
+    :param request_topic: the played topic that they answer; None takes the one of the answers' type
+    :param wait_s: how long to wait for it [s]
+    :param woken: called after each answer, from the executor's thread
+    """
+
+    def __init__(self, node: ReplayNode, answer_topic: str, request_topic: str | None, options: FollowOptions,
+                 wait_s: float, stopping: threading.Event, woken: Callable[[], None]) -> None:
+        self._node = node
+        self._woken = woken
+        self.answer_topic = node.resolve_topic_name(answer_topic)
+        info = self._publisher(wait_s, stopping)
+        self.name = owner(info)
+        request = request_topic or _request_topic(node, info.topic_type, self.answer_topic)
+        if request not in node.outputs:
+            raise SemiparamError(f'{self.answer_topic} cannot answer {request}, which is not played: '
+                                 f'expected one of {", ".join(node.outputs)}.')
+        stamped = begins_with_header(node.types[request]) and begins_with_header(info.topic_type)
+        self.flow = FlowControl(request, options.window, options.timeout_s, read_stamp if stamped else lambda _: 0)
+        self._read = read_stamp if stamped else lambda _: None
+        self._subscription = node.create_subscription(
+            message_class(info.topic_type), self.answer_topic, self._answer,
+            to_rclpy(subscription_qos([from_rclpy(info.qos_profile)])), raw=True)
+        self._connect(wait_s, stopping)
+
+    def _publisher(self, wait_s: float, stopping: threading.Event) -> Any:
+        """Endpoint information of who answers; raises SemiparamError when nobody does in time."""
+        if not wait_until(lambda: self._node.count_publishers(self.answer_topic) > 0, wait_s, stopping):
+            raise SemiparamError(f'nobody publishes {self.answer_topic} after {wait_s:g} s: expected the node that '
+                                 'answers the playback (start it first, or name its topic with --follow).')
+        return self._node.get_publishers_info_by_topic(self.answer_topic)[0]
+
+    def _connect(self, wait_s: float, stopping: threading.Event) -> None:
+        """Wait until each side has discovered the other's endpoints."""
+        if not wait_until(lambda: self._subscription.get_publisher_count() > 0, wait_s, stopping):
+            raise SemiparamError(f'{self.answer_topic} did not connect within {wait_s:g} s.')
+        _handshake(self._node, self.name, stopping)
+
+    def _answer(self, raw: bytes) -> None:
+        self.flow.answered(self._read(raw))
+        self._woken()
+
+
+def _request_topic(node: ReplayNode, answer_type: str, answer_topic: str) -> str:
+    """The one played topic whose type is that of the answers."""
+    fitting = [topic for topic, type_name in node.types.items() if type_name == answer_type]
+    if len(fitting) == 1:
+        return fitting[0]
+    raise SemiparamError(f'which topic {answer_topic} answers is not clear: {len(fitting)} of the played topics are '
+                         f'{answer_type} (name it: --follow {answer_topic}=TOPIC).')
+
+
+def _handshake(node: Node, follower: str, stopping: threading.Event) -> None:
+    """One service call to the follower, whose answer proves that it knows our subscription.
+
+    Discovery is not symmetric: that we see its publisher does not mean that it sees our subscription, and until it
+    does its answers are lost. It learns of endpoints in the order of their creation, and it cannot answer this call
+    before it knows the client, which is younger than the subscription. A follower without parameter services (one that
+    is not of ROS) is trusted after the time has passed.
+    """
+    client = node.create_client(GetParameters, f'{follower}/get_parameters') if follower.startswith('/') else None
+    try:
+        if client is not None and wait_until(client.service_is_ready, HANDSHAKE_S, stopping):
+            reply = client.call_async(GetParameters.Request())
+            wait_until(reply.done, HANDSHAKE_S, stopping)
+    finally:
+        if client is not None:
+            node.destroy_client(client)

@@ -1,0 +1,103 @@
+"""How far a playback is: a bar on a terminal, a line now and then everywhere else."""
+
+from __future__ import annotations
+
+import threading
+from types import TracebackType
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+REFRESH_S = 0.2
+LINE_S = 10.0
+_SECONDS = 1e-9
+
+
+class Playback(Protocol):
+    """What is shown of a player."""
+
+    @property
+    def rate(self) -> float | None:
+        """Bag seconds a second, None when unpaced."""
+
+    @property
+    def paused(self) -> bool:
+        """Whether the playback is held."""
+
+    @property
+    def published(self) -> int:
+        """Messages published so far."""
+
+    def now(self) -> int:
+        """Bag time [ns]."""
+
+
+def describe(playback: Playback) -> str:
+    """'paused', '1.5 x' or, unpaced, 'as followed'."""
+    if playback.paused:
+        return 'paused'
+    return 'as followed' if playback.rate is None else f'{playback.rate:.4g} x'
+
+
+class ReplayProgress:
+    """Context manager that shows ``playback`` between two bag times [ns] from a thread of its own.
+
+    :param quiet: show nothing
+    """
+
+    def __init__(self, playback: Playback, start_ns: int, end_ns: int, console: Console, quiet: bool = False) -> None:
+        self._playback = playback
+        self._start = start_ns
+        self._length = (end_ns - start_ns) * _SECONDS
+        self._console = console
+        self._quiet = quiet
+        self._closing = threading.Event()
+        self._bar = _bar(console) if console.is_terminal and not quiet else None
+        self._thread = threading.Thread(target=self._show, name='progress', daemon=True)
+
+    def __enter__(self) -> ReplayProgress:
+        if self._bar is not None:
+            self._task = self._bar.add_task('', total=max(self._length, 1e-9), position='', count='')
+            self._update_bar()
+            self._bar.start()
+        if not self._quiet:
+            self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        if self._bar is not None:
+            self._update_bar()
+            self._bar.stop()
+
+    def _show(self) -> None:
+        while not self._closing.wait(LINE_S if self._bar is None else REFRESH_S):
+            if self._bar is None:
+                self._console.print(self._line(), highlight=False, soft_wrap=True)
+            else:
+                self._update_bar()
+
+    def _position(self) -> float:
+        """Seconds since the start of the playback."""
+        return max((self._playback.now() - self._start) * _SECONDS, 0.0)
+
+    def _update_bar(self) -> None:
+        assert self._bar is not None
+        position = self._position()
+        self._bar.update(self._task, completed=position, description=describe(self._playback),
+                         position=f'{position:.1f} of {self._length:.1f} s',
+                         count=f'{self._playback.published} messages')
+
+    def _line(self) -> str:
+        return (f'{self._position():.1f} of {self._length:.1f} s, {self._playback.published} messages, '
+                f'{describe(self._playback)}')
+
+
+def _bar(console: Console) -> Progress:
+    columns = (TextColumn('{task.description:>11}'), BarColumn(bar_width=None), TaskProgressColumn(),
+               TextColumn('{task.fields[position]}'), TextColumn('{task.fields[count]}'))
+    return Progress(*columns, console=console, refresh_per_second=1.0 / REFRESH_S, expand=True)

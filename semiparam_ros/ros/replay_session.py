@@ -1,0 +1,210 @@
+"""One playback from the opening of its bags to its account: binds the player, the node and the terminal together."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.console import Console
+
+from semiparam_ros.bags.base import BagReader
+from semiparam_ros.bags.merging import MergedBag
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.replay_account import Answers, ReplayAccount
+from semiparam_ros.ros.replay_controls import ReplayControls
+from semiparam_ros.ros.replay_discovery import Stopped, subscribers, wait_for_subscribers, wait_until, warnings
+from semiparam_ros.ros.replay_flow import FlowControl, FollowerSilent
+from semiparam_ros.ros.replay_follower import Follower
+from semiparam_ros.ros.replay_keyboard import HELP, Keyboard
+from semiparam_ros.ros.replay_node import ReplayNode
+from semiparam_ros.ros.replay_options import ReplayOptions
+from semiparam_ros.ros.replay_player import Ending, Item, Player
+from semiparam_ros.ros.replay_process import RosProcess
+from semiparam_ros.ros.replay_progress import ReplayProgress
+from semiparam_ros.ros.replay_qos import load_overrides, lossless, overridden
+from semiparam_ros.ros.replay_timeline import BagTimeline, PlayedTopic
+from semiparam_ros.ros.replay_types import is_installed
+
+ACKNOWLEDGE_S = 10.0
+
+
+class Followers:
+    """The gate of a playback with any number of followers: the slowest one decides."""
+
+    def __init__(self, flows: Sequence[FlowControl]) -> None:
+        self._flows = flows
+
+    def patience(self, item: Item) -> float:
+        """See ``replay_player.Gate``."""
+        return min((wait for flow in self._flows if (wait := flow.patience(item)) > 0.0), default=0.0)
+
+    def sent(self, item: Item) -> None:
+        """See ``replay_player.Gate``."""
+        for flow in self._flows:
+            flow.sent(item)
+
+    def settled(self) -> bool:
+        """Whether nothing waits for an answer; raises FollowerSilent when it has waited too long."""
+        return all(flow.drain_patience() == 0.0 for flow in self._flows)
+
+
+class ReplaySession:
+    """Plays what the options name. Use :meth:`run` once.
+
+    :param ros_arguments: what followed ``--ros-args`` on the command line
+    """
+
+    def __init__(self, options: ReplayOptions, console: Console, ros_arguments: Sequence[str] = ()) -> None:
+        self._options = options
+        self._console = console
+        self._ros_arguments = ros_arguments
+        self._stopping = threading.Event()
+        self._failures: list[str] = []
+        self._followers: list[Follower] = []
+        self._player: Player | None = None
+
+    def run(self) -> ReplayAccount:
+        """Play; raises SemiparamError for what is wrong before the first message."""
+        with ExitStack() as stack:
+            bag = stack.enter_context(_open(self._options.bags))
+            topics, skipped = self._topics(bag)
+            timeline = BagTimeline(bag, topics, self._options.order, self._options.cut)
+            ros = stack.enter_context(RosProcess(self._ros_arguments, self._stop))
+            node = ReplayNode({topic.name: (topic.type, topic.qos) for topic in topics.values()},
+                              restamp=self._options.restamp, clock_before_each=self._options.clock_before_each)
+            ros.spin(node)
+            began = time.monotonic()
+            try:
+                self._connect(node)
+                began = time.monotonic()
+                ending = self._play(node, timeline)
+            except Stopped:
+                ending = 'stopped'
+            duration = time.monotonic() - began
+            answers = tuple(Answers.of(follower.answer_topic, follower.flow) for follower in self._followers)
+            return ReplayAccount(ending, duration, dict(node.counts), answers, tuple(self._failures),
+                                 _losses(bag) if ending == 'finished' else (), skipped)
+
+    def _stop(self) -> None:
+        """Called by the signal handlers."""
+        self._stopping.set()
+        if self._player is not None:
+            self._player.stop()
+
+    def _topics(self, bag: BagReader) -> tuple[dict[str, PlayedTopic], dict[str, str]]:
+        """What is played, and why other chosen topics are not."""
+        options = self._options
+        overrides = load_overrides(options.qos_overrides) if options.qos_overrides else {}
+        played, skipped = {}, {}
+        for topic in options.selection.of(list(bag.topics)):
+            info = bag.topics[topic]
+            if not is_installed(info.type):
+                skipped[topic] = f'{topic} is not played: its type {info.type or "(unknown)"} is not installed.'
+                continue
+            qos = lossless(info.qos) if options.follow else info.qos
+            if topic in overrides:
+                qos = overridden(qos, overrides[topic], f'{options.qos_overrides}, {topic}')
+            played[topic] = PlayedTopic(options.remap.get(topic, topic), info.type, qos)
+        self._say(skipped.values())
+        _check_remap(options.remap, bag.topics)
+        if not played:
+            raise SemiparamError('there is nothing to play: no topic of the bag is chosen and installed.')
+        return played, skipped
+
+    def _connect(self, node: ReplayNode) -> None:
+        """Find the followers and wait for subscribers."""
+        options = self._options
+        if options.follow is not None:
+            for answer, request in options.follow.answers.items():
+                self._followers.append(Follower(node, answer, request, options.follow, options.wait_s, self._stopping,
+                                                self._wake))
+        count = max(options.wait_for_subscribers, 1 if self._followers else 0)
+        if count:
+            wait_for_subscribers(node, count, options.wait_s, self._stopping)
+        self._say(warnings(subscribers(node), bool(self._followers)))
+        if options.delay_s:
+            wait_until(lambda: False, options.delay_s, self._stopping)
+
+    def _wake(self) -> None:
+        if self._player is not None:
+            self._player.wake()
+
+    def _play(self, node: ReplayNode, timeline: BagTimeline) -> str:
+        """Play to the end; 'finished', 'stopped' or 'failed'."""
+        options = self._options
+        gate = Followers([follower.flow for follower in self._followers])
+        player = Player(timeline, node.publish, rate=options.rate, loop=options.loop, paused=options.paused,
+                        gate=gate if self._followers else None)
+        self._player = player
+        controls = ReplayControls(node, player, timeline.start_ns)
+        if options.clock_hz is not None:
+            node.start_clock(options.clock_hz, player.now)
+        if self._stopping.is_set():
+            raise Stopped
+        with Keyboard(controls.keys(), options.keyboard) as keyboard:
+            if keyboard.active:
+                self._say([HELP])
+            with ReplayProgress(player, timeline.start_ns, timeline.end_ns, self._console, not options.progress):
+                return self._play_out(node, player, gate)
+
+    def _play_out(self, node: ReplayNode, player: Player, gate: Followers) -> str:
+        """Run the player and see the last messages off."""
+        ending = 'failed'
+        try:
+            if player.run() is Ending.STOPPED:
+                raise Stopped
+            self._settle(node, gate)
+            ending = 'finished'
+        except Stopped:
+            ending = 'stopped'
+        except (FollowerSilent, SemiparamError) as error:
+            self._failures.append(str(error))
+        for follower in self._followers:
+            follower.flow.give_up()
+        self._judge(ending)
+        return ending
+
+    def _settle(self, node: ReplayNode, gate: Followers) -> None:
+        """Wait for the last answers and for the acknowledgements of the transport."""
+        if self._followers:
+            wait_until(gate.settled, float('inf'), self._stopping)
+        patience = max(self._options.wait_for_all_acked_s, ACKNOWLEDGE_S if self._followers else 0.0)
+        if patience:
+            self._failures += [f'not every subscriber of {topic} acknowledged everything within {patience:g} s.'
+                               for topic in node.wait_for_all_acked(patience)]
+
+    def _judge(self, ending: str) -> None:
+        """An unanswered request is a failure of a playback that promised to lose none."""
+        if ending != 'finished':
+            return
+        missing = [follower.flow for follower in self._followers if follower.flow.unanswered_stamps]
+        self._failures += [f'{len(flow.unanswered_stamps)} of {flow.requests} messages on {flow.request_topic} '
+                           'were not answered.' for flow in missing]
+
+    def _say(self, sentences: Iterable[str]) -> None:
+        for sentence in sentences:
+            self._console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+
+
+def _check_remap(remap: Mapping[str, str], found: Mapping[str, object]) -> None:
+    unknown = [topic for topic in remap if topic not in found]
+    if unknown:
+        raise SemiparamError(f'cannot remap {", ".join(unknown)}: the bag has {", ".join(found)}.')
+
+
+def _open(paths: Sequence[Path]) -> BagReader:
+    """One bag, or several merged by time."""
+    with ExitStack() as opened:
+        readers = [opened.enter_context(open_bag(path)) for path in paths]
+        opened.pop_all()
+    return readers[0] if len(readers) == 1 else MergedBag(', '.join(map(str, paths)), readers)
+
+
+def _losses(bag: BagReader) -> tuple[str, ...]:
+    """One sentence for each damaged file."""
+    return tuple(str(losses) for each in getattr(bag, 'readers', (bag,)) if (losses := each.losses))
+
