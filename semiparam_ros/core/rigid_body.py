@@ -69,6 +69,7 @@ class RigidBody:
         robot = urdf_tree.parse(urdf)
         urdf_tree.check_joints(robot, joints)
         locked = dict(locked or {})
+        _check_locked(joints, locked)
         arm = _reduced(_build(robot), joints, locked)
         if outputs == 'effort':
             return cls(arm, None, None, joints, 1.0)
@@ -131,16 +132,19 @@ class RigidBody:
 
     def regressors(self, samples: Samples) -> Array:
         """(N, n, p) one regressor for each sample."""
+        if samples.position.shape[1] != self.n_joints:
+            raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is '
+                                 f'used with {self.n_joints} joints: {", ".join(self.joints)}.')
         full = [self.full_regressor(*row)
                 for row in zip(samples.position, samples.velocity, samples.acceleration, strict=True)]
-        return np.asarray(np.array(full).reshape(len(samples), self.n_outputs, -1) @ self.basis)
+        return np.asarray(np.array(full).reshape(len(samples), self.n_outputs, len(self.basis)) @ self.basis)
 
     def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(n, 10 n_bodies) matrix before the reduction to base parameters."""
         q, dq, ddq = self.arm_vector(position), self.arm_vector(velocity), self.arm_vector(acceleration)
         if self.distal is None:
             full = pin.computeJointTorqueRegressor(self.arm, self._arm_data, q, dq, ddq)
-            return np.asarray(full[self.arm_columns])
+            return np.asarray(full).reshape(self.arm.nv, -1)[self.arm_columns]  # one row comes as a vector
         pin.forwardKinematics(self.arm, self._arm_data, q, dq, ddq)
         return self.sign * self._sensor_rows(position, velocity, acceleration)
 
@@ -189,11 +193,18 @@ class RigidBody:
 def _build(robot: ElementTree.Element, root: pin.JointModel | None = None) -> pin.Model:
     text = ElementTree.tostring(robot, encoding='unicode')
     try:
-        model = pin.buildModelFromXML(text) if root is None else pin.buildModelFromXML(text, root)
+        model = pin.buildModelFromXML(text) if root is None else pin.buildModelFromXML(text, root, 'semiparam_root')
     except Exception as error:
-        raise SemiparamError(f'the robot description cannot be read as a robot: {str(error).strip()}') from error
+        reason = ' '.join(str(error).split())
+        raise SemiparamError(f'the robot description cannot be read as a robot: {reason}') from error
     model.gravity.linear = GRAVITY
     return model
+
+
+def _check_locked(joints: Sequence[str], locked: Mapping[str, float]) -> None:
+    for name in joints:
+        if name in locked:
+            raise SemiparamError(f"joint '{name}' is named both among the moving and the locked joints.")
 
 
 def _with_gravity(model: pin.Model, gravity: Array) -> tuple[pin.Model, pin.Data]:
@@ -207,7 +218,11 @@ def _posture(model: pin.Model, locked: Mapping[str, float]) -> Array:
     for name, value in locked.items():
         if not model.existJointName(name):
             raise SemiparamError(f"locked joint '{name}' is not a moving joint of the robot description.")
-        posture[model.joints[model.getJointId(name)].idx_q] = value
+        joint = model.joints[model.getJointId(name)]
+        if joint.nq != 1 or not np.isfinite(value):
+            raise SemiparamError(f"locked joint '{name}' is held at {value}; expected one finite number for a joint "
+                                 'that is revolute, continuous or prismatic.')
+        posture[joint.idx_q] = value
     return np.asarray(posture)
 
 

@@ -40,8 +40,8 @@ class Samples:
         if not rows:
             raise SemiparamError('no complete samples: expected at least one joint state matched with one output.')
         stamps, *columns = zip(*rows, strict=True)
-        return cls(np.array(stamps, dtype=np.int64), *(np.array(column, dtype=float) for column in columns),
-                   origin=int(stamps[0]))
+        position, velocity, acceleration, outputs = (np.array(column, dtype=np.float64) for column in columns)
+        return cls(np.array(stamps, dtype=np.int64), position, velocity, acceleration, outputs, int(rows[0].stamp))
 
     @property
     def time(self) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 
+from semiparam_ros.core.urdf_checks import check_tree
 from semiparam_ros.errors import SemiparamError
 
 MOVING = ('revolute', 'continuous', 'prismatic')
@@ -12,9 +13,9 @@ IGNORED = ('visual', 'collision')
 
 
 def parse(urdf: str) -> ElementTree.Element:
-    """The robot element, without meshes and with unlimited joints written as revolute ones.
+    """The robot element, without meshes and limits, and with unlimited joints written as revolute ones.
 
-    Raises SemiparamError when the text is not a URDF.
+    Raises SemiparamError when the text is not a URDF of one tree.
     """
     try:
         robot = ElementTree.fromstring(urdf)
@@ -27,14 +28,17 @@ def parse(urdf: str) -> ElementTree.Element:
         for name in IGNORED:
             for element in link.findall(name):
                 link.remove(element)
+    check_tree(robot)
     for joint in robot.findall('joint'):
         if joint.get('type') == 'continuous':
             joint.set('type', 'revolute')  # pinocchio would store cos and sin; an angle is what joint states hold
-            _replace_limit(joint)
+        if joint.get('type') in MOVING:
+            _widen_limit(joint)
     return robot
 
 
-def _replace_limit(joint: ElementTree.Element) -> None:
+def _widen_limit(joint: ElementTree.Element) -> None:
+    """A limit that never binds: the reader demands one, the dynamics do not."""
     for limit in joint.findall('limit'):
         joint.remove(limit)
     ElementTree.SubElement(joint, 'limit', lower='-1e9', upper='1e9', effort='1e9', velocity='1e9')
@@ -66,7 +70,7 @@ def sensor_link(robot: ElementTree.Element, frame: str) -> str:
     links = [str(link.get('name')) for link in robot.findall('link')]
     for joint in robot.findall('joint'):
         if joint.get('name') == frame:
-            return _child(joint)
+            return _end(joint, 'child')
     if frame in links:
         return frame
     likely = [name for name in (*joint_types(robot), *links) if 'sensor' in name or 'ft' in name.split('_')]
@@ -85,20 +89,18 @@ def distal_subtree(robot: ElementTree.Element, root: str) -> str:
         subtree.append(links[name])
         for joint in children.get(name, ()):
             subtree.append(joint)
-            pending.append(_child(joint))
+            pending.append(_end(joint, 'child'))
     return ElementTree.tostring(subtree, encoding='unicode')
 
 
 def _joints_by_parent(robot: ElementTree.Element) -> dict[str, list[ElementTree.Element]]:
     table: dict[str, list[ElementTree.Element]] = {}
     for joint in robot.findall('joint'):
-        parent = joint.find('parent')
-        table.setdefault(str(parent.get('link')) if parent is not None else '', []).append(joint)
+        table.setdefault(_end(joint, 'parent'), []).append(joint)
     return table
 
 
-def _child(joint: ElementTree.Element) -> str:
-    child = joint.find('child')
-    if child is None or child.get('link') is None:
-        raise SemiparamError(f"joint '{joint.get('name')}' of the robot description has no child link.")
-    return str(child.get('link'))
+def _end(joint: ElementTree.Element, end: str) -> str:
+    element = joint.find(end)
+    assert element is not None  # check_tree saw to it
+    return str(element.get('link'))
