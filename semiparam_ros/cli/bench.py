@@ -1,0 +1,163 @@
+"""`semiparam bench`: what one sample costs, side by side with the recursions that one might use instead."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from semiparam_ros.cli.options import add_json_option, output, progress_bar, write_json
+from semiparam_ros.errors import SemiparamError
+
+if TYPE_CHECKING:
+    from semiparam_ros.core.model import Estimator
+    from semiparam_ros.core.rigid_body import RigidBody
+    from semiparam_ros.core.samples import Sample
+    from semiparam_ros.core.types import Array
+
+HELP = 'Time one sample of SPK against a covariance update, a Potter update and the dense textbook recursion.'
+
+ARM = 'package://semiparam_ros/config/icub_right_arm.urdf'
+FRAME = 'r_arm_ft_sensor'
+RATIOS = {'SPK / (dsymv + dsyr)': 'of_covariance', 'SPK / Potter': 'of_potter', 'dense / SPK': 'dense_over_ours',
+          'dense, in one pass / SPK': 'dense_together_over_ours'}
+SAMPLES, BATCH, WARM_UP = 1000, 50, 3
+OURS, COVARIANCE, POTTER, DENSE, TOGETHER = 'SPK', 'dsymv + dsyr', 'Potter', 'dense', 'dense, in one pass'
+MEANING = {
+    OURS: 'prediction with its standard deviation, 25-step horizon error and update, whole estimator',
+    COVARIANCE: 'covariance update of the D features alone',
+    POTTER: 'square-root update of the D features alone',
+    DENSE: 'textbook recursion on all p + D n unknowns, a rank-1 Cholesky update for each output, two '
+           'triangular solutions',
+    TOGETHER: 'the same with the rank-1 updates of a sample in one pass over the factor',
+}
+
+
+class Case(NamedTuple):
+    """One sample, and what every recursion starts from: columns (n, p) and features (D,)."""
+
+    sample: Sample
+    columns: Array
+    phi: Array
+
+
+class Contender(NamedTuple):
+    """Something that learns one sample, and how many samples of it a round takes."""
+
+    learn: Callable[[Case], object]
+    samples: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `semiparam bench`."""
+    parser.add_argument('--features', metavar='D', type=int, nargs='+', default=[200, 500, 1000],
+                        help='numbers of random features (default 200 500 1000)')
+    parser.add_argument('--rounds', metavar='N', type=int, default=15,
+                        help='rounds in which the contenders take turns (default 15)')
+    parser.add_argument('--urdf', metavar='FILE', type=Path, help='another arm than the bundled iCub arm')
+    parser.add_argument('--frame', metavar='NAME', default=FRAME, help=f'its sensor frame (default {FRAME})')
+    add_json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Time every contender for every D in this one process, on one thread."""
+    # Before numpy loads: several threads would favour the large dense recursion and hide what a node can afford.
+    os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')
+    if args.rounds < 1 or any(count < 2 or count % 2 for count in args.features):
+        raise SemiparamError('expected at least one round, and even numbers of features from 2 on.')
+    from semiparam_ros.cli.bench_arm import arm
+
+    body = arm(args.urdf or ARM, args.frame)
+    with progress_bar() as progress:
+        task = progress.add_task('timing', total=args.rounds * len(args.features))
+        sizes = [size(body, count, args.rounds, lambda: progress.advance(task)) for count in args.features]
+    show(sizes)
+    if args.json:
+        write_json(args.json, {'command': 'bench', 'threads': 1, 'outputs': body.n_outputs,
+                               'inputs': 3 * body.n_joints, 'meaning': MEANING, 'sizes': sizes})
+    return 0
+
+
+def size(body: RigidBody, count: int, rounds: int, tick: Callable[[], None]) -> dict[str, Any]:
+    """Figures of D = ``count``: micro-seconds a sample of each contender, and the ratios to ours."""
+    from semiparam_ros.cli.bench_arm import estimator, motion
+
+    model = estimator(body, count)
+    cases = [case(model, sample) for sample in motion(body, SAMPLES)]
+    seconds = take_turns(contenders(model, count), cases, rounds, tick)
+    median = {name: 1e6 * statistics.median(times) for name, times in seconds.items()}
+    return {'features': count, 'columns': model.columns.n_columns,
+            'unknowns': model.columns.n_columns + count * body.n_outputs, 'microseconds': median,
+            'of_potter': median[OURS] / median[POTTER], 'of_covariance': median[OURS] / median[COVARIANCE],
+            'dense_over_ours': median[DENSE] / median[OURS],
+            'dense_together_over_ours': median[TOGETHER] / median[OURS]}
+
+
+def case(model: Estimator, sample: Sample) -> Case:
+    """Columns and features ahead of time: the other recursions are timed without them."""
+    import numpy as np
+
+    features = model.model.features
+    assert features is not None
+    columns, _ = model.columns.one(sample, sample.stamp)
+    return Case(sample, columns, features(np.concatenate([sample.position, sample.velocity, sample.acceleration])))
+
+
+def contenders(model: Estimator, count: int) -> dict[str, Contender]:
+    """Ours and the others at D = ``count``; the dense one takes so long that one sample a round is enough."""
+    from semiparam_ros.cli.bench_contenders import Covariance, Dense, Potter
+
+    covariance, potter = Covariance(count), Potter(count)
+    dense, together = (Dense(model.columns.n_columns, count, model.body.n_outputs, each) for each in (False, True))
+    return {
+        OURS: Contender(lambda case: model.step(case.sample), BATCH),
+        COVARIANCE: Contender(lambda case: covariance.update(case.phi), BATCH),
+        POTTER: Contender(lambda case: potter.update(case.phi), BATCH),
+        DENSE: Contender(lambda case: dense.update(case.columns, case.phi, case.sample.outputs), 1),
+        TOGETHER: Contender(lambda case: together.update(case.columns, case.phi, case.sample.outputs), 1),
+    }
+
+
+def take_turns(contestants: dict[str, Contender], cases: Sequence[Case], rounds: int,
+               tick: Callable[[], None]) -> dict[str, list[float]]:
+    """Seconds of each timed sample for each contender; they alternate, so that a busy moment hurts them all."""
+    seconds: dict[str, list[float]] = {name: [] for name in contestants}
+    for turn in range(rounds):
+        start = turn * BATCH
+        batch = [cases[(start + index) % len(cases)] for index in range(BATCH)]
+        for name, (learn, samples) in contestants.items():
+            seconds[name] += timed(learn, batch[:samples])
+        tick()
+    return seconds
+
+
+def timed(learn: Callable[[Case], object], batch: Sequence[Case]) -> list[float]:
+    """Seconds of each sample, without the first ones of a batch, which find the caches full of another's matrices."""
+    seconds = []
+    for each in batch:
+        start = time.perf_counter()
+        learn(each)
+        seconds.append(time.perf_counter() - start)
+    return seconds[WARM_UP:] if len(seconds) > WARM_UP else seconds
+
+
+def show(sizes: Sequence[dict[str, Any]]) -> None:
+    """The figures as a table, one column for each D, with what each contender is."""
+    from rich.table import Table
+
+    table = Table(title='one thread, median micro-seconds a sample')
+    table.add_column('')
+    for row in sizes:
+        table.add_column(f'D = {row["features"]}\n{row["unknowns"]} unknowns', justify='right')
+    for name in MEANING:
+        table.add_row(name, *(f'{row["microseconds"][name]:.0f}' for row in sizes))
+    table.add_section()
+    for name, key in RATIOS.items():
+        table.add_row(name, *(f'{row[key]:.3g}' for row in sizes))
+    output.print(table)
+    for name, meaning in MEANING.items():
+        output.print(f'{name}: {meaning}', highlight=False, soft_wrap=True)
