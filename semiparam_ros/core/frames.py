@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +13,6 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-
-VISCOUS_STEP = 1e-6
 
 
 class FrameMotion(NamedTuple):
@@ -42,6 +41,7 @@ def loaded_links(body: RigidBody) -> dict[str, int]:
     return {name: joint - 1 for joint, (_, name) in sorted(links.items())}
 
 
+@lru_cache(maxsize=8)
 def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     """Motion of a link and the outputs' response to a force on it. An unknown link raises SemiparamError."""
     frame = _frame(body.arm, link, body)

@@ -22,9 +22,12 @@ class Sample(NamedTuple):
     outputs: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Samples:
-    """N samples in order of time; ``origin`` [ns] is where ``time`` starts, and slices keep it."""
+    """N samples in order of time; ``origin`` [ns] is where ``time`` starts, and slices keep it.
+
+    Two are the same only when they are one object, so that what is computed of them can be cached.
+    """
 
     stamps: Stamps
     position: Array

@@ -1,0 +1,109 @@
+"""Candidate effects: the columns each would add to the declared model, and where its search begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.effects import Effect
+
+DERIVATIVE_STEP = 1e-5
+START_GRID = 60
+START_MARGIN = 0.04
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at one place, with the coarse values of its nonlinear parameters to try."""
+
+    kind: type[Effect]
+    where: str | None
+    searches: tuple[dict[str, float], ...]
+
+
+def candidates(state: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
+    """Every kind at every place of the robot, without those that are declared already and cannot come twice."""
+    body, samples = state.body, state.samples
+    declared = {(effect.kind, effect.where) for effect in state.effects if not effect.must_start}
+    for name, kind in kinds.items():
+        for where in kind.places(body):
+            if (name, where) not in declared:
+                searches = kind.searches(body, samples, where, state.residual)
+                yield Candidate(kind, where, tuple(dict(shape) for shape in searches))
+
+
+def added_columns(state: Fit, effect: Effect) -> Array:
+    """(N, n, c) columns that the effect adds to the declared model: its own, or the derivatives of the prediction."""
+    if effect.is_calibration:
+        return _derivatives(state, effect)
+    body, inputs, _ = CoupledColumns(state.body, state.effects).corrected(state.samples)
+    return effect.columns(body, inputs, None)[0]
+
+
+def _derivatives(state: Fit, effect: Effect) -> Array:
+    names = [coefficient.name for coefficient in effect.calibrations]
+    still = type(effect).correct is Effect.correct
+    load = rigid_prediction(state, [*state.effects]) if still else None
+    return np.stack([_derivative(state, effect, name, load) for name in names], axis=2)
+
+
+def _derivative(state: Fit, effect: Effect, name: str, load: Array | None) -> Array:
+    """(N, n) central difference of the prediction by one calibration, at its present value."""
+    sides = []
+    for step in (DERIVATIVE_STEP, -DERIVATIVE_STEP):
+        moved = effect.with_shape(**{name: effect.value(name) + step})
+        sides.append(moved.transform(state.body, load) if load is not None
+                     else rigid_prediction(state, [*others(state, effect), moved]))
+    return np.asarray((sides[0] - sides[1])[:, :, 0] / (2.0 * DERIVATIVE_STEP))
+
+
+def others(state: Fit, effect: Effect) -> list[Effect]:
+    """The declared effects without the one of the same kind and place."""
+    return [known for known in state.effects if (known.kind, known.where) != (effect.kind, effect.where)]
+
+
+def rigid_prediction(state: Fit, effects: list[Effect]) -> Array:
+    """(N, n, 1) outputs of the rigid body alone as the effects correct and shape it."""
+    body, inputs, _ = CoupledColumns(state.body, effects).corrected(state.samples)
+    load = (body.regressors(inputs) @ state.rigid_part)[:, :, None]
+    for effect in effects:
+        load = effect.transform(body, load)
+    return load
+
+
+def best_start(state: Fit, columns: Array) -> tuple[int, float, float]:
+    """Sample number where columns (N, n, c) should begin, and what they explain from there and from the beginning.
+
+    Sums over time make every start cheap; explained squares are in scaled units.
+    """
+    used = columns[state.use] / state.scale[:, None]
+    declared = state.columns[state.use] / state.scale[:, None]
+    left = (state.residual[state.use] / state.scale)
+    gram = _suffix(np.einsum('tni,tnj->tij', used, used))
+    cross = _suffix(np.einsum('tni,tnj->tij', declared, used))
+    right = _suffix(np.einsum('tni,tn->ti', used, left))
+    count = len(used)
+
+    def gain(start: int) -> float:
+        inner = gram[start] - cross[start].T @ cho_solve(state.factor, cross[start])
+        ridge = 1e-6 * np.diag(gram[start]) + 1e-12 * np.trace(gram[0])
+        return float(right[start] @ np.linalg.solve(inner + np.diag(ridge), right[start]))
+
+    margin = max(int(START_MARGIN * count), 1)
+    coarse = np.unique(np.linspace(margin, count - margin, START_GRID).astype(int))
+    rough = max(coarse, key=gain)
+    step = int(coarse[1] - coarse[0]) if len(coarse) > 1 else 1
+    for finer in (max(step // 8, 1), 1):
+        near = range(max(rough - step, 1), min(rough + step + 1, count), finer)
+        rough, step = max(near, key=gain), 2 * finer
+    return int(np.flatnonzero(state.use)[rough]), gain(rough), gain(0)
+
+
+def _suffix(values: Array) -> Array:
+    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])

@@ -1,0 +1,166 @@
+"""How well each candidate explains the residual: coarse search, refinement, and a score that fears flexibility.
+
+The score is a Schwarz (BIC) approximation of the log evidence with each channel's noise profiled out, and with as many
+independent samples as the residual's autocorrelation leaves: a likelihood that takes samples for independent prefers
+the effect with the most columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.candidates import Candidate, added_columns, best_start, others
+from semiparam_ros.diagnosis.noise import correlation_time
+from semiparam_ros.diagnosis.regression import Fit, fit, refit_weights, residual_scale
+from semiparam_ros.effects import Effect
+
+FLAGS = ('at_link', 'directions')
+GAUSS_NEWTON_STEPS = 4
+REFINE_EVALUATIONS = 14
+START_WORTH = 1.05
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An effect tried on a declared model. ``residual``: (N, n) left; ``free``: parameters it spends."""
+
+    effect: Effect
+    residual: Array
+    free: int
+    evidence: float = 0.0  # [nat] over the declared model
+
+
+def coarse_trial(state: Fit, candidate: Candidate) -> Trial | None:
+    """The candidate at the best of its coarse shapes and starts; None when there is nothing to try."""
+    best: tuple[float, Trial] | None = None
+    for shape in candidate.searches:
+        trial = _linear_trial(state, candidate.kind(candidate.where, shape, tuple(state.rigid_part.tolist())))
+        explained = _explained_share(state, trial)
+        if best is None or explained > best[0]:
+            best = (explained, trial)
+    return None if best is None else best[1]
+
+
+def _linear_trial(state: Fit, effect: Effect) -> Trial:
+    """The effect with its coefficients fitted, starting when it explains most if it can start."""
+    columns = added_columns(state, effect)
+    if not effect.is_calibration:
+        start, late, always = best_start(state, columns)
+        if effect.must_start or late > START_WORTH * always:
+            effect = effect.with_shape(start_s=float(state.samples.time[start]))
+            columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
+    explained = state.explain(columns)
+    if effect.is_calibration:
+        names = [coefficient.name for coefficient in effect.calibrations]
+        effect = effect.with_shape(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
+    return Trial(effect, explained.residual, explained.rank + _nonlinear(effect))
+
+
+def _nonlinear(effect: Effect) -> int:
+    calibrated = {coefficient.name for coefficient in effect.calibrations}
+    return len(set(effect.shape) - calibrated - set(FLAGS))
+
+
+def _explained_share(state: Fit, trial: Trial) -> float:
+    left = trial.residual[state.use] / state.scale
+    return -float(np.sum(left**2))
+
+
+def score(state: Fit, trial: Trial, correlation: float) -> Trial:
+    """The trial with its evidence over the declared model, for samples correlated over ``correlation`` samples."""
+    count = state.use.sum() / correlation
+    after = (trial.residual[state.use] ** 2).sum(axis=0)
+    gain = 0.5 * count * float(np.log(state.squares / after).sum())
+    return replace(trial, evidence=gain - 0.5 * trial.free * np.log(count * state.scale.size))
+
+
+def refined(state: Fit, trial: Trial) -> Trial:
+    """The trial with its nonlinear parameters at their best and the weights those of its own residual."""
+    used = trial.residual[state.use]
+    near = fit(state.body, state.samples, state.effects, state.use,
+               residual_scale(used, state.samples.outputs[state.use]))
+    if trial.effect.is_calibration:
+        return _calibrated(near, trial)
+    effect = trial.effect
+    for name in effect.shape:
+        if name not in (*FLAGS, 'start_s'):
+            effect = _line_search(near, effect, name)
+    return _linear_trial(near, replace(effect, shape={k: v for k, v in effect.shape.items() if k != 'start_s'}))
+
+
+def _line_search(state: Fit, effect: Effect, name: str) -> Effect:
+    """One nonlinear parameter at its best near its present value."""
+    low, high = _bracket(state, effect, name)
+
+    def cost(value: float) -> float:
+        moved = effect.with_shape(**{name: value})
+        return -_explained_share(state, Trial(moved, state.explain(added_columns(state, moved)).residual, 0))
+
+    best = minimize_scalar(cost, bounds=(low, high), method='bounded', options={'maxiter': REFINE_EVALUATIONS})
+    return effect.with_shape(**{name: float(best.x)}) if best.fun < cost(effect.value(name)) else effect
+
+
+def _bracket(state: Fit, effect: Effect, name: str) -> tuple[float, float]:
+    value = effect.value(name)
+    if name == 'frequency_hz':
+        width = 0.5 / float(state.samples.time[-1] - state.samples.time[0])
+        return value - width, value + width
+    if name == 'order':
+        return value - 0.15, value + 0.15
+    return value / 2.5, value * 2.5
+
+
+def _calibrated(state: Fit, trial: Trial) -> Trial:
+    settled = gauss_newton(replace_effect(state, trial.effect), [trial.effect])
+    effect = next(known for known in settled.effects if (known.kind, known.where) ==
+                  (trial.effect.kind, trial.effect.where))
+    return replace(trial, effect=effect, residual=settled.residual)
+
+
+def replace_effect(state: Fit, effect: Effect) -> Fit:
+    """The model with the effect declared, in place of one of the same kind and place."""
+    return fit(state.body, state.samples, [*others(state, effect), effect], state.use, state.scale)
+
+
+def gauss_newton(state: Fit, moving: list[Effect]) -> Fit:
+    """Move the calibrations of the effects ``moving`` to the least squares, all together."""
+    for _ in range(GAUSS_NEWTON_STEPS):
+        places = [(effect.kind, effect.where) for effect in moving]
+        moving = [effect for effect in state.effects if (effect.kind, effect.where) in places]
+        columns = [added_columns(state, effect) for effect in moving]
+        steps = state.explain(np.concatenate(columns, axis=2)).coefficients
+        effects, taken = list(state.effects), 0
+        for effect, column in zip(moving, columns, strict=True):
+            step = steps[taken:taken + column.shape[2]]
+            effects[effects.index(effect)] = _moved(effect, step)
+            taken += column.shape[2]
+        state = fit(state.body, state.samples, effects, state.use, state.scale)
+        if np.abs(steps).max() < 1e-6:
+            break
+    return state
+
+
+def _moved(effect: Effect, step: Array) -> Effect:
+    names = [coefficient.name for coefficient in effect.calibrations]
+    return effect.with_shape(**{name: effect.value(name) + float(change)
+                                for name, change in zip(names, step, strict=True)})
+
+
+def declare(state: Fit, effects: list[Effect]) -> Fit:
+    """The model with further effects, every calibration settled and the weights those of the new residual."""
+    for effect in effects:
+        same_place = [] if effect.must_start else others(state, effect)
+        known = list(state.effects) if effect.must_start else same_place
+        state = fit(state.body, state.samples, [*known, effect], state.use, state.scale)
+    state = refit_weights(state)
+    calibrations = [effect for effect in state.effects if effect.is_calibration]
+    return refit_weights(gauss_newton(state, calibrations)) if calibrations else state
+
+
+def correlation_of(state: Fit, trial: Trial) -> float:
+    """Correlation time [samples] of what the trial leaves."""
+    return correlation_time(trial.residual[state.use])

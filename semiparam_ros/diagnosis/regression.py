@@ -1,0 +1,117 @@
+"""Weighted least squares of the declared model, and what a few more columns would explain of its residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, eigh
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects import Effect
+
+GAMMA = 1.0
+ABSORBED = 1e-6
+"""A direction that the declared columns explain to this share is taken for one that they explain."""
+
+
+class Explained(NamedTuple):
+    """What columns explain beyond the declared ones."""
+
+    coefficients: Array  # (c,)
+    covariance: Array  # (c, c) of the coefficients over the noise's variance in scaled units
+    rank: int  # directions that the declared columns do not hold already
+    residual: Array  # (N, n) left afterwards, in the outputs' units
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The declared model fitted to the samples where ``use`` is true.
+
+    :param use: (N,) samples that take part. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
+    :param columns: C (N, n, p). :param theta: (p,). :param residual: (N, n) of all samples, in the outputs' units.
+    """
+
+    body: RigidBody
+    samples: Samples
+    effects: tuple[Effect, ...]
+    use: Array
+    scale: Array
+    columns: Array
+    theta: Array
+    residual: Array
+
+    @cached_property
+    def scaled(self) -> Array:
+        """(M n, p) columns of the samples in use, each channel divided by its scale."""
+        return np.asarray((self.columns[self.use] / self.scale[:, None]).reshape(-1, self.columns.shape[2]))
+
+    @cached_property
+    def factor(self) -> tuple[Array, bool]:
+        """Cholesky factor of the regularised normal matrix."""
+        return cho_factor(self.scaled.T @ self.scaled + np.diag(self._precision()))  # type: ignore[no-any-return]
+
+    @property
+    def rigid_part(self) -> Array:
+        """(p_psi,) base parameters."""
+        return self.theta[:self.body.n_parameters]
+
+    @property
+    def squares(self) -> Array:
+        """(n,) sum of squared residuals of the samples in use."""
+        return np.asarray((self.residual[self.use] ** 2).sum(axis=0))
+
+    def explain(self, columns: Array) -> Explained:
+        """Regress the residual on columns (N, n, c), the declared ones refitted along."""
+        used = (columns[self.use] / self.scale[:, None]).reshape(-1, columns.shape[2])
+        left = (self.residual[self.use] / self.scale).ravel()
+        cross = cho_solve(self.factor, self.scaled.T @ used)
+        inner = used.T @ used - (used.T @ self.scaled) @ cross
+        coefficients, covariance, rank = _solve(inner, used.T @ left, np.einsum('ij,ij->j', used, used))
+        contribution = columns @ coefficients - self.columns @ (cross @ coefficients)
+        return Explained(coefficients, covariance, rank, self.residual - contribution)
+
+    def theta_covariance(self) -> Array:
+        """(p, p) of theta over the noise's variance in scaled units."""
+        return np.asarray(cho_solve(self.factor, np.eye(len(self.theta))))
+
+    def _precision(self) -> Array:
+        return 1.0 / (GAMMA * CoupledColumns(self.body, self.effects).prior_scale) ** 2
+
+
+def fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Array, scale: Array) -> Fit:
+    """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description."""
+    assembly = CoupledColumns(body, effects)
+    columns, _ = assembly.batch(samples)
+    start = assembly.prior_mean
+    empty = Fit(body, samples, tuple(effects), use, scale, columns, start, samples.outputs - columns @ start)
+    right = empty.scaled.T @ (empty.residual[use] / scale).ravel()
+    theta = start + cho_solve(empty.factor, right)
+    return Fit(body, samples, tuple(effects), use, scale, columns, theta, samples.outputs - columns @ theta)
+
+
+def refit_weights(first: Fit) -> Fit:
+    """The same fit with each channel weighed by its own residual."""
+    scale = residual_scale(first.residual[first.use], first.samples.outputs[first.use])
+    return fit(first.body, first.samples, first.effects, first.use, scale)
+
+
+def residual_scale(residual: Array, outputs: Array) -> Array:
+    """(n,) root mean square of each channel's residual, never below a millionth of the channel."""
+    return np.asarray(np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-6 * np.sqrt(np.mean(outputs**2, axis=0)))
+                      + 1e-12)
+
+
+def _solve(inner: Array, right: Array, power: Array) -> tuple[Array, Array, int]:
+    """Least squares from normal equations, leaving out directions absorbed by others (``power``: squared columns)."""
+    size = np.sqrt(np.maximum(power, 1e-300))
+    values, vectors = eigh(inner / np.outer(size, size))
+    keep = values > ABSORBED
+    inverse = (vectors[:, keep] / values[keep]) @ vectors[:, keep].T / np.outer(size, size)
+    return inverse @ right, inverse, int(keep.sum())
