@@ -58,7 +58,7 @@ def test_files_made_from_the_table_are_up_to_date(repository, generated):
 
 
 def test_a_file_written_is_read_back(tmp_path):
-    settings = WRENCH.changed({'variant': 'P', 'effects': ['payload@hand{"start_s": 1.5}', 'time_delay'],
+    settings = WRENCH.changed({'variant': 'P', 'effects': ['payload{"start_s": 1.5}', 'time_delay'],
                                'hyperparameters.gamma': [1e-7], 'hyperparameters.sigma': [0.1],
                                'hyperparameters.output_scale': [1.0] * 6, 'robot_description_file': "it's: here"})
     dump_params(settings, tmp_path / 'p.yaml')
@@ -141,7 +141,7 @@ BROKEN = {
     'hyperparameters_have_sizes': {'hyperparameters.gamma': [1.0, 2.0]},
     'input_scaling_is_whole': {'hyperparameters.input_mean': [0.0, 0.0, 0.0], 'joints': ['a']},
     'hyperparameters_suffice': {'hyperparameters.sigma': [1.0]},
-    'effects_are_well_formed': {'effects': ['payload {"a": }']},
+    'effects_are_known': {'effects': ['payload{"a": }']},
 }
 
 
@@ -153,6 +153,13 @@ def test_every_rule_holds_by_default_and_can_be_broken(rule):
     assert sentence is not None
     assert sentence.endswith('.') and '\n' not in sentence
     assert broken_rule(broken) is not None
+
+
+@pytest.mark.parametrize(('effect', 'sentence'), [
+    ('paylod', 'names no known kind'), ('payload{"start_s": "soon"}', 'not finite numbers'),
+    ('viscous_friction@a', 'does not act on outputs wrench')])
+def test_effects_are_refused_by_name(effect, sentence):
+    assert sentence in broken_rule(WRENCH.changed({'effects': [effect]}))
 
 
 def test_a_live_change_is_refused_with_the_same_sentence_as_a_file():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
 from semiparam_ros.core.hyperparameters import Hyperparameters
@@ -64,9 +64,10 @@ def hyperparameter_values(hyperparameters: Hyperparameters, input_mean: tuple[fl
     return {f'hyperparameters.{name}': value for name, value in values.items()}
 
 
-def declared_effects(settings: Table, body: RigidBody) -> list[Effect]:
+def declared_effects(settings: Table, body: RigidBody) -> Sequence[Effect]:
     """The effects of the parameter ``effects``, in its order."""
     if not settings.effects:
         return []
-    effects = importlib.import_module('semiparam_ros.effects')  # only who declares an effect pays for loading them
-    return list(effects.declared(settings.effects, body))
+    from semiparam_ros.effects import effect_from_text  # only who declares an effect pays for loading them
+
+    return [effect_from_text(text) for text in settings.effects]

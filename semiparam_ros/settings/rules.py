@@ -5,10 +5,9 @@ The node refuses a parameter change with them, and the offline commands a parame
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Callable, Sequence
 
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.table import Table
 
 KINDS_OF_INPUT = 3
@@ -18,8 +17,6 @@ NOISE = ('sigma', 'output_scale')
 NEEDED = {'P': ('gamma', *NOISE), 'NP': (*FEATURES, *NOISE), 'SP': (*FEATURES, *NOISE, 'pi'),
           'SP2': (*FEATURES, *NOISE, 'pi'), 'SPK': ('gamma', *FEATURES, *NOISE)}
 """What each class of variants has (DESIGN, section 2)."""
-
-EFFECT = re.compile(r'^(?P<kind>[A-Za-z][\w.]*)(@(?P<where>[^\s{}]+))?\s*(?P<values>\{.*\})?$', re.DOTALL)
 
 
 def sensor_frame_is_named(table: Table) -> str | None:
@@ -115,25 +112,17 @@ def hyperparameters_suffice(table: Table) -> str | None:
     return None
 
 
-def effects_are_well_formed(table: Table) -> str | None:
-    """Each is kind, kind@where, or either with {json}; which kinds there are, the effects know."""
-    for text in table.effects:
-        match = EFFECT.match(text)
-        if match is None:
-            return f"effects holds '{text}'; expected kind, kind@where, or either followed by {{json}}."
-        try:
-            json.loads(match['values'] or '{}')
-        except json.JSONDecodeError as error:
-            return f"the values of effect '{text}' are not valid JSON ({error.msg} at column {error.colno})."
+def effects_are_known(table: Table) -> str | None:
+    """Each is kind, kind@where, or either with {json}, and its kind acts on the outputs."""
     if (repeated := _repeated(table.effects)) is not None:
         return f"effects holds '{repeated}' twice; expected distinct effects."
-    return None
+    return next((sentence for text in table.effects if (sentence := _effect_refusal(text, table.outputs))), None)
 
 
 RULES: tuple[Callable[[Table], str | None], ...] = (
     sensor_frame_is_named, one_robot_description, joints_are_distinct, locked_joints_have_positions,
     features_come_in_pairs, shadow_variants_are_distinct, gate_has_hysteresis, hyperparameters_have_sizes,
-    input_scaling_is_whole, hyperparameters_suffice, effects_are_well_formed)
+    input_scaling_is_whole, hyperparameters_suffice, effects_are_known)
 
 
 def broken_rule(table: Table) -> str | None:
@@ -143,6 +132,18 @@ def broken_rule(table: Table) -> str | None:
 
 def _repeated(names: Sequence[str]) -> str | None:
     return next((name for index, name in enumerate(names) if name in names[:index]), None)
+
+
+def _effect_refusal(text: str, outputs: str) -> str | None:
+    from semiparam_ros.effects import effect_from_text, kinds  # only who declares an effect pays for loading them
+
+    try:
+        effect = effect_from_text(text)
+    except SemiparamError as error:
+        return str(error)
+    if outputs not in effect.outputs:
+        return f"effect '{effect.kind}' does not act on outputs {outputs}; expected one of {', '.join(kinds(outputs))}."
+    return None
 
 
 def _n_joints(table: Table) -> int | None:
