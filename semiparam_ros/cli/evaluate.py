@@ -40,9 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate every variant in turn on the same samples."""
+    from semiparam_ros.cli.plots import picture_format
     from semiparam_ros.cli.tables import print_scores
     from semiparam_ros.settings import load_params
 
+    if args.plot:
+        picture_format(args.plot)
     settings = load_params(args.params)
     variants = chosen_variants(args.variants, settings)
     if args.frozen and not args.train:
@@ -77,6 +80,8 @@ def load_bags(paths: Sequence[Path], settings: Settings) -> list[LoadedBag]:
         left_out = ', '.join(f'{count} {reason}' for reason, count in sorted(bag.faults.items()) if count)
         if left_out:
             console.print(f'{path}: left out {left_out}.', highlight=False, markup=False)
+        if bag.losses:
+            console.print(str(bag.losses), highlight=False, markup=False)
     return bags
 
 
@@ -98,9 +103,12 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
         learn(estimator, bag, progress, task)
     if training and not estimator.ready:
         estimator.finish_window()
+    learning = settings.learning and not frozen
+    if not (learning or estimator.ready):
+        raise SemiparamError('with the parameter learning off there is no model to evaluate; expected --train BAG.')
     scores = Scores(settings.outputs)
     for bag in bags:
-        score(estimator, bag, scores, settings.learning and not frozen, progress, task)
+        score(estimator, bag, scores, learning, progress, task)
     if not len(scores):
         raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
                              '(parameter initial.samples).')
@@ -138,7 +146,7 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
         write_json(args.json, {
             'command': 'evaluate', 'bags': [str(path) for path in args.bags],
             'train': [str(path) for path in args.train], 'frozen': args.frozen, 'variants': results,
-            'left_out': [dict(bag.faults) for bag in bags]})
+            'left_out': [dict(bag.faults) for bag in bags], 'losses': [str(bag.losses) for bag in bags]})
     if args.plot:
         from semiparam_ros.cli.plots import plot_indices
 

@@ -40,10 +40,7 @@ def plot_indices(path: Path, scores: Mapping[str, Scores]) -> None:
 
 def save_figure(path: Path, figure: Figure) -> None:
     """Write the whole picture or nothing. Raises SemiparamError for an unknown suffix or an unwritable place."""
-    suffix = path.suffix.removeprefix('.').lower()
-    known = sorted(figure.canvas.get_supported_filetypes())
-    if suffix not in known:
-        raise SemiparamError(f"a plot cannot be written as '{path.name}': expected a suffix of {', '.join(known)}.")
+    suffix = picture_format(path)
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.', suffix=path.suffix)
         os.close(handle)
@@ -52,3 +49,13 @@ def save_figure(path: Path, figure: Figure) -> None:
         os.replace(temporary, path)
     except OSError as error:
         raise SemiparamError(f'cannot write {path}: {error.strerror}.') from error
+
+
+def picture_format(path: Path) -> str:
+    """The format that a file's suffix stands for. Raises SemiparamError for one that matplotlib does not write."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    suffix, known = path.suffix.removeprefix('.').lower(), sorted(FigureCanvasBase.get_supported_filetypes())
+    if suffix not in known:
+        raise SemiparamError(f"a plot cannot be written as '{path.name}': expected a suffix of {', '.join(known)}.")
+    return suffix

@@ -1,0 +1,175 @@
+"""`semiparam evaluate` on recordings that the test writes, and on the measured iCub arm."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from semiparam_ros.bags.recording_layout import JOINT_STATES, ROBOT_DESCRIPTION, TYPES, WRENCH, stamp_fields
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.cli import main as cli
+from semiparam_ros.cli.scores import Scores, by_phase, normalised_errors, update_times
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.model import Estimator, ModelOptions
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.settings import Settings, dump_params
+
+FRAME, JOINTS = 'r_arm_ft_sensor', ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
+PERIOD_NS = 50_000_000
+INITIAL = 100
+
+
+@pytest.fixture(scope='module')
+def urdf(repository) -> str:
+    return (repository / 'config/icub_right_arm.urdf').read_text()
+
+
+def write_bag(path, urdf, length, seed=1, start=0):
+    """Smooth motion of the arm, the wrench of its inertias 1.2 times, an offset and noise."""
+    body = RigidBody.from_urdf(urdf, JOINTS, 'wrench', FRAME)
+    rng = np.random.default_rng(seed)
+    frequency, phase = rng.uniform(0.5, 3.0, 4), rng.uniform(0.0, 6.0, 4)
+    with BagWriter(path) as bag:
+        bag.write(ROBOT_DESCRIPTION, TYPES[ROBOT_DESCRIPTION], {'data': urdf}, start)
+        for stamp in itertools.islice(itertools.count(start, PERIOD_NS), length):
+            angle = frequency * (stamp - start) * 1e-9 + phase
+            position, velocity = np.sin(angle), frequency * np.cos(angle)
+            wrench = body.regressor(position, velocity, -(frequency**2) * np.sin(angle)) @ (1.2 * body.base_parameters)
+            wrench = wrench + 1.0 + 0.05 * rng.standard_normal(6)
+            header = {'stamp': stamp_fields(stamp), 'frame_id': FRAME}
+            bag.write(JOINT_STATES, TYPES[JOINT_STATES], {
+                'header': header, 'name': list(JOINTS), 'position': position.tolist(), 'velocity': velocity.tolist(),
+                'effort': []}, stamp)
+            force, torque = (dict(zip('xyz', map(float, part), strict=True)) for part in (wrench[:3], wrench[3:]))
+            bag.write(WRENCH, TYPES[WRENCH], {'header': header, 'wrench': {'force': force, 'torque': torque}}, stamp)
+    return path
+
+
+@pytest.fixture(scope='module')
+def recording(tmp_path_factory, urdf):
+    return write_bag(tmp_path_factory.mktemp('bags') / 'a.mcap', urdf, 400)
+
+
+@pytest.fixture(scope='module')
+def params(tmp_path_factory):
+    path = tmp_path_factory.mktemp('params') / 'arm.yaml'
+    dump_params(Settings.from_mapping({'sensor_frame': FRAME, 'joints': list(JOINTS), 'features.count': 20,
+                                       'initial.samples': INITIAL, 'horizon.length': 5}), path)
+    return path
+
+
+@pytest.fixture
+def evaluate(params, tmp_path):
+    """Runs the command and returns its JSON document."""
+    def run(*arguments):
+        path = tmp_path / 'result.json'
+        assert cli.main(['evaluate', *map(str, arguments), '--params', str(params), '--json', str(path)]) == 0
+        return json.loads(path.read_text())
+    return run
+
+
+def test_figures_of_each_variant(evaluate, recording, capsys):
+    document = evaluate(recording, '--variant', 'P', '--variant', 'SPK-ML')
+    assert document['schema'] == 1
+    assert list(document['variants']) == ['P', 'SPK-ML']
+    for result in document['variants'].values():
+        assert len(result['nmse']) == len(result['rmse']) == 6
+        assert result['nmse_mean'] == pytest.approx(np.mean(result['nmse']))
+        assert result['samples'] == 400 - INITIAL
+        assert 0.0 < result['update_ms']['median'] <= result['update_ms']['p99']
+        assert 0.0 < result['eps_force']['mean'] < 0.1
+        # 15 s are scored, so that all of them are the transient.
+        assert result['eps_torque']['first_30_s'] == result['eps_torque']['mean']
+        assert result['eps_torque']['steady_state'] is None
+        assert 'series' not in result
+    table = capsys.readouterr().out
+    assert 'SPK-ML' in table
+    assert max(map(len, table.splitlines())) <= 80
+
+
+def test_figures_are_those_of_the_estimator(evaluate, recording, urdf):
+    from semiparam_ros.bags.loading import load_samples
+
+    settings = Settings(sensor_frame=FRAME, joints=JOINTS)
+    estimator = Estimator(RigidBody.from_urdf(urdf, JOINTS, 'wrench', FRAME),
+                          ModelOptions(variant='P', initial_samples=INITIAL, horizon=5))
+    predictions = [estimator.step(sample) for sample in load_samples(recording, settings).samples]
+    ready = [each for each in predictions if each.ready]
+    errors = np.array([each.mean - each.sample.outputs for each in ready])
+    outputs = np.array([each.sample.outputs for each in ready])
+    result = evaluate(recording, '--variant', 'P')['variants']['P']
+    np.testing.assert_allclose(result['rmse'], np.sqrt(np.mean(errors**2, axis=0)), rtol=1e-12)
+    np.testing.assert_allclose(result['nmse'], np.mean(errors**2, axis=0) / outputs.var(axis=0), rtol=1e-12)
+    eps = np.mean([each.horizon.eps[:3] for each in ready if each.horizon])
+    assert result['eps_force']['mean'] == pytest.approx(eps, rel=1e-12)
+
+
+def test_series_and_plot_on_request(evaluate, recording, tmp_path):
+    result = evaluate(recording, '--variant', 'P', '--series', '--plot', tmp_path / 'eps.svg')['variants']['P']
+    series = result['series']
+    assert len(series['time_s']) == len(series['eps_force']) == 400 - INITIAL - 5
+    assert np.mean(series['eps_torque']) == pytest.approx(result['eps_torque']['mean'])
+    assert series['time_s'][0] == pytest.approx(INITIAL * PERIOD_NS * 1e-9, abs=0.1)
+    assert (tmp_path / 'eps.svg').read_text().count('</svg>') == 1
+
+
+def test_frozen_after_training_scores_every_sample_and_learns_none(evaluate, recording, urdf, tmp_path):
+    test = write_bag(tmp_path / 'b.mcap', urdf, 200, seed=5, start=10**18)
+    frozen = evaluate(test, '--train', recording, '--frozen', '--variant', 'P')['variants']['P']
+    learning = evaluate(test, '--train', recording, '--variant', 'P')['variants']['P']
+    untrained = evaluate(test, '--variant', 'P')['variants']['P']
+    assert frozen['samples'] == learning['samples'] == 200
+    assert untrained['samples'] == 200 - INITIAL
+    assert frozen['rmse'] != learning['rmse']
+    twice = evaluate(test, test, '--train', recording, '--frozen', '--variant', 'P')['variants']['P']
+    np.testing.assert_allclose(twice['rmse'], frozen['rmse'], rtol=1e-12)
+
+
+@pytest.mark.parametrize('arguments, sentence', [
+    (['{bag}', '--frozen'], '--frozen predicts with what was learnt'),
+    (['{bag}', '--variant', 'SPQ'], "variant 'SPQ' is unknown"),
+    (['{bag}', '--plot', '{folder}/a.xyz', '--variant', 'P'], 'expected a suffix of'),
+    (['{folder}/none.mcap'], 'none.mcap'),
+    (['{bag}', '--params', '{folder}/none.yaml'], 'none.yaml'),
+])
+def test_mistakes_are_one_sentence(arguments, sentence, recording, params, tmp_path, capsys):
+    words = [word.format(bag=recording, folder=tmp_path) for word in arguments]
+    given = [] if '--params' in words else ['--params', str(params)]
+    assert cli.main(['evaluate', *words, *given]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_too_short_a_recording_is_refused(params, urdf, tmp_path, capsys):
+    bag = write_bag(tmp_path / 'short.mcap', urdf, 60)
+    assert cli.main(['evaluate', str(bag), '--params', str(params)]) == 2
+    assert 'initial.samples' in capsys.readouterr().err
+
+
+def test_phases_begin_when_learning_does():
+    times, values = np.array([100.0, 129.9, 130.0, 200.0]), np.array([1.0, 3.0, 10.0, 20.0])
+    assert by_phase(times, values) == {'mean': 8.5, 'first_30_s': 2.0, 'steady_state': 15.0}
+    assert by_phase(times[:0], values[:0]) == {'mean': None, 'first_30_s': None, 'steady_state': None}
+
+
+def test_a_constant_channel_has_no_normalised_error():
+    errors, measured = np.array([[1.0, 2.0], [1.0, -2.0]]), np.array([[5.0, 3.0], [5.0, 7.0]])
+    assert normalised_errors(errors, measured) == ([None, 1.0], [1.0, 2.0])
+
+
+def test_time_goes_on_from_one_recording_to_the_next():
+    scores = Scores('effort')
+    for origin in (0, 10**18):
+        scores.start_recording(origin)
+        for second in range(3):
+            scores.add_horizon(HorizonErrors(origin + second * 10**9, np.array([0.1, 0.3]), np.array([0.2, 0.4])))
+    times, values = scores.index_series()
+    assert times.tolist() == [0.0, 1.0, 2.0, 2.0, 3.0, 4.0]
+    np.testing.assert_allclose(values[0], [0.2, 0.3])
+
+
+def test_update_times_in_milliseconds():
+    assert update_times([0.001, 0.002, 0.003]) == {'median': 2.0, 'p99': pytest.approx(2.98)}
+    assert update_times([]) is None
