@@ -15,7 +15,7 @@ from semiparam_ros.bags.mcap_reader import McapBag, is_mcap
 from semiparam_ros.bags.merging import MergedBag
 from semiparam_ros.errors import SemiparamError
 
-__all__ = ['BagReader', 'Losses', 'Message', 'TopicInfo', 'open_bag']
+__all__ = ['BagReader', 'Losses', 'Message', 'TopicInfo', 'is_bag', 'open_bag']
 
 
 def open_bag(path: str | os.PathLike[str]) -> BagReader:
@@ -29,6 +29,18 @@ def open_bag(path: str | os.PathLike[str]) -> BagReader:
         return _open_directory(path) if path.is_dir() else _open_file(path)
     except OSError as error:
         raise SemiparamError(f'{str(path)!r} cannot be opened: {error.strerror or error}.') from error
+
+
+def is_bag(path: Path) -> bool:
+    """Whether :func:`open_bag` is meant for this path: a directory, or a file by its first bytes or its name."""
+    if path.is_dir():
+        return True
+    try:
+        with path.open('rb') as file:
+            magic = file.read(32)
+    except OSError as error:
+        raise SemiparamError(f'{str(path)!r} cannot be opened: {error.strerror or error}.') from error
+    return is_mcap(path, magic) or is_sqlite(path, magic) or is_ros1(path, magic)
 
 
 def _open_file(path: Path) -> BagReader:

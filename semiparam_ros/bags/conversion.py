@@ -1,0 +1,114 @@
+"""Bags of other formats, and damaged ones, made into MCAP: topics chosen and renamed, joints renamed, signs turned."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any
+
+from semiparam_ros.bags import recording_layout as layout
+from semiparam_ros.bags.base import BagReader, Message
+from semiparam_ros.bags.recording_layout import stamp_fields
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.errors import SemiparamError
+
+_JOINT_STATE, _WRENCH = layout.TYPES[layout.JOINT_STATES], layout.TYPES[layout.WRENCH]
+_TRAJECTORY = layout.TYPES[layout.JOINT_ACCELERATIONS]
+
+
+@dataclass(frozen=True)
+class Edits:
+    """What is changed on the way.
+
+    ``topics``: old name -> new name, and only these are taken; empty takes all. ``joints``: old name -> new name,
+    where one * in both stands for any text. ``stamps_from_log`` puts the log time into every header.
+    """
+
+    topics: Mapping[str, str] = field(default_factory=dict)
+    joints: Mapping[str, str] = field(default_factory=dict)
+    effort_sign: float = 1.0
+    wrench_sign: float = 1.0
+    wrench_frame: str = ''
+    stamps_from_log: bool = False
+
+    def concern(self, type_name: str) -> bool:
+        """Whether messages of this type change; others are copied byte by byte."""
+        named = bool(self.joints) or self.stamps_from_log
+        turned = self.wrench_sign != 1.0 or bool(self.wrench_frame) or self.stamps_from_log
+        concerned = {_JOINT_STATE: named or self.effort_sign != 1.0, _TRAJECTORY: named, _WRENCH: turned}
+        return concerned.get(type_name, False)
+
+    def apply(self, message: Message) -> Any:
+        """The message's data, changed in place."""
+        data = message.data
+        if self.stamps_from_log:
+            data.header.stamp = stamp_fields(message.log_time)
+        if message.type == _JOINT_STATE:
+            data.name = [renamed(name, self.joints) for name in data.name]
+            data.effort = [self.effort_sign * value for value in data.effort]
+        elif message.type == _TRAJECTORY:
+            data.joint_names = [renamed(name, self.joints) for name in data.joint_names]
+        elif message.type == _WRENCH:
+            data.header.frame_id = self.wrench_frame or data.header.frame_id
+            for vector in (data.wrench.force, data.wrench.torque):
+                vector.x, vector.y, vector.z = (self.wrench_sign * value for value in (vector.x, vector.y, vector.z))
+        return data
+
+
+def renamed(name: str, names: Mapping[str, str]) -> str:
+    """The new name of a joint; one without an entry keeps its own."""
+    for old, new in names.items():
+        if '*' in old and fnmatchcase(name, old):
+            before, after = old.split('*', 1)
+            return new.replace('*', name[len(before):len(name) - len(after)])
+    return names.get(name, name)
+
+
+def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_description: str | None = None,
+                progress: Callable[[int], None] = lambda done: None) -> dict[str, int]:
+    """Copy the messages of ``source`` in order of log time; returns how many came from each topic.
+
+    :param robot_description: a URDF that takes the place of the one in the bag, if there is one.
+    :param progress: called with the number of messages so far. A topic that is not there raises SemiparamError.
+    """
+    chosen = dict(edits.topics) or {topic: topic for topic, info in source.topics.items() if info.encoding == 'cdr'}
+    if robot_description is not None:
+        chosen = {old: new for old, new in chosen.items() if new != layout.ROBOT_DESCRIPTION}
+        write_description(bag, robot_description, source.start_ns)
+    for old, new in chosen.items():
+        if old not in source.topics:
+            raise SemiparamError(f'{str(source.path)!r} has no topic {old}; it has {", ".join(source.topics)}.')
+        info = source.topics[old]
+        bag.add_topic(new, info.type, info.qos, info.schema)
+    copied, changed = ({topic for topic in chosen if edits.concern(source.topics[topic].type) is concern}
+                       for concern in (False, True))
+    counts = dict.fromkeys(chosen, 0)
+    messages = source.messages(chosen.keys(), decode=bool(changed))
+    for number, message in enumerate(messages, 1):
+        counts[message.topic] += 1
+        topic = chosen[message.topic]
+        if message.topic in copied:
+            bag.write_raw(topic, message.raw, message.log_time, message.publish_time)
+        else:
+            bag.write(topic, message.type, edits.apply(message), message.log_time, message.publish_time)
+        if number % 1000 == 0:
+            progress(number)
+    return counts
+
+
+def read_description(path: str | os.PathLike[str]) -> str:
+    """The text of a URDF file; one that cannot be read raises SemiparamError."""
+    try:
+        with open(path, encoding='utf-8') as file:
+            return file.read()
+    except OSError as error:
+        raise SemiparamError(f'robot description {str(path)!r} cannot be read: {error.strerror}.') from error
+    except UnicodeDecodeError as error:
+        raise SemiparamError(f'robot description {str(path)!r} is not UTF-8 text.') from error
+
+
+def write_description(bag: BagWriter, text: str, stamp: int) -> None:
+    """Put a URDF into the bag as the latched /robot_description."""
+    bag.write(layout.ROBOT_DESCRIPTION, layout.TYPES[layout.ROBOT_DESCRIPTION], {'data': text}, stamp)

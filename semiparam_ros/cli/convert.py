@@ -1,0 +1,133 @@
+"""`semiparam convert`: a text table, a bag of another format or a damaged bag becomes an MCAP bag."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from semiparam_ros.bags.conversion import Edits, convert_bag, read_description
+from semiparam_ros.bags.reader import is_bag, open_bag
+from semiparam_ros.bags.table_layout import PER_JOINT, TIME_UNITS, TableLayout, load_layout
+from semiparam_ros.bags.tables import convert_table
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.cli.options import console, progress_bar
+from semiparam_ros.errors import SemiparamError
+
+HELP = 'Convert a text table or a bag (ROS 1, rosbag2, damaged MCAP) to an MCAP bag.'
+
+_TABLE_OPTIONS = ('joints', 'degrees', 'period', 'rate', 'start', 'time_unit')
+_BOTH_OPTIONS = ('wrench_frame', 'wrench_sign', 'effort_sign')
+_ROLES = ('time', *PER_JOINT, 'force', 'torque')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Positional files, then what concerns tables, bags, and both."""
+    parser.add_argument('input', metavar='INPUT', type=Path,
+                        help='text table, .mcap file, rosbag2 directory, .db3 file or ROS 1 .bag')
+    parser.add_argument('output', metavar='OUTPUT.mcap', type=Path, help='the MCAP bag that is written')
+    parser.add_argument('--robot-description', metavar='URDF', type=Path,
+                        help='URDF file that travels in the bag as the latched /robot_description')
+    parser.add_argument('--effort-sign', type=float, metavar='SIGN', help='multiplies joint efforts: 1 or -1')
+    parser.add_argument('--wrench-sign', type=float, metavar='SIGN', help='multiplies wrenches: 1 or -1')
+    parser.add_argument('--wrench-frame', metavar='FRAME', help='frame_id of the wrenches')
+    _add_table_arguments(parser.add_argument_group(
+        'text tables', 'COLUMNS are numbers from 1 (1-4, or 1,3,5) or names of the header line. Options win over the '
+        '--columns file, which holds joints, columns, degrees, period (or rate), start, time_unit, wrench_frame, '
+        'wrench_sign, effort_sign.'))
+    _add_bag_arguments(parser.add_argument_group('bags'))
+
+
+def _add_table_arguments(group: Any) -> None:
+    group.add_argument('--columns', metavar='FILE', type=Path, help='YAML file that says what the columns mean')
+    group.add_argument('--joints', metavar='NAME,...', help='names of the joints, in the order of their columns')
+    for role in _ROLES:
+        group.add_argument(f'--{role}', metavar='COLUMNS', help=f'columns of the {role}')
+    angles = group.add_mutually_exclusive_group()
+    angles.add_argument('--degrees', action='store_const', const=True, dest='degrees', help='angles are in degrees')
+    angles.add_argument('--radians', action='store_const', const=False, dest='degrees', help='angles are in radians')
+    steps = group.add_mutually_exclusive_group()
+    steps.add_argument('--rate', type=float, metavar='HZ', help='rows per second, where no column holds the time')
+    steps.add_argument('--period', type=float, metavar='SECONDS', help='time from row to row, likewise')
+    group.add_argument('--start', type=float, metavar='SECONDS', help='stamp of the first row, likewise (default 1)')
+    group.add_argument('--time-unit', choices=tuple(TIME_UNITS), help='unit of the time column (default s)')
+
+
+def _add_bag_arguments(group: Any) -> None:
+    group.add_argument('--topic', metavar='TOPIC[=NEW]', action='append', default=[],
+                       help='take this topic alone, under its new name if one is given; may be repeated')
+    group.add_argument('--joint', metavar='NAME=NEW[,...]', action='append', default=[],
+                       help="rename a joint; 'fer_*=panda_*' renames all that fit; may be repeated")
+    group.add_argument('--stamps-from-log', action='store_true',
+                       help='put the time of recording into the headers, for bags whose headers hold no time')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Convert, and say on standard error what came out."""
+    if args.output.exists() and args.input.exists() and os.path.samefile(args.input, args.output):
+        raise SemiparamError(f'{str(args.output)!r} is the input itself; expected another name for the output.')
+    if args.output.suffix != '.mcap':
+        raise SemiparamError(f'{str(args.output)!r} is no name for an MCAP bag; expected one that ends in .mcap.')
+    description = read_description(args.robot_description) if args.robot_description else None
+    lines = _from_bag(args, description) if is_bag(args.input) else _from_table(args, description)
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    return 0
+
+
+def _from_table(args: argparse.Namespace, description: str | None) -> list[str]:
+    _refuse(args, ('topic', 'joint', 'stamps_from_log'), 'bags', 'a text table')
+    layout = table_layout(args)
+    with BagWriter(args.output) as bag, progress_bar() as bar:
+        task = bar.add_task('bytes', total=args.input.stat().st_size)
+        summary = convert_table(args.input, layout, bag, description, lambda done: bar.update(task, completed=done))
+    duration = (summary.end_ns - summary.start_ns) * 1e-9
+    lines = [f'{args.output}: {summary.rows} rows, {duration:.3f} s.']
+    if summary.not_finite:
+        lines.append(f'{summary.not_finite} rows hold a number that is not finite.')
+    if summary.not_increasing:
+        lines.append(f'{summary.not_increasing} rows are not later than the row before.')
+    return lines
+
+
+def table_layout(args: argparse.Namespace) -> TableLayout:
+    """The --columns file with what the command line puts in its place."""
+    layout = load_layout(args.columns) if args.columns else TableLayout()
+    values = {name: getattr(args, name) for name in (*_TABLE_OPTIONS, *_BOTH_OPTIONS)
+              if getattr(args, name) is not None}
+    values['columns'] = {role: getattr(args, role) for role in _ROLES if getattr(args, role) is not None}
+    return layout.merged(values, 'command line').checked()
+
+
+def _from_bag(args: argparse.Namespace, description: str | None) -> list[str]:
+    _refuse(args, ('columns', *_TABLE_OPTIONS, *_ROLES), 'text tables', 'a bag')
+    edits = Edits(_pairs(args.topic, optional=True), _pairs([part for text in args.joint for part in text.split(',')]),
+                  1.0 if args.effort_sign is None else args.effort_sign,
+                  1.0 if args.wrench_sign is None else args.wrench_sign, args.wrench_frame or '', args.stamps_from_log)
+    with open_bag(args.input) as source, BagWriter(args.output) as bag, progress_bar() as bar:
+        task = bar.add_task('messages', total=sum(info.count for topic, info in source.topics.items()
+                                                  if not edits.topics or topic in edits.topics))
+        counts = convert_bag(source, edits, bag, description, lambda done: bar.update(task, completed=done))
+        losses = source.losses
+    chosen = ', '.join(f'{count} on {edits.topics.get(topic, topic)}' for topic, count in counts.items())
+    return [f'{args.output}: {chosen or "no messages"}.', *([losses.sentence] if losses else [])]
+
+
+def _pairs(texts: Sequence[str], optional: bool = False) -> dict[str, str]:
+    """'OLD=NEW' texts as a dict; with ``optional`` a lone 'OLD' keeps its name."""
+    pairs = {}
+    for text in texts:
+        old, equals, new = (part.strip() for part in text.partition('='))
+        if not old or bool(equals) is not bool(new) or not (new or optional):
+            raise SemiparamError(f'{text!r} is no renaming; expected OLD=NEW.')
+        pairs[old] = new or old
+    return pairs
+
+
+def _refuse(args: argparse.Namespace, names: Sequence[str], meant_for: str, given: str) -> None:
+    """An option that could do nothing is a mistake that should not go unnoticed."""
+    for name in names:
+        if getattr(args, name) not in (None, [], False):
+            raise SemiparamError(f'--{name.replace("_", "-")} is for {meant_for}, but {str(args.input)!r} is {given}.')
