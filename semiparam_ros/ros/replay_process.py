@@ -25,7 +25,8 @@ class RosProcess:
     """Context manager around one node's life.
 
     :param ros_arguments: ``--ros-args ...`` as given by the user
-    :param stop: called once by the first SIGINT or SIGTERM; a second one has its default effect
+    :param stop: called once by the first SIGINT or SIGTERM (a second one has its default effect), and when a
+        callback failed, which ``error`` then holds
     """
 
     def __init__(self, ros_arguments: Sequence[str], stop: Callable[[], None]) -> None:
@@ -36,6 +37,7 @@ class RosProcess:
         self._closing = False
         self._handlers: dict[int, Any] = {}
         self.signal: int | None = None
+        self.error: Exception | None = None
 
     def __enter__(self) -> RosProcess:
         try:
@@ -56,9 +58,14 @@ class RosProcess:
     def _spin(self, node: Node) -> None:
         executor = EventsExecutor()
         executor.add_node(node)
-        while ok() and not self._closing:
-            executor.spin_once(timeout_sec=SPIN_S)
-        executor.shutdown()
+        try:
+            while ok() and not self._closing:
+                executor.spin_once(timeout_sec=SPIN_S)
+        except Exception as error:  # raised by a callback: told by whoever runs the tool, not by this thread
+            self.error = error
+            self._stop()
+        finally:
+            executor.shutdown()
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self.signal = number
