@@ -1,0 +1,44 @@
+"""Every hidden cause that the simulator knows, by the kind's name."""
+
+from __future__ import annotations
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.simulation.causes.base import Cause, Quantity, Site
+from semiparam_ros.simulation.causes.forces import (
+    ExternalForce,
+    Payload,
+    PeriodicDisturbance,
+    QuadraticDrag,
+    ViscousDrag,
+)
+from semiparam_ros.simulation.causes.geometry import GravityTilt, JointOffset, TimeDelay
+from semiparam_ros.simulation.causes.sensor import (
+    SensorCrosstalk,
+    SensorDrift,
+    SensorGain,
+    SensorMisalignment,
+    SensorOffset,
+    ThermalDrift,
+)
+
+__all__ = ['CAUSES', 'Cause', 'Quantity', 'Site', 'cause_of', 'kinds']
+
+_LISTED: tuple[type[Cause], ...] = (
+    Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
+    JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, PeriodicDisturbance)
+
+CAUSES: dict[str, type[Cause]] = {cause.kind: cause for cause in _LISTED}
+
+
+def kinds(outputs: str) -> tuple[str, ...]:
+    """The kinds that can be simulated for ``wrench`` or ``effort``."""
+    return tuple(kind for kind, cause in CAUSES.items() if outputs in cause.acts_on)
+
+
+def cause_of(kind: str, outputs: str) -> type[Cause]:
+    """The class of a kind; an unknown one, or one that does not act on these outputs, raises SemiparamError."""
+    if kind not in CAUSES:
+        raise SemiparamError(f"there is no effect '{kind}' to simulate; expected one of {', '.join(kinds(outputs))}.")
+    if outputs not in CAUSES[kind].acts_on:
+        raise SemiparamError(f"effect '{kind}' does not act on {outputs}; expected one of {', '.join(kinds(outputs))}.")
+    return CAUSES[kind]

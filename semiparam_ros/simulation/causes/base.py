@@ -1,0 +1,113 @@
+"""What every hidden cause is: something drawn at random that changes the world by an amount."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.simulation.world import World
+
+BOTH = ('wrench', 'effort')
+
+
+class Quantity(NamedTuple):
+    """A number, or a list of numbers, with its unit."""
+
+    value: Any
+    unit: str
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where a cause is to be drawn: the world without it, and the standard deviation (n,) of its outputs."""
+
+    world: World
+    scale: Array
+    where: str | None
+    start_s: float | None
+    rng: np.random.Generator
+
+    def random_start(self) -> float:
+        """The requested start, or one in the second quarter of the recording or soon after [s]."""
+        share = float(self.rng.uniform(0.25, 0.6))
+        return share * self.world.duration if self.start_s is None else self.start_s
+
+    def from_beginning(self) -> float:
+        """The requested start, or long before the recording."""
+        return -np.inf if self.start_s is None else self.start_s
+
+    def joint(self) -> int:
+        """Index of the requested joint, or of a random one."""
+        return self._choose('joint', self.world.arm.joints)
+
+    def channel(self) -> int:
+        """Index of the requested output channel, or of a random one."""
+        return self._choose('channel', self.world.arm.channels)
+
+    def frame(self) -> str:
+        """The requested frame, or one of the two outermost links."""
+        arm, drawn = self.world.arm, int(self.rng.integers(2))
+        outer = arm.distal_frames()[-2:]
+        return self._checked_frame(outer[drawn % len(outer)])
+
+    def hand(self) -> str:
+        """The requested frame, or the outermost link with a mass."""
+        return self._checked_frame(self.world.arm.distal_frames()[-1])
+
+    def _choose(self, what: str, names: tuple[str, ...]) -> int:
+        drawn = int(self.rng.integers(len(names)))
+        if self.where is not None and self.where not in names:
+            raise SemiparamError(f"there is no {what} '{self.where}'; expected one of {', '.join(names)}.")
+        return drawn if self.where is None else names.index(self.where)
+
+    def _checked_frame(self, default: str) -> str:
+        arm = self.world.arm
+        joint = arm.model.frames[arm.frame_id(self.where or default)].parentJoint
+        if joint not in arm.distal_joints:
+            raise SemiparamError(f"frame '{self.where}' does not load the sensor; expected one distal of it: "
+                                 f"{', '.join(arm.distal_frames())}.")
+        return self.where or default
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A hidden cause with all that is random about it settled; only its magnitude is open.
+
+    ``apply`` gives the world with it at a magnitude (in the unit of ``typical``, a first guess), ``parameters`` what a
+    perfect diagnosis would find. ``start_s`` is None where the cause is there from the beginning.
+    """
+
+    where: str | None
+    start_s: float | None
+
+    kind: ClassVar[str]
+    acts_on: ClassVar[tuple[str, ...]] = BOTH
+    can_start: ClassVar[bool] = False
+    typical: ClassVar[float] = 1.0
+
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        """Settle place, time, direction and shape."""
+        raise NotImplementedError
+
+    def apply(self, world: World, magnitude: float) -> World:
+        """The world with this cause in it."""
+        raise NotImplementedError
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        """Name -> value and unit."""
+        raise NotImplementedError
+
+
+def since(time: Array, start_s: float | None) -> Array:
+    """(N, 1): 1 from the start on, 0 before."""
+    return np.asarray(time >= (-np.inf if start_s is None else start_s), dtype=float)[:, None]
+
+
+def known_start(start_s: float) -> float | None:
+    """None for a cause without a beginning."""
+    return None if np.isinf(start_s) else start_s

@@ -1,0 +1,130 @@
+"""Bodies and forces on the links, carried to the sensor or to the motors by Newton-Euler and Jacobians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start, since
+from semiparam_ros.simulation.trajectory import Instants
+from semiparam_ros.simulation.wander import unit_vector
+from semiparam_ros.simulation.world import Body, World
+
+PAYLOAD_RADIUS_M = 0.03
+
+
+@dataclass(frozen=True)
+class Payload(Cause):
+    """A solid ball is picked up: a real body of the multi-body model from then on."""
+
+    kind = 'payload'
+    can_start = True
+    typical = 0.1
+    centre: Array
+
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        return cls(site.hand(), site.random_start(), 0.06 * site.rng.uniform(-1, 1, 3))
+
+    def apply(self, world: World, magnitude: float) -> World:
+        ball = pin.Inertia.FromSphere(magnitude, PAYLOAD_RADIUS_M)
+        inertia = pin.Inertia(ball.mass, self.centre, ball.inertia)
+        return replace(world, bodies=(*world.bodies, Body(str(self.where), inertia, float(self.start_s or 0.0))))
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        return {'mass': Quantity(magnitude, 'kg'), 'centre': Quantity(self.centre, 'm')}
+
+
+@dataclass(frozen=True)
+class FrameForce(Cause):
+    """A force on the origin of a frame."""
+
+    can_start = True
+
+    def force(self, world: World, motion: Instants) -> Array:
+        """(N, 3) at magnitude 1, in base axes."""
+        raise NotImplementedError
+
+    def apply(self, world: World, magnitude: float) -> World:
+        def pushed(world: World, motion: Instants, outputs: Array) -> Array:
+            force = magnitude * since(motion.time, self.start_s) * self.force(world, motion)
+            pose = world.arm.pose(str(self.where), motion.position)
+            return outputs + world.arm.load_of_force(pose, force, motion.position)
+        return world.with_mechanical(pushed)
+
+
+@dataclass(frozen=True)
+class ExternalForce(FrameForce):
+    """Something pulls with a constant force, its direction fixed in the room."""
+
+    kind = 'external_force'
+    direction: Array
+
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        return cls(site.frame(), known_start(site.from_beginning()), unit_vector(site.rng))
+
+    def force(self, world: World, motion: Instants) -> Array:
+        return np.broadcast_to(self.direction, (len(motion.time), 3))
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        return {'force': Quantity(magnitude * self.direction, 'N')}
+
+
+@dataclass(frozen=True)
+class PeriodicDisturbance(FrameForce):
+    """A machine on the link shakes it along an axis of the link, at one frequency."""
+
+    kind = 'periodic_disturbance'
+    direction: Array
+    frequency: float
+    phase: float
+
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        rate = 1.0 / float(np.median(np.diff(site.world.times)))
+        frequency = float(site.rng.uniform(0.025, 0.4)) * rate
+        return cls(site.frame(), known_start(site.from_beginning()), unit_vector(site.rng), frequency,
+                   float(site.rng.uniform(0, 2 * np.pi)))
+
+    def force(self, world: World, motion: Instants) -> Array:
+        axis = world.arm.pose(str(self.where), motion.position).rotation @ self.direction
+        return axis * np.sin(2 * np.pi * self.frequency * motion.time + self.phase)[:, None]
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        return {'frequency': Quantity(self.frequency, 'Hz'), 'force': Quantity(magnitude * self.direction, 'N'),
+                'phase': Quantity(self.phase, 'rad')}
+
+
+@dataclass(frozen=True)
+class ViscousDrag(FrameForce):
+    """A slow fluid holds the link back: f = -c v."""
+
+    kind = 'viscous_drag'
+
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        return cls(site.frame(), known_start(site.from_beginning()))
+
+    def force(self, world: World, motion: Instants) -> Array:
+        return -world.arm.pose(str(self.where), motion.position).velocity(motion.velocity)[:, :3]
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        return {'coefficient': Quantity(magnitude, 'N s/m')}
+
+
+@dataclass(frozen=True)
+class QuadraticDrag(ViscousDrag):
+    """A fast fluid holds the link back: f = -c |v| v."""
+
+    kind = 'quadratic_drag'
+
+    def force(self, world: World, motion: Instants) -> Array:
+        against = super().force(world, motion)
+        return np.asarray(against * np.linalg.norm(against, axis=1)[:, None])
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        return {'coefficient': Quantity(magnitude, 'N s^2/m^2')}

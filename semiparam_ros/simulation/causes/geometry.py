@@ -1,0 +1,75 @@
+"""Wrong zeros, wrong gravity, wrong time: the model is right, but looks at the wrong state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.simulation.causes.base import Cause, Quantity, Site
+from semiparam_ros.simulation.world import World
+
+
+@dataclass(frozen=True)
+class JointOffset(Cause):
+    """An encoder's zero is wrong: the joint stands elsewhere than reported."""
+
+    kind = 'joint_offset'
+    typical = 0.03
+    joint: int
+    sign: float
+
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        joint = site.joint()
+        return cls(site.world.arm.joints[joint], None, joint, float(site.rng.choice([-1.0, 1.0])))
+
+    def apply(self, world: World, magnitude: float) -> World:
+        shift = world.joint_shift.copy()
+        shift[self.joint] += self.sign * magnitude
+        return replace(world, joint_shift=shift)
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        return {'offset': Quantity(self.sign * magnitude, 'rad')}
+
+
+@dataclass(frozen=True)
+class GravityTilt(Cause):
+    """The base is not level: gravity comes from another direction in its axes."""
+
+    kind = 'gravity_tilt'
+    typical = 0.03
+    axis: Array
+
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        angle = site.rng.uniform(0, 2 * np.pi)
+        return cls(None, None, np.array([np.cos(angle), np.sin(angle), 0.0]))
+
+    def apply(self, world: World, magnitude: float) -> World:
+        gravity = Rotation.from_rotvec(magnitude * self.axis).inv().apply(world.arm.model.gravity.linear)
+        return replace(world, arm=world.arm.with_gravity(gravity))
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        tilt = magnitude * self.axis
+        return {'tilt_x': Quantity(tilt[0], 'rad'), 'tilt_y': Quantity(tilt[1], 'rad')}
+
+
+@dataclass(frozen=True)
+class TimeDelay(Cause):
+    """The outputs come later than their stamps say: the sensor shows the continuous motion a while ago."""
+
+    kind = 'time_delay'
+    typical = 0.01
+
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        return cls(None, None)
+
+    def apply(self, world: World, magnitude: float) -> World:
+        return replace(world, delay_s=world.delay_s + magnitude)
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        return {'delay': Quantity(magnitude, 's')}

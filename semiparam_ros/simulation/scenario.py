@@ -1,0 +1,77 @@
+"""What to simulate, and what comes out of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from semiparam_ros.simulation.arrays import Array, Stamps
+
+
+@dataclass(frozen=True)
+class EffectRequest:
+    """One hidden cause. ``size`` 1 changes the outputs by 10 % of their standard deviation (RMS, mean over channels).
+
+    ``where`` (a joint, frame or channel) and ``start_s`` [s] are drawn from the seed where they are None.
+    """
+
+    kind: str
+    where: str | None = None
+    size: float = 1.0
+    start_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A recording to simulate.
+
+    :param urdf: URDF text; None stands for the package's own iCub arm, and then ``joints``, ``sensor_frame`` and
+        ``home`` have defaults too.
+    :param robot_seed: what the true inertias are drawn from; None takes ``seed``.
+    :param baseline: ``none`` (nothing else is missing) or ``bundled`` (a few small unmodelled effects more).
+    :param noise: scale of the outputs' noise, 2 % of their standard deviation at 1.
+    :param encoder_noise: scale of the noise of positions, velocities and accelerations.
+    :param home: posture [rad] that circles go around.
+    """
+
+    motion: str = 'circle_xy'
+    samples: int = 4000
+    rate_hz: float = 20.0
+    effects: tuple[EffectRequest, ...] = ()
+    seed: int = 0
+    robot_seed: int | None = None
+    outputs: str = 'wrench'
+    urdf: str | None = None
+    joints: tuple[str, ...] | None = None
+    sensor_frame: str | None = None
+    convention: str = 'reaction'
+    baseline: str = 'none'
+    noise: float = 1.0
+    encoder_noise: float = 1.0
+    accelerations: bool = True
+    home: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class SimulatedRecording:
+    """N samples as a robot's topics would give them, and the truth behind them.
+
+    ``stamps`` (N,) [ns]; ``position``, ``velocity``, ``acceleration`` (N, n_joints) [rad, rad/s, rad/s^2];
+    ``outputs`` (N, n) [N, N m]; ``noise_std`` (n,) is the standard deviation of the outputs' white noise.
+    ``truth`` lists the requested effects, ``baseline_truth`` what the baseline adds: dicts with ``kind``, ``where``,
+    ``start_s``, ``size``, ``rms_share``, ``unexplained_share`` and ``parameters`` (name -> value and unit).
+    """
+
+    stamps: Stamps
+    joint_names: tuple[str, ...]
+    position: Array
+    velocity: Array
+    acceleration: Array | None
+    outputs: Array
+    outputs_kind: str
+    convention: str
+    frame_id: str
+    urdf: str
+    noise_std: Array
+    truth: tuple[dict[str, Any], ...]
+    baseline_truth: tuple[dict[str, Any], ...]

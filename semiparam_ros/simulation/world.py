@@ -1,0 +1,81 @@
+"""What really happens: the rigid body, the hidden causes that act on it, and the sensor that reports it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.simulation.arm import Arm
+from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.simulation.trajectory import Instants, Trajectory
+
+Change: TypeAlias = Callable[['World', Instants, Array], Array]
+"""Takes the motion and the outputs (N, n) so far, returns the outputs with one more cause in them."""
+
+
+class Body(NamedTuple):
+    """A body that hangs on ``frame`` from ``start_s`` [s] on."""
+
+    frame: str
+    inertia: pin.Inertia
+    start_s: float
+
+
+@dataclass(frozen=True)
+class World:
+    """One recording before noise. ``times`` (N,) [s] are the sampling instants.
+
+    ``joint_shift`` (n_joints,) [rad] is the true position minus the reported one; ``delay_s`` is how late the outputs
+    are. ``mechanical`` changes are forces on the arm, ``sensing`` ones belong to the sensor; each in order.
+    """
+
+    arm: Arm
+    trajectory: Trajectory
+    times: Array
+    joint_shift: Array
+    delay_s: float = 0.0
+    bodies: tuple[Body, ...] = ()
+    mechanical: tuple[Change, ...] = field(default=())
+    sensing: tuple[Change, ...] = field(default=())
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the last [s]."""
+        return float(self.times[-1])
+
+    def motion(self, times: Array | None = None) -> Instants:
+        """The true joint motion at ``times``, by default when the outputs of the samples arose (delay included)."""
+        instants = self.trajectory.at(self.times - self.delay_s if times is None else times)
+        return instants._replace(position=instants.position + self.joint_shift)
+
+    def rigid(self, motion: Instants) -> Array:
+        """Outputs (N, n) of the arm with the bodies that hang on it at each instant, by recursive Newton-Euler."""
+        hanging = np.array([motion.time >= body.start_s for body in self.bodies]).reshape(-1, len(motion.time)).T
+        outputs = np.empty((len(motion.time), len(self.arm.channels)))
+        for present in np.unique(hanging, axis=0):
+            rows = (hanging == present).all(1)
+            arm = self.arm
+            for body in (body for body, there in zip(self.bodies, present, strict=True) if there):
+                arm = arm.with_body(body.frame, body.inertia)
+            outputs[rows] = arm.evaluate(*(values[rows] for values in motion[1:]))
+        return outputs
+
+    def outputs(self) -> Array:
+        """What a perfect sensor reports at ``times``, (N, n) [N, N m]."""
+        motion = self.motion()
+        values = self.rigid(motion)
+        for change in (*self.mechanical, *self.sensing):
+            values = change(self, motion, values)
+        return values
+
+    def with_mechanical(self, change: Change) -> World:
+        """One more force on the arm."""
+        return replace(self, mechanical=(*self.mechanical, change))
+
+    def with_sensing(self, change: Change) -> World:
+        """One more fault of the sensor, behind the others."""
+        return replace(self, sensing=(*self.sensing, change))
