@@ -126,6 +126,20 @@ def test_frozen_after_training_scores_every_sample_and_learns_none(evaluate, rec
     np.testing.assert_allclose(twice['rmse'], frozen['rmse'], rtol=1e-12)
 
 
+def test_contacts_are_scored_but_not_learnt(recording, urdf, tmp_path):
+    """The gate that the node has: a threshold that every sample exceeds leaves the model as trained."""
+    values = {'sensor_frame': FRAME, 'joints': list(JOINTS), 'initial.samples': INITIAL, 'variant': 'P',
+              'gate.enabled': True, 'gate.threshold': 0.0, 'gate.release': 0.0, 'gate.timeout': 0.0}
+    path, result = tmp_path / 'gate.yaml', tmp_path / 'result.json'
+    dump_params(Settings.from_mapping(values), path)
+    rmse = []
+    for frozen in ([], ['--frozen']):
+        words = ['--train', str(recording), *frozen, '--params', str(path), '--json', str(result)]
+        assert cli.main(['evaluate', str(recording), *words]) == 0
+        rmse.append(json.loads(result.read_text())['variants']['P']['rmse'])
+    assert rmse[0] == rmse[1]
+
+
 @pytest.mark.parametrize('arguments, sentence', [
     (['{bag}', '--frozen'], '--frozen predicts with what was learnt'),
     (['{bag}', '--variant', 'SPQ'], "variant 'SPQ' is unknown"),

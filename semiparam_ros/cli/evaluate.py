@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
 
     from semiparam_ros.bags.loading import LoadedBag
     from semiparam_ros.cli.scores import Scores
-    from semiparam_ros.core.model import Estimator
     from semiparam_ros.settings import Settings
 
 HELP = 'Predict, then learn, every sample of recordings, and report the errors of one or several variants.'
@@ -92,51 +90,22 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     The initial window is answered by the rigid body alone, whatever the variant, and takes no part in the figures.
     Raises SemiparamError when the recordings are over before the initial window is.
     """
+    from semiparam_ros.cli.offline import OfflineLearner
     from semiparam_ros.cli.scores import Scores
-    from semiparam_ros.settings.build import build_estimator
 
-    description = next((bag.robot_description for bag in [*bags, *training] if bag.robot_description), None)
-    estimator = build_estimator(settings, description)
     total = sum(len(bag.samples) for bag in [*training, *bags])
     task = progress.add_task(settings.variant, total=total)
+    learner = OfflineLearner(settings, [*bags, *training], lambda: progress.advance(task))
     for bag in training:
-        learn(estimator, bag, progress, task)
-    if training and not estimator.ready:
-        estimator.finish_window()
-    learning = settings.learning and not frozen
-    if not (learning or estimator.ready):
-        raise SemiparamError('with the parameter learning off there is no model to evaluate; expected --train BAG.')
+        learner.take(bag, Scores(settings.outputs), learning=True)
+    learner.finish(training, frozen)
     scores = Scores(settings.outputs)
     for bag in bags:
-        score(estimator, bag, scores, learning, progress, task)
+        learner.take(bag, scores, settings.learning and not frozen)
     if not len(scores):
         raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
                              '(parameter initial.samples).')
     return scores
-
-
-def learn(estimator: Estimator, bag: LoadedBag, progress: Progress, task: Any) -> None:
-    """Learn one recording without scoring it."""
-    for sample in bag.samples:
-        estimator.step(sample)
-        progress.advance(task)
-    estimator.clear_pending()
-
-
-def score(estimator: Estimator, bag: LoadedBag, scores: Scores, learning: bool, progress: Progress, task: Any) -> None:
-    """Predict, then perhaps learn, one recording."""
-    scores.start_recording(bag.samples.origin)
-    for sample in bag.samples:
-        start = time.perf_counter()
-        prediction = estimator.step(sample, learning)
-        elapsed = time.perf_counter() - start
-        progress.advance(task)
-        if not prediction.ready:
-            continue
-        scores.add(sample.outputs, prediction.mean, elapsed)
-        if prediction.horizon is not None:
-            scores.add_horizon(prediction.horizon)
-    estimator.clear_pending()
 
 
 def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, Scores],
