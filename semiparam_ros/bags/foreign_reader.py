@@ -74,6 +74,7 @@ class SqliteBag(_RosbagsBag):
     kind = 'a rosbag2 bag'
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
+        _refuse_cut_database(Path(path))
         super().__init__(path, rosbags.rosbag2.Reader)
         for connection in sorted(self._reader.connections, key=lambda connection: connection.topic):
             offers = tuple(_offer(profile) for profile in connection.ext.offered_qos_profiles)
@@ -110,6 +111,21 @@ def _offer(profile: Any) -> Qos:
         'durability': profile.durability.name, 'liveliness': profile.liveliness.name,
         **{name: {'sec': getattr(profile, name).sec, 'nsec': getattr(profile, name).nsec}
            for name in ('deadline', 'lifespan', 'liveliness_lease_duration')}}])[0]
+
+
+def _refuse_cut_database(path: Path) -> None:
+    """sqlite reads what is missing at the end of a file as zeros, without a word: ask its header for the length."""
+    for file in sorted(path.glob('*.db3')) if path.is_dir() else [path]:
+        with file.open('rb') as stream:
+            header = stream.read(32)
+        if len(header) < 32:
+            raise SemiparamError(f'{str(file)!r} cannot be read as a rosbag2 bag: it has {len(header)} bytes.')
+        # A page size of 65536 does not fit its two bytes and is written as 1.
+        page_bytes = int.from_bytes(header[16:18], 'big')
+        expected = (65536 if page_bytes == 1 else page_bytes) * int.from_bytes(header[28:32], 'big')
+        if file.stat().st_size < expected:
+            raise SemiparamError(f'{str(file)!r} cannot be read as a rosbag2 bag: it is cut off, {expected} bytes were '
+                                 f'expected and {file.stat().st_size} are there.')
 
 
 def is_sqlite(path: Path, magic: bytes) -> bool:

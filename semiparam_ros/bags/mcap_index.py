@@ -65,6 +65,8 @@ def read_summary(buffer: Any) -> Index:
     if statistics is None or not _covers(index.definitions, chunks, statistics):
         raise Incomplete
     index.segments = [_segment(buffer, entry) for entry in sorted(chunks, key=lambda c: c.chunk_start_offset)]
+    if any(segment.chunk != mcap_records.chunk_at(buffer, segment.offset, len(buffer)) for segment in index.segments):
+        index.reasons.append('the header of a chunk contradicts the index')
     index.counts, index.intact = dict(statistics.channel_message_counts), statistics.message_count
     index.start_ns, index.end_ns = statistics.message_start_time, statistics.message_end_time
     index.chunks = len(chunks)

@@ -30,6 +30,7 @@ class McapBag(BagReader):
             self._file.close()
             raise SemiparamError(f'{str(path)!r} is empty: expected an MCAP bag.') from error
         self._index = _index(self._buffer)
+        self._has_crcs = any(segment.chunk and segment.chunk.crc for segment in self._index.segments)
         # How many messages each segment read so far held; None for one that is lost.
         self._read: dict[Segment, int | None] = {}
         self._reasons: list[str] = []
@@ -70,7 +71,8 @@ class McapBag(BagReader):
             if segment.chunk is None:
                 found = mcap_records.entries(self._buffer, definitions, segment.offset, segment.end)
             else:
-                found = mcap_records.entries(mcap_records.unpack(self._buffer, segment.chunk), definitions)
+                data = mcap_records.unpack(self._buffer, segment.chunk, self._has_crcs)
+                found = mcap_records.entries(data, definitions)
         except Damage as damage:
             self._read[segment] = None
             if str(damage) not in self._reasons:

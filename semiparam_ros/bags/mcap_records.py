@@ -118,8 +118,11 @@ def indexed_chunk(buffer: Any, index: ChunkIndex) -> Chunk:
                  index.message_start_time, index.message_end_time)
 
 
-def unpack(buffer: Any, chunk: Chunk) -> bytes:
-    """The records inside a chunk; Damage when it does not decompress or its CRC does not match."""
+def unpack(buffer: Any, chunk: Chunk, needs_crc: bool) -> bytes:
+    """The records inside a chunk; Damage when it does not decompress or its CRC does not match.
+
+    :param needs_crc: whether other chunks of the file have a CRC: one without has lost it.
+    """
     if chunk.uncompressed_bytes > LARGEST_CHUNK:
         raise Damage('a chunk claims an impossible size')
     packed = bytes(buffer[chunk.data_offset:chunk.data_offset + chunk.data_bytes])
@@ -129,7 +132,7 @@ def unpack(buffer: Any, chunk: Chunk) -> bytes:
         raise Damage('a chunk does not decompress') from error
     if len(data) != chunk.uncompressed_bytes:
         raise Damage('a chunk has the wrong size')
-    if chunk.crc and zlib.crc32(data) != chunk.crc:
+    if (chunk.crc or needs_crc) and zlib.crc32(data) != chunk.crc:
         raise Damage('a chunk does not match its checksum')
     return data
 

@@ -43,6 +43,7 @@ class _Scan:
         self._counts: Counter[int] = Counter()
         self._loose: list[tuple[int, int, Entry]] = []
         self._lost_chunk = False
+        self._has_crcs = False
         self._whole = False
         self._broken = False
         self._indexed_loss = 0
@@ -94,12 +95,14 @@ class _Scan:
         self.index.chunks += 1
         self._lost_chunk = False
         try:
-            found = mcap_records.entries(mcap_records.unpack(self.buffer, chunk), self.index.definitions)
+            data = mcap_records.unpack(self.buffer, chunk, self._has_crcs)
+            found = mcap_records.entries(data, self.index.definitions)
         except Damage as damage:
             self._lose(chunk.offset, chunk.end, str(damage))
             self.index.chunks_lost += 1
             self._lost_chunk = True
             return False
+        self._has_crcs |= chunk.crc != 0
         if found:
             self._add_segment(chunk.offset, chunk.end, found, chunk)
         return True
