@@ -2,8 +2,13 @@
 
     eps_t[k] = sum_{s=1..T} (y_{t+s}[k] - yhat_{t+s|t}[k])^2 / sum_{s=1..T} y_{t+s}[k]^2
 
-with the model as it stood at t and the inputs as they came. Every sample is predicted by the last T models at once:
-their feature weights lie side by side, so that is one product with the features.
+with the model as it stood at t and the inputs as they came. Every sample is thus predicted by the last T models, none
+of which is kept: learning sample i added g_i E_i' to Theta, so that a model of the past says
+
+    phi' Theta_t = phi' Theta_now - sum_{i > t} (phi' g_i) E_i'
+
+and T gains, with what each innovation means to each model, do the work of T models: T (D + n p + T n) operations a
+sample in place of T copies of D n weights.
 """
 
 from __future__ import annotations
@@ -11,12 +16,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.blas import dgemv
 
-from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.core.recursion import Correction, Prior
 from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
 
-TINY = np.finfo(float).tiny
+LEAST_POWER = 1e-18
+"""Floor of a denominator for each sample, in squared outputs: far below any sensor, and keeps the index finite."""
 
 
 class HorizonErrors(NamedTuple):
@@ -28,11 +34,17 @@ class HorizonErrors(NamedTuple):
 
 
 class HorizonIndex:
-    """The running index of a :class:`SemiParametricRecursion` over ``length`` T samples."""
+    """The running index of a :class:`SemiParametricRecursion` over ``length`` T samples, at least 1.
+
+    Rings of T slots: model t, and the correction that made it, stand in slot t mod T; ``_next`` is the oldest's slot.
+    """
 
     def __init__(self, length: int, n_outputs: int, n_features: int, n_columns: int) -> None:
+        if length < 1:
+            raise SemiparamError(f'horizon.length is {length}; expected at least one sample.')
         self.length = length
-        self._weights = np.zeros((length, n_outputs, n_features))
+        self._gains = np.zeros((length, n_features))
+        self._lacking = np.zeros((length, n_outputs, length))  # [t, :, i] E_y - E_C theta_t of each i > t, or 0
         self._theta = np.zeros((length, n_columns))
         self._squared_error = np.zeros((length, n_outputs))
         self._outputs = np.zeros((length, n_outputs))
@@ -40,26 +52,30 @@ class HorizonIndex:
         self._filled = 0
         self._next = 0
 
-    def score(self, phi: Array, columns: Array, fixed: Array, outputs: Array) -> HorizonErrors | None:
+    def score(self, prior: Prior, fixed: Array, outputs: Array) -> HorizonErrors | None:
         """Charge one sample to the last T models; the errors of the oldest when its horizon is now complete.
 
-        :param phi: (D,) features. :param columns: (n, p). :param fixed: (n,) the part that no model learns.
+        :param prior: of the sample. :param fixed: (n,) the part that no model learns. :param outputs: (n,) measured.
         Call it before the sample is learnt, then :meth:`remember` afterwards.
         """
-        predicted = fixed + self._theta @ columns.T
-        if phi.size:
-            flat = self._weights.reshape(-1, phi.size).T
-            predicted += dgemv(1.0, flat, phi, trans=1).reshape(predicted.shape)
-        self._squared_error += (outputs - predicted) ** 2
-        self._outputs[self._next - 1 if self._filled else 0] = outputs
+        predicted = prior.regressed[-1] + self._theta @ prior.columns_left.T
+        predicted -= self._lacking @ (self._gains @ prior.phi)
+        self._squared_error += (outputs - fixed - predicted) ** 2
+        self._outputs[self._next] = outputs  # in place of the oldest sample, which no horizon holds any more
         return self._complete() if self._filled == self.length else None
 
-    def remember(self, stamp: int, model: SemiParametricRecursion) -> None:
-        """Keep the model as it stands after the sample of ``stamp`` [ns], in place of the oldest."""
+    def remember(self, stamp: int, theta: Array, correction: Correction | None) -> None:
+        """Keep the model as it stands after the sample of ``stamp`` [ns], in place of the oldest.
+
+        :param theta: (p,) its coefficients. :param correction: what learning the sample did, None if it did not.
+        """
         slot = self._next
-        if model.n_features:
-            model.weights(out=self._weights[slot])
-        self._theta[slot] = model.theta
+        self._gains[slot] = 0.0
+        if correction is not None:
+            self._gains[slot] = correction.gain
+            self._lacking[:, :, slot] = correction.innovations[-1] - self._theta @ correction.innovations[:-1]
+        self._lacking[slot] = 0.0
+        self._theta[slot] = theta
         self._squared_error[slot] = 0.0
         self._origins[slot] = stamp
         self._next = (slot + 1) % self.length
@@ -70,12 +86,11 @@ class HorizonIndex:
         self._filled = self._next = 0
 
     def _complete(self) -> HorizonErrors:
-        oldest = self._next
-        error, y = self._squared_error[oldest], self._outputs
-        power = np.sum(y**2, axis=0)
-        spread = np.sum((y - y.mean(axis=0)) ** 2, axis=0)
-        return HorizonErrors(int(self._origins[oldest]), error / np.maximum(power, TINY),
-                             error / np.maximum(spread, TINY))
+        error, y = self._squared_error[self._next], self._outputs
+        centred = y - y.sum(axis=0) / self.length
+        floor = LEAST_POWER * self.length
+        power, spread = (np.maximum(np.einsum('tk,tk->k', values, values), floor) for values in (y, centred))
+        return HorizonErrors(int(self._origins[self._next]), error / power, error / spread)
 
 
 def force_and_torque(eps: Array) -> tuple[float, float]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from semiparam_ros.core.columns import CoupledColumns, Effect, Memory
 from semiparam_ros.core.horizon import HorizonErrors, HorizonIndex
@@ -20,6 +21,7 @@ from semiparam_ros.core.variants import VARIANTS, Variant
 from semiparam_ros.core.window import LengthScales, Noise
 from semiparam_ros.errors import SemiparamError
 
+HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
 
 
@@ -53,6 +55,13 @@ class Prediction(NamedTuple):
     columns: Array
     fixed: Array
     memory: Memory
+
+
+class Remembered(NamedTuple):
+    """A sample of the initial window with its coupled columns (n, p), in N and N m, as they were at the time."""
+
+    sample: Sample
+    columns: Array
 
 
 class Model:
@@ -101,7 +110,7 @@ class Estimator:
         self.variant = variant_named(self.options.variant)
         self.columns = CoupledColumns(body, effects)
         self.body = body
-        self.window: list[Sample] = []
+        self.window: list[Remembered] = []
         self.input_scaling: tuple[Array, Array] | None = None
         self._origin: int | None = None
         self._memory: Memory = None
@@ -116,29 +125,36 @@ class Estimator:
         return prediction._replace(horizon=self.observe(prediction, learn))
 
     def predict(self, sample: Sample) -> Prediction:
-        """Predict the outputs at the sample's inputs; nothing changes. Unknown outputs may be NaN."""
+        """Predict the outputs at the sample's inputs; nothing changes. Unknown outputs may be NaN.
+
+        Raises SemiparamError when an input is not finite.
+        """
+        x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
+        require_finite('positions, velocities and accelerations', x)
         origin = sample.stamp if self._origin is None else self._origin
         columns, memory = self.columns.one(sample, origin, self._memory)
-        x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
         prior, learnt, fixed = self.model.predict(x, columns)
         scale = self.model.output_scale
-        mean, std = scale * (prior.mean + fixed), scale * np.sqrt(np.diag(prior.covariance))
+        mean, std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
         density = log_density(sample.outputs / scale - fixed - prior.mean, prior.covariance)
         return Prediction(mean, std, density - float(np.log(scale).sum()), self.ready, None, sample, prior, learnt,
                           fixed, memory)
 
     def observe(self, prediction: Prediction, learn: bool = True) -> HorizonErrors | None:
-        """Charge the sample of the latest prediction to the horizon index, and learn it; the horizon it completed."""
-        sample, scale = prediction.sample, self.model.output_scale
+        """Charge the sample of the latest prediction to the horizon index, and learn it; the horizon it completed.
+
+        Raises SemiparamError, with nothing changed, when the measured outputs are not finite.
+        """
+        sample, recursion = prediction.sample, self.model.recursion
+        require_finite('outputs', sample.outputs)
         self._origin = sample.stamp if self._origin is None else self._origin
         self._memory = prediction.memory
-        outputs = sample.outputs / scale
-        complete = self.horizon.score(prediction.prior.phi, prediction.columns, prediction.fixed, outputs)
-        if learn:
-            self.model.recursion.learn(prediction.prior, outputs - prediction.fixed)
-        self.horizon.remember(sample.stamp, self.model.recursion)
+        outputs = sample.outputs / self.model.output_scale
+        complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)
+        correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None
+        self.horizon.remember(sample.stamp, recursion.theta, correction)
         if learn and not self.ready:
-            self.window.append(sample)
+            self.window.append(Remembered(sample, prediction.columns))
             if len(self.window) >= self.options.initial_samples:
                 self.finish_window()
         return complete
@@ -148,8 +164,8 @@ class Estimator:
 
         Raises SemiparamError when the window holds too little to estimate from.
         """
-        samples = Samples.from_list(self.window)
-        columns, _ = self.columns.batch(samples)
+        samples = Samples.from_list(sample for sample, _ in self.window)
+        columns = np.array([columns for _, columns in self.window])
         scaling = input_scaling(samples.inputs)
         hyperparameters = self._estimate(samples, columns, scaling)
         self.input_scaling = scaling
@@ -222,8 +238,14 @@ def variant_named(name: str) -> Variant:
     return VARIANTS[name]
 
 
+def require_finite(what: str, values: Array) -> None:
+    """Raise SemiparamError when one of the values is NaN or infinite: the model must never take it in."""
+    if not np.isfinite(values).all():
+        raise SemiparamError(f'the {what} of a sample are {values.tolist()}; expected finite values.')
+
+
 def log_density(innovation: Array, covariance: Array) -> float:
     """Log of N(innovation; 0, covariance), for (n,) and (n, n) [nat]."""
-    lower = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(lower, innovation)
-    return float(-0.5 * white @ white - np.log(np.diag(lower)).sum() - 0.5 * len(white) * np.log(2.0 * np.pi))
+    lower, _ = dpotrf(covariance, lower=1)
+    white, _ = dtrtrs(lower, innovation, lower=1)
+    return float(-0.5 * white @ white - np.log(lower.diagonal()).sum() - len(white) * HALF_LOG_2PI)

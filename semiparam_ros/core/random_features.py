@@ -28,6 +28,7 @@ class RandomFeatures:
         self.input_scale = np.asarray(input_scale, dtype=float)
         self.omega = spectrum(n_inputs, count, seed)
         self.tau = tuple(float(value) for value in tau)
+        self._check(n_inputs)
         divisor = self.input_scale * spread(self.tau, n_inputs)
         self._omega = np.asfortranarray(self.omega / divisor)
         self._phase = self._omega @ self.input_mean
@@ -48,6 +49,16 @@ class RandomFeatures:
         """(N, D) features of inputs (N, m)."""
         z = x @ self._omega.T - self._phase
         return np.asarray(np.hstack([np.cos(z), np.sin(z)]) * self._norm)
+
+    def _check(self, n_inputs: int) -> None:
+        if not len(self.input_mean) == len(self.input_scale) == n_inputs:
+            raise SemiparamError(f'the scaling of the inputs holds {len(self.input_mean)} means and '
+                                 f'{len(self.input_scale)} scales; expected one of each for {n_inputs} inputs.')
+        for name, values in (('length scales', np.array(self.tau)), ('input scale', self.input_scale)):
+            if not (np.isfinite(values).all() and (values > 0.0).all()):
+                raise SemiparamError(f'the {name} of the features are {values.tolist()}; expected positive numbers.')
+        if not np.isfinite(self.input_mean).all():
+            raise SemiparamError(f'the input mean of the features is {self.input_mean.tolist()}; expected numbers.')
 
 
 def spectrum(n_inputs: int, count: int, seed: int) -> Array:

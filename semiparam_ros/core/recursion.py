@@ -1,14 +1,17 @@
 """Recursive regularised least squares for y = C theta + (phi' (x) I_n) alpha + e, exact and with square roots.
 
 Every output shares the features, so the estimate needs one D x D root and one p x p root, not a (p + D n)^2 one. The
-features regress the outputs and the coupled columns together; what they cannot explain of the columns carries theta:
+features regress the outputs and the coupled columns together; what they cannot explain of the columns carries theta
+(docs/mathematics.md derives it):
 
     Theta : D x (1 + p) n     coefficients of [y | C] on phi
-    S     : D x D             P = S S', covariance of each column of Theta over sigma^2-free noise
+    S     : D x D             P = S S', covariance of the feature weights given theta
     f = S' phi,  s = sigma^2 + f'f,  E = [y | C] - phi' Theta
-    Theta += (S f / s) E',   S -= S f f' / (s + sigma sqrt(s))           (Potter 1963)
+    Theta += g E' with g = S f / s,   S -= S f f' / (s + sigma sqrt(s))           (Potter 1963)
     R     : (p + 1) square    R'R = prior + sum [E_C | E_y]'[E_C | E_y] / s   (triangular; updated by QR)
     theta = R_CC^-1 R_Cy,     alpha = Theta_y - Theta_C theta
+
+In memory y comes last, after the p columns of C: the order in which the triangular root takes its rows.
 """
 
 from __future__ import annotations
@@ -20,8 +23,10 @@ from scipy.linalg.blas import dgemv, dger
 from scipy.linalg.lapack import dtpqrt, dtrtrs
 
 from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
 
 RENORMALISE_ABOVE = 1e3
+QR_BLOCK = 8
 
 
 class Prior(NamedTuple):
@@ -32,8 +37,15 @@ class Prior(NamedTuple):
     phi: Array  # (D,)
     f: Array  # (D,) S' phi
     s: float  # sigma^2 + f'f
-    regressed: Array  # (1 + p, n) phi' Theta
+    regressed: Array  # (p + 1, n) phi' Theta, y last
     columns_left: Array  # (n, p) E_C, what the features leave of the coupled columns
+
+
+class Correction(NamedTuple):
+    """What learning one sample did to Theta: it added g E'."""
+
+    gain: Array  # (D,) g
+    innovations: Array  # (p + 1, n) E', y last
 
 
 class SemiParametricRecursion:
@@ -45,49 +57,54 @@ class SemiParametricRecursion:
     :param sigma: standard deviation of the noise of every output (scale outputs beforehand when they differ).
     :param prior_mean: (p,) mean of theta, zero unless given.
     :param forgetting: weight of the past after each sample, in (0, 1]; 1 never forgets.
+    :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting outside (0, 1].
     """
 
     def __init__(self, n_outputs: int, n_features: int, prior_std: Array, rho: float, sigma: float,
                  prior_mean: Array | None = None, forgetting: float = 1.0) -> None:
         self.n_outputs, self.n_features, self.n_columns = n_outputs, n_features, len(prior_std)
-        self.sigma, self.forgetting = float(sigma), float(forgetting)
+        self.sigma, self.rho, self.forgetting = float(sigma), float(rho), float(forgetting)
+        self._prior_std = np.array(prior_std, dtype=float)
+        self._check()
         self.theta = np.zeros(self.n_columns) if prior_mean is None else np.array(prior_mean, dtype=float)
         self._root = np.asfortranarray(rho * np.eye(n_features))
-        self._inflation = 1.0  # S is stored as S / inflation, so that forgetting costs nothing
-        self._coefficients = np.zeros((1 + self.n_columns, n_outputs, n_features))
+        self._inflation = 1.0  # S is stored as S / inflation, so that forgetting costs no pass over it
+        self._renewed = 0
+        self._coefficients = np.zeros((self.n_columns + 1, n_outputs, n_features))
         self._information = np.zeros((self.n_columns + 1, self.n_columns + 1), order='F')
         diagonal = np.arange(self.n_columns)
-        self._information[diagonal, diagonal] = 1.0 / np.asarray(prior_std)
-        self._information[:-1, -1] = self.theta / np.asarray(prior_std)
+        self._information[diagonal, diagonal] = 1.0 / self._prior_std
+        self._information[:-1, -1] = self.theta / self._prior_std
+        self._identity = np.eye(n_outputs)
 
     def predict(self, phi: Array, columns: Array) -> Prior:
         """Mean and covariance of the outputs at features (D,) and coupled columns (n, p)."""
         f, s, regressed = self._project(phi)
-        left = columns - regressed[1:].T
-        mean = regressed[0] + left @ self.theta
-        covariance = s * np.eye(self.n_outputs)
+        left = columns - regressed[:-1].T
+        mean = regressed[-1] + left @ self.theta
+        covariance = s * self._identity
         if self.n_columns:
             half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
             covariance += half.T @ half
         return Prior(mean, covariance, phi, f, s, regressed, left)
 
-    def learn(self, prior: Prior, outputs: Array) -> None:
+    def learn(self, prior: Prior, outputs: Array) -> Correction:
         """Learn the outputs (n,) of the sample that ``prior`` was computed for, by this model as it stands."""
-        innovations = np.vstack([outputs - prior.regressed[0], prior.columns_left.T])
-        if self.n_features:
-            self._update_features(prior, innovations)
+        innovations = np.empty((self.n_columns + 1, self.n_outputs))
+        innovations[:-1] = prior.columns_left.T
+        innovations[-1] = outputs - prior.regressed[-1]
+        gain = self._update_features(prior, innovations) if self.n_features else prior.phi
         if self.n_columns:
-            self._update_information(innovations / np.sqrt(prior.s))
+            self._update_information((innovations / np.sqrt(prior.s)).T)
+            self.theta, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
         if self.forgetting < 1.0:
             self._forget()
+        return Correction(gain, innovations)
 
-    def weights(self, out: Array | None = None) -> Array:
-        """(n, D) feature weights alpha' of each output, written into ``out`` when given."""
-        flat = self._coefficients.reshape(1 + self.n_columns, -1)
-        signs = np.concatenate([[1.0], -self.theta])
-        target = np.empty((self.n_outputs, self.n_features)) if out is None else out
-        np.dot(signs, flat, out=target.reshape(-1))
-        return target
+    def weights(self) -> Array:
+        """(n, D) feature weights alpha' of each output."""
+        flat = self._coefficients.reshape(self.n_columns + 1, -1)
+        return np.asarray(np.append(-self.theta, 1.0) @ flat).reshape(self.n_outputs, self.n_features)
 
     def theta_covariance(self) -> Array:
         """(p, p) covariance of theta given the features' prior and all samples learnt."""
@@ -97,41 +114,82 @@ class SemiParametricRecursion:
     def state(self) -> dict[str, Array]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
         return {'root': self._root.copy(order='F'), 'inflation': np.array(self._inflation),
-                'coefficients': self._coefficients.copy(), 'information': self._information.copy(order='F'),
-                'theta': self.theta.copy()}
+                'renewed': np.array(self._renewed), 'coefficients': self._coefficients.copy(),
+                'information': self._information.copy(order='F'), 'theta': self.theta.copy()}
 
     def restore(self, state: dict[str, Array]) -> None:
-        """Return to a saved :meth:`state` of a recursion of the same sizes."""
-        self._root = np.array(state['root'], order='F')
-        self._inflation = float(state['inflation'])
-        self._coefficients = np.array(state['coefficients'], order='C')
-        self._information = np.array(state['information'], order='F')
-        self.theta = np.array(state['theta'])
+        """Return to a saved :meth:`state`. Raises SemiparamError when it is that of other sizes or not finite."""
+        for name, mine in self.state().items():
+            given = np.asarray(state.get(name, np.nan))
+            if given.shape != mine.shape or not np.isfinite(given).all():
+                raise SemiparamError(f"the saved '{name}' has shape {given.shape}; expected finite values of shape "
+                                     f'{mine.shape} for {self.n_outputs} outputs, {self.n_features} features and '
+                                     f'{self.n_columns} columns.')
+        self._root = np.array(state['root'], dtype=float, order='F')
+        self._inflation, self._renewed = float(state['inflation']), int(state['renewed'])
+        self._coefficients = np.array(state['coefficients'], dtype=float, order='C')
+        self._information = np.array(state['information'], dtype=float, order='F')
+        self.theta = np.array(state['theta'], dtype=float)
+
+    def _check(self) -> None:
+        deviations = [self.sigma, *self._prior_std, *([self.rho] if self.n_features else [])]
+        if not all(np.isfinite(value) and value > 0.0 for value in deviations):
+            raise SemiparamError(f'the model has standard deviations sigma {self.sigma}, rho {self.rho} and for theta '
+                                 f'{self._prior_std.tolist()}; expected positive finite ones.')
+        if not 0.0 < self.forgetting <= 1.0:
+            raise SemiparamError(f'forgetting is {self.forgetting}; expected a value above 0 and at most 1.')
 
     def _project(self, phi: Array) -> tuple[Array, float, Array]:
+        """f, s and phi' Theta."""
         if not self.n_features:
-            return phi, self.sigma**2, np.zeros((1 + self.n_columns, self.n_outputs))
+            return phi, self.sigma**2, np.zeros((self.n_columns + 1, self.n_outputs))
         f = dgemv(self._inflation, self._root, phi, trans=1)
         regressed = dgemv(1.0, self._coefficients.reshape(-1, self.n_features).T, phi, trans=1)
-        return f, self.sigma**2 + float(f @ f), regressed.reshape(1 + self.n_columns, self.n_outputs)
+        return f, self.sigma**2 + float(f @ f), regressed.reshape(self.n_columns + 1, self.n_outputs)
 
-    def _update_features(self, prior: Prior, innovations: Array) -> None:
-        f, s = prior.f, prior.s
+    def _update_features(self, prior: Prior, innovations: Array) -> Array:
+        gain = self._shrink_root(prior.f, prior.s, self.sigma)
+        dger(1.0, gain, innovations.ravel(), a=self._coefficients.reshape(-1, self.n_features).T, overwrite_a=1)
+        return gain
+
+    def _shrink_root(self, f: Array, s: float, sigma: float) -> Array:
+        """Potter's update of S for one observation with noise sigma; returns its gain S f / s (of the old S)."""
         gain = dgemv(self._inflation / s, self._root, f)
-        flat = self._coefficients.reshape(-1, self.n_features).T
-        dger(1.0, gain, innovations.ravel(), a=flat, overwrite_a=1)
-        shrink = s / (self._inflation * (s + self.sigma * np.sqrt(s)))
+        shrink = s / (self._inflation * (s + sigma * np.sqrt(s)))
         self._root = dger(-shrink, gain, f, a=self._root, overwrite_a=1)
+        return np.asarray(gain)
 
-    def _update_information(self, innovations: Array) -> None:
-        rows = np.asfortranarray(np.vstack([innovations[1:], innovations[:1]]).T)
-        size = self.n_columns + 1
-        self._information, _, _, _ = dtpqrt(0, min(size, 8), self._information, rows, overwrite_a=1, overwrite_b=1)
-        self.theta, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
+    def _update_information(self, rows: Array) -> None:
+        """R with further rows (k, p + 1) below it, triangular again."""
+        block = min(self.n_columns + 1, QR_BLOCK)
+        self._information, _, _, _ = dtpqrt(0, block, self._information, rows, overwrite_a=1, overwrite_b=1)
 
     def _forget(self) -> None:
-        self._inflation /= np.sqrt(self.forgetting)
-        self._information *= np.sqrt(self.forgetting)
+        """Weigh the past less, and renew the prior of one feature weight and one coefficient in turn.
+
+        What the motion no longer excites would otherwise lose all information, the prior's included: its variance
+        would grow without bound while the robot stands still, and the model would burst when it moves again. Each
+        renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves.
+        """
+        root = np.sqrt(self.forgetting)
+        self._inflation /= root
+        self._information *= root
         if self._inflation > RENORMALISE_ABOVE:
             self._root *= self._inflation
             self._inflation = 1.0
+        if self.n_features:
+            self._renew_weight(self._renewed % self.n_features)
+        if self.n_columns:
+            self._renew_coefficient(self._renewed % self.n_columns)
+        self._renewed += 1
+
+    def _renew_weight(self, index: int) -> None:
+        variance = self.rho**2 / (1.0 - self.forgetting**self.n_features)
+        f = self._inflation * self._root[index]
+        self._shrink_root(f, variance + float(f @ f), np.sqrt(variance))
+
+    def _renew_coefficient(self, index: int) -> None:
+        row = np.zeros((1, self.n_columns + 1), order='F')
+        weight = np.sqrt(1.0 - self.forgetting**self.n_columns) / self._prior_std[index]
+        row[0, index], row[0, -1] = weight, weight * self.theta[index]
+        self._update_information(row)

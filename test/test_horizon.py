@@ -1,0 +1,117 @@
+"""The horizon index against a brute force that keeps a copy of each of the last T models."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.horizon import HorizonIndex, force_and_torque
+from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.errors import SemiparamError
+
+N, D, P = 6, 12, 5
+
+
+def problem(count, d=D, p=P, seed=0):
+    rng = np.random.default_rng(seed)
+    phi, columns = rng.normal(size=(count, d)) / np.sqrt(max(d, 1)), rng.normal(size=(count, N, p))
+    fixed = rng.normal(size=(count, N))
+    outputs = fixed + columns @ rng.normal(size=p) + phi @ rng.normal(size=(d, N)) + 0.1 * rng.normal(size=(count, N))
+    return phi, columns, fixed, outputs + np.arange(N)  # an offset, which the centred form must not see
+
+
+def recursion(d=D, p=P, forgetting=1.0):
+    return SemiParametricRecursion(N, d, np.ones(p), 1.0, 0.1, forgetting=forgetting)
+
+
+def running(length, model, rows, learn=lambda index: True):
+    index = HorizonIndex(length, N, model.n_features, model.n_columns)
+    found = []
+    for t, (phi, columns, fixed, outputs) in enumerate(zip(*rows, strict=True)):
+        prior = model.predict(phi, columns)
+        found.append(index.score(prior, fixed, outputs))
+        correction = model.learn(prior, outputs - fixed) if learn(t) else None
+        index.remember(1000 + t, model.theta, correction)
+    return found
+
+
+def brute_force(length, model, rows, learn=lambda index: True):
+    phi, columns, fixed, outputs = rows
+    models = []
+    for t in range(len(phi)):
+        if learn(t):
+            model.learn(model.predict(phi[t], columns[t]), outputs[t] - fixed[t])
+        models.append(copy.deepcopy(model))
+    found = [None] * min(length, len(phi))
+    for t in range(len(phi) - length):
+        future = slice(t + 1, t + 1 + length)
+        predicted = [models[t].predict(*row).mean for row in zip(phi[future], columns[future], strict=True)]
+        error = np.sum((outputs[future] - fixed[future] - predicted) ** 2, axis=0)
+        y = outputs[future]
+        spread = np.sum((y - y.mean(axis=0)) ** 2, axis=0)
+        found.append((1000 + t, error / np.sum(y**2, axis=0), error / np.maximum(spread, 1e-18 * length)))
+    return found
+
+
+def assert_same(found, expected):
+    assert [each is None for each in found] == [each is None for each in expected]
+    for ours, (origin, eps, centred) in zip(filter(None, found), filter(None, expected), strict=True):
+        assert ours.origin == origin
+        np.testing.assert_allclose(ours.eps, eps, rtol=1e-9)
+        np.testing.assert_allclose(ours.eps_centred, centred, rtol=1e-9)
+
+
+@pytest.mark.parametrize(('d', 'p'), [(D, P), (0, P), (D, 0)])
+@pytest.mark.parametrize('length', [1, 2, 25])
+def test_it_equals_the_brute_force(length, d, p):
+    rows = problem(80, d, p)
+    assert_same(running(length, recursion(d, p), rows), brute_force(length, recursion(d, p), rows))
+
+
+def test_it_equals_the_brute_force_while_forgetting_and_with_pauses_in_learning():
+    rows = problem(120)
+    learn = lambda t: t % 7 != 3 and not 40 < t < 75  # noqa: E731
+    assert_same(running(25, recursion(forgetting=0.97), rows, learn),
+                brute_force(25, recursion(forgetting=0.97), rows, learn))
+
+
+@pytest.mark.parametrize('moment', [3, 24, 25, 26, 40])
+def test_after_clear_a_horizon_starts_afresh(moment):
+    rows = problem(120)
+    model = recursion()
+    index = HorizonIndex(25, N, D, P)
+    found = []
+    for t, (phi, columns, fixed, outputs) in enumerate(zip(*rows, strict=True)):
+        if t == moment:
+            index.clear()
+        prior = model.predict(phi, columns)
+        found.append(index.score(prior, fixed, outputs))
+        correction = model.learn(prior, outputs - fixed)
+        index.remember(1000 + t, model.theta, correction)
+    expected = brute_force(25, recursion(), rows)
+    for t in range(120):
+        whole = t >= 25 and not t - 25 < moment <= t
+        assert (found[t] is None) == (not whole)
+        if whole:
+            assert_same([found[t]], [expected[t]])
+
+
+def test_a_perfect_model_has_no_error_and_a_constant_output_a_finite_one():
+    model = SemiParametricRecursion(1, 0, np.array([1.0]), 1.0, 0.1, prior_mean=np.array([2.0]))
+    index = HorizonIndex(3, 1, 0, 1)
+    for t in range(6):
+        prior = model.predict(np.zeros(0), np.ones((1, 1)))
+        errors = index.score(prior, np.zeros(1), np.array([2.0 if t < 4 else 0.0]))
+        index.remember(t, model.theta, None)
+    assert errors is not None
+    assert np.isfinite([errors.eps, errors.eps_centred]).all()
+    assert index.score(model.predict(np.zeros(0), np.ones((1, 1))), np.zeros(1), np.zeros(1)).eps[0] > 1e6
+
+
+def test_force_and_torque_are_means_of_three_channels():
+    assert force_and_torque(np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])) == pytest.approx((2.0, 0.2))
+
+
+def test_an_empty_horizon_is_refused():
+    with pytest.raises(SemiparamError, match=r'horizon\.length is 0'):
+        HorizonIndex(0, 6, 10, 5)

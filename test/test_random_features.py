@@ -1,0 +1,76 @@
+"""Random Fourier features: the kernel they approximate, their seeds and their scales."""
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum, spread
+from semiparam_ros.errors import SemiparamError
+
+M = 6
+X = np.random.default_rng(0).normal(size=(30, M))
+
+
+def features(count=400, seed=0, tau=(2.0,), mean=np.zeros(M), scale=np.ones(M)):
+    return RandomFeatures(M, count, seed, tau, mean, scale)
+
+
+def gaussian_kernel(x, tau):
+    distance = (x[:, None] - x) / tau
+    return np.exp(-0.5 * np.sum(distance**2, axis=2))
+
+
+@pytest.mark.parametrize('tau', [(2.0,), (1.0, 2.0, 4.0), (1.0, 1.5, 2.0, 2.5, 3.0, 9.0)])
+def test_inner_products_tend_to_the_gaussian_kernel(tau):
+    expected = gaussian_kernel(X, spread(tau, M))
+    worst = []
+    for count in (200, 20_000):
+        phi = features(count, tau=tau).batch(X)
+        worst.append(np.abs(phi @ phi.T - expected).max())
+    assert worst[1] < 5 / np.sqrt(20_000) < worst[0]  # five standard deviations of the mean of 10 000 cosines
+
+
+def test_the_features_of_one_input_have_norm_one():
+    np.testing.assert_allclose(np.sum(features(10).batch(X) ** 2, axis=1), 1.0, rtol=1e-14)
+
+
+def test_batch_equals_one_by_one():
+    phi = features(mean=X.mean(axis=0), scale=X.std(axis=0))
+    np.testing.assert_allclose(phi.batch(X), [phi(x) for x in X], rtol=0, atol=1e-13)
+
+
+def test_inputs_are_scaled_by_mean_and_deviation():
+    mean, scale = np.arange(M, dtype=float), np.linspace(0.1, 3, M)
+    np.testing.assert_allclose(features(mean=mean, scale=scale).batch(X * scale + mean), features().batch(X),
+                               atol=1e-12)
+
+
+def test_a_seed_gives_the_same_features_and_another_seed_others():
+    np.testing.assert_array_equal(features(seed=3)(X[0]), features(seed=3)(X[0]))
+    assert not np.allclose(features(seed=3)(X[0]), features(seed=4)(X[0]))
+    assert spectrum(M, 20, 3).shape == (10, M)
+
+
+def test_one_length_scale_for_each_kind_covers_that_kinds_joints():
+    np.testing.assert_array_equal(spread((1.0, 3.0, 6.0), M), [1, 1, 3, 3, 6, 6])
+
+
+@pytest.mark.parametrize(('options', 'sentence'), [
+    ({'count': 7}, r'features\.count is 7'), ({'count': 0}, r'features\.count is 0'),
+    ({'tau': (1.0, 2.0)}, '2 length scales for 6 inputs'), ({'tau': (0.0,)}, 'length scales'),
+    ({'tau': (np.nan,)}, 'length scales'), ({'scale': np.zeros(M)}, 'scale'),
+    ({'mean': np.full(M, np.nan)}, 'mean'), ({'scale': np.ones(M - 1)}, '6 inputs')])
+def test_impossible_features_are_refused(options, sentence):
+    with pytest.raises(SemiparamError, match=sentence):
+        features(**options)
+
+
+def test_scaling_of_a_window():
+    mean, scale = input_scaling(X * 5 + 2)
+    np.testing.assert_allclose(mean, (X * 5 + 2).mean(axis=0))
+    np.testing.assert_allclose(scale, 5 * X.std(axis=0))
+
+
+def test_an_input_that_stands_still_keeps_its_unit():
+    still = X.copy()
+    still[:, 1] = 0.7
+    assert input_scaling(still)[1][1] == 1.0

@@ -1,0 +1,258 @@
+"""The recursion against the dense textbook form on all p + D n unknowns, and against the batch solution."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.errors import SemiparamError
+
+SAME = {'rtol': 1e-8, 'atol': 1e-8}
+
+
+class Dense:
+    """Textbook recursive least squares in covariance form on u = [theta, alpha of output 1, alpha of output 2, ...]."""
+
+    def __init__(self, n, d, prior_std, rho, sigma, prior_mean, forgetting):
+        self.n, self.d, self.p = n, d, len(prior_std)
+        self.noise, self.forgetting = sigma**2 * np.eye(n), forgetting
+        self.mean = np.concatenate([prior_mean, np.zeros(n * d)])
+        self.covariance = np.diag(np.concatenate([np.square(prior_std), np.full(n * d, rho**2)]))
+        self.prior_variance = np.diag(self.covariance).copy()
+        self.renewed = 0
+
+    def rows(self, phi, columns):
+        return np.hstack([columns, np.kron(np.eye(self.n), phi)])
+
+    def predict(self, phi, columns):
+        rows = self.rows(phi, columns)
+        return rows @ self.mean, rows @ self.covariance @ rows.T + self.noise
+
+    def learn(self, phi, columns, outputs):
+        rows = self.rows(phi, columns)
+        mean, innovation_covariance = self.predict(phi, columns)
+        gain = np.linalg.solve(innovation_covariance, rows @ self.covariance).T
+        self.mean = self.mean + gain @ (outputs - mean)
+        self.covariance = self.covariance - gain @ rows @ self.covariance
+        if self.forgetting < 1.0:
+            self.covariance = self.covariance / self.forgetting
+            self.renew()
+        self.covariance = 0.5 * (self.covariance + self.covariance.T)
+
+    def renew(self):
+        """What the recursion says of its renewals: a weight given theta, and a coefficient, stay what they are."""
+        if self.d:
+            index = self.renewed % self.d
+            covariance = self.covariance
+            to_theta = np.linalg.solve(covariance[:self.p, :self.p], covariance[:self.p, self.p:]).T
+            rows = np.array([np.eye(self.n * self.d)[k * self.d + index] for k in range(self.n)])
+            self.observe(np.hstack([-rows @ to_theta, rows]), self.prior_variance[-1] / (1 - self.forgetting**self.d))
+        if self.p:
+            index = self.renewed % self.p
+            self.observe(np.eye(self.p + self.n * self.d)[[index]],
+                         self.prior_variance[index] / (1 - self.forgetting**self.p))
+        self.renewed += 1
+
+    def observe(self, rows, variance):
+        gain = np.linalg.solve(rows @ self.covariance @ rows.T + variance * np.eye(len(rows)), rows @ self.covariance)
+        self.covariance = self.covariance - self.covariance @ rows.T @ gain
+
+
+def batch(phi, columns, outputs, prior_std, rho, sigma, prior_mean, forgetting=1.0):
+    """Mean of u by one least-squares problem: weighted data rows, then the prior's rows."""
+    count, n = outputs.shape
+    age = np.arange(count)[::-1]
+    weight = forgetting ** (0.5 * age) / sigma
+    rows = np.concatenate([columns, np.einsum('ij,td->tijd', np.eye(n), phi).reshape(count, n, -1)], axis=2)
+    deviation = np.concatenate([prior_std, np.full(n * phi.shape[1], rho)])
+    stacked = np.vstack([(weight[:, None, None] * rows).reshape(count * n, -1), np.diag(1 / deviation)])
+    right = np.concatenate([(weight[:, None] * outputs).ravel(), prior_mean / prior_std,
+                            np.zeros(n * phi.shape[1])])
+    return np.linalg.lstsq(stacked, right, rcond=None)[0]
+
+
+def problem(seed, count, n, d, p):
+    rng = np.random.default_rng(seed)
+    phi, columns = rng.normal(size=(count, d)) / np.sqrt(max(d, 1)), rng.normal(size=(count, n, p))
+    outputs = columns @ rng.normal(size=p) + phi @ rng.normal(size=(d, n)) + 0.1 * rng.normal(size=(count, n))
+    return phi, columns, outputs
+
+
+def run(recursion, phi, columns, outputs):
+    for row in zip(phi, columns, outputs, strict=True):
+        recursion.learn(recursion.predict(*row[:2]), row[2])
+    return recursion
+
+
+def unknowns(recursion):
+    return np.concatenate([recursion.theta, recursion.weights().ravel()])
+
+
+sizes = st.fixed_dictionaries({
+    'n': st.integers(1, 4), 'd': st.sampled_from([0, 1, 2, 7]), 'p': st.sampled_from([0, 1, 3, 5]),
+    'seed': st.integers(0, 10_000), 'rho': st.floats(0.01, 10), 'sigma': st.floats(0.03, 3),
+    'gamma': st.floats(0.01, 100), 'forgetting': st.sampled_from([1.0, 0.999, 0.95]), 'centred': st.booleans()})
+
+
+@given(sizes)
+@settings(max_examples=60)
+def test_it_equals_the_dense_recursion(case):
+    n, d, p = case['n'], case['d'], case['p']
+    phi, columns, outputs = problem(case['seed'], 30, n, d, p)
+    std = case['gamma'] * np.linspace(0.5, 2, p)
+    mean = np.linspace(-1, 1, p) * case['centred']
+    ours = SemiParametricRecursion(n, d, std, case['rho'], case['sigma'], mean, case['forgetting'])
+    dense = Dense(n, d, std, case['rho'], case['sigma'], mean, case['forgetting'])
+    for row in zip(phi, columns, outputs, strict=True):
+        prior = ours.predict(*row[:2])
+        expected_mean, expected_covariance = dense.predict(*row[:2])
+        np.testing.assert_allclose(prior.mean, expected_mean, **SAME)
+        np.testing.assert_allclose(prior.covariance, expected_covariance, **SAME)
+        ours.learn(prior, row[2])
+        dense.learn(*row)
+    np.testing.assert_allclose(unknowns(ours), dense.mean, **SAME)
+    np.testing.assert_allclose(ours.theta_covariance(), dense.covariance[:p, :p], **SAME)
+
+
+@given(sizes)
+@settings(max_examples=60)
+def test_it_equals_the_batch_solution(case):
+    n, d, p = case['n'], case['d'], case['p']
+    phi, columns, outputs = problem(case['seed'], 40, n, d, p)
+    std, mean = case['gamma'] * np.linspace(0.5, 2, p), np.linspace(-1, 1, p) * case['centred']
+    ours = run(SemiParametricRecursion(n, d, std, case['rho'], case['sigma'], mean), phi, columns, outputs)
+    expected = batch(phi, columns, outputs, std, case['rho'], case['sigma'], mean)
+    np.testing.assert_allclose(unknowns(ours), expected, **SAME)
+
+
+def test_forgetting_weighs_the_past_as_the_batch_solution_does():
+    phi, columns, outputs = problem(3, 400, 3, 6, 4)
+    wide = 1e4  # so that the prior, which the recursion renews and the batch solution forgets, does not matter
+    ours = run(SemiParametricRecursion(3, 6, np.full(4, wide), wide, 0.1, forgetting=0.98), phi, columns, outputs)
+    expected = batch(phi, columns, outputs, np.full(4, wide), wide, 0.1, np.zeros(4), forgetting=0.98)
+    np.testing.assert_allclose(unknowns(ours), expected, rtol=0, atol=1e-7)
+
+
+def test_it_follows_a_change_when_it_forgets():
+    phi, columns, outputs = problem(1, 2000, 2, 8, 3)
+    changed_phi, changed_columns, changed = problem(2, 2000, 2, 8, 3)  # other coefficients
+    errors = {}
+    for forgetting in (1.0, 0.99):
+        model = run(SemiParametricRecursion(2, 8, np.ones(3), 1.0, 0.1, forgetting=forgetting), phi, columns, outputs)
+        run(model, changed_phi, changed_columns, changed)
+        predicted = [model.predict(*row).mean for row in zip(changed_phi[-200:], changed_columns[-200:], strict=True)]
+        errors[forgetting] = np.sqrt(np.mean((changed[-200:] - predicted) ** 2))
+    assert errors[0.99] < 0.12 < 3 * errors[0.99] < errors[1.0]
+
+
+@pytest.mark.parametrize('forgetting', [0.999, 0.98])
+def test_standing_still_while_forgetting_does_not_wind_up(forgetting):
+    """Without renewal, 40 s at 1 kHz left errors of hundreds of newtons, and at 0.98 NaN."""
+    phi, columns, outputs = problem(5, 2000, 3, 12, 4)
+    model = run(SemiParametricRecursion(3, 12, np.ones(4), 1.0, 0.1, forgetting=forgetting), phi[:1000],
+                columns[:1000], outputs[:1000])
+    for _ in range(40_000):
+        model.learn(model.predict(phi[1000], columns[1000]), outputs[1000])
+    worst_std = np.sqrt(max(np.diag(model.predict(*row).covariance).max() for row in zip(phi, columns, strict=True)))
+    widest = SemiParametricRecursion(3, 12, np.ones(4), 1.0, 0.1)
+    assert worst_std < 1.5 * np.sqrt(max(np.diag(widest.predict(*row).covariance).max()
+                                         for row in zip(phi, columns, strict=True)))
+    errors = []
+    for row in zip(phi[1001:], columns[1001:], outputs[1001:], strict=True):
+        prior = model.predict(*row[:2])
+        errors.append(row[2] - prior.mean)
+        model.learn(prior, row[2])
+    assert np.abs(errors).max() < 10.0
+    assert np.sqrt(np.mean(np.square(errors[-500:]))) < 0.13
+
+
+def test_sp_is_the_limit_of_spk_as_gamma_grows():
+    """SP profiles theta out by generalised least squares; SPK with gamma going to infinity says the same."""
+    phi, columns, outputs = problem(7, 120, 3, 10, 4)
+    rho, sigma = 0.7, 0.2
+    noise = rho**2 * phi @ phi.T + sigma**2 * np.eye(len(phi))
+    rows = columns.transpose(1, 0, 2).reshape(-1, 4)
+    whiten = np.linalg.inv(np.kron(np.eye(3), np.linalg.cholesky(noise)))
+    theta = np.linalg.lstsq(whiten @ rows, whiten @ outputs.T.ravel(), rcond=None)[0]
+    sp = run(SemiParametricRecursion(3, 10, np.zeros(0), rho, sigma), phi, columns[:, :, :0], outputs - columns @ theta)
+    distances = []
+    for gamma in (1e0, 1e1, 1e2, 1e3):
+        spk = run(SemiParametricRecursion(3, 10, np.full(4, gamma), rho, sigma), phi, columns, outputs)
+        distances.append(max(np.abs(spk.theta - theta).max(), np.abs(spk.weights() - sp.weights()).max()))
+    ratios = np.array(distances[:-1]) / distances[1:]
+    np.testing.assert_allclose(ratios, 100.0, rtol=0.1)  # as gamma^-2
+    assert distances[-1] < 1e-6
+
+
+@pytest.mark.slow
+def test_two_hundred_thousand_updates_at_a_regularisation_of_1e_minus_10():
+    count, n, d, p = 200_000, 2, 20, 4
+    rng = np.random.default_rng(0)
+    frequency, phase = rng.normal(size=(10, 3)), np.linspace(0, 300, count)[:, None] * [1.0, 1.37, 1.91]
+    angle = np.sin(phase) @ frequency.T
+    phi = np.hstack([np.cos(angle), np.sin(angle)]) / np.sqrt(10)
+    columns = np.stack([np.sin(phase @ rng.normal(size=(3, p))), np.cos(phase @ rng.normal(size=(3, p)))], axis=1)
+    outputs = np.sin(2 * phase[:, :2]) + 0.05 * rng.normal(size=(count, n))
+    rho, sigma = 1.0, 1e-5
+    ours = run(SemiParametricRecursion(n, d, np.full(p, 0.3), rho, sigma), phi, columns, outputs)
+    expected = batch(phi, columns, outputs, np.full(p, 0.3), rho, sigma, np.zeros(p))
+    np.testing.assert_allclose(unknowns(ours), expected, rtol=1e-6, atol=1e-6)
+
+
+def test_a_saved_state_continues_bit_for_bit():
+    phi, columns, outputs = problem(4, 80, 3, 6, 4)
+    one = SemiParametricRecursion(3, 6, np.ones(4), 1.0, 0.2, forgetting=0.97)
+    run(one, phi[:40], columns[:40], outputs[:40])
+    saved = {name: value.copy() for name, value in one.state().items()}
+    run(one, phi[40:], columns[40:], outputs[40:])
+    other = SemiParametricRecursion(3, 6, np.ones(4), 1.0, 0.2, forgetting=0.97)
+    other.restore(saved)
+    run(other, phi[40:], columns[40:], outputs[40:])
+    for name, value in one.state().items():
+        np.testing.assert_array_equal(value, other.state()[name])
+    np.testing.assert_array_equal(one.predict(phi[0], columns[0]).covariance,
+                                  other.predict(phi[0], columns[0]).covariance)
+
+
+@pytest.mark.parametrize('spoil', [
+    lambda state: state.pop('root'),
+    lambda state: state.update(root=np.eye(5)),
+    lambda state: state.update(theta=np.array([1.0, np.nan])),
+])
+def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(spoil):
+    model = SemiParametricRecursion(2, 4, np.ones(2), 1.0, 0.1)
+    before = model.state()
+    given = model.state()
+    spoil(given)
+    with pytest.raises(SemiparamError, match='saved'):
+        model.restore(given)
+    assert all(np.array_equal(before[name], value) for name, value in model.state().items())
+
+
+def test_a_state_does_not_share_memory_with_the_model():
+    phi, columns, outputs = problem(4, 10, 2, 4, 2)
+    model = SemiParametricRecursion(2, 4, np.ones(2), 1.0, 0.1)
+    state = model.state()
+    copies = {name: value.copy() for name, value in state.items()}
+    run(model, phi, columns, outputs)
+    model.restore(state)
+    run(model, phi, columns, outputs)
+    assert all(np.array_equal(copies[name], value) for name, value in state.items())
+
+
+def test_predicting_changes_nothing():
+    phi, columns, outputs = problem(4, 10, 2, 4, 2)
+    model = run(SemiParametricRecursion(2, 4, np.ones(2), 1.0, 0.1), phi, columns, outputs)
+    before = model.state()
+    model.predict(phi[0], columns[0])
+    assert all(np.array_equal(before[name], value) for name, value in model.state().items())
+
+
+@pytest.mark.parametrize(('options', 'sentence'), [
+    ({'sigma': 0.0}, 'sigma 0.0'), ({'rho': np.nan}, 'rho nan'), ({'prior_std': np.array([1.0, -1.0])}, 'theta'),
+    ({'forgetting': 0.0}, 'forgetting is 0.0'), ({'forgetting': 1.1}, 'forgetting is 1.1')])
+def test_impossible_deviations_are_refused(options, sentence):
+    with pytest.raises(SemiparamError, match=sentence):
+        SemiParametricRecursion(**({'n_outputs': 2, 'n_features': 4, 'prior_std': np.ones(2), 'rho': 1.0,
+                                    'sigma': 0.1} | options))
