@@ -43,7 +43,9 @@ def parse_profiles(text: str | Sequence[Any] | None) -> tuple[Qos, ...]:
         entries = yaml.safe_load(text) if isinstance(text, str) else text
     except yaml.YAMLError:
         entries = None
-    return tuple(_profile(entry) for entry in (entries or ()) if isinstance(entry, Mapping))
+    if not isinstance(entries, Sequence) or isinstance(entries, str):
+        return ()
+    return tuple(_profile(entry) for entry in entries if isinstance(entry, Mapping))
 
 
 def _profile(entry: Mapping[str, Any]) -> Qos:
