@@ -97,7 +97,7 @@ def _options(args: argparse.Namespace) -> ReplayOptions:
         answers = dict(map(options.parse_follow, args.follow or [options.DEFAULT_FOLLOW]))
         follow = options.FollowOptions(answers, args.window, args.answer_timeout)
     return options.ReplayOptions(
-        bags=tuple(args.bags), rate=args.rate or (None if args.as_fast_as_followed else 1.0), loop=args.loop,
+        bags=tuple(args.bags), rate=_rate(args), loop=args.loop,
         delay_s=args.delay, cut=Cut(args.start_offset, args.duration, args.until, args.until_stamp),
         selection=Selection(tuple(args.topics), args.regex, tuple(args.exclude), args.exclude_regex),
         remap=dict(map(options.parse_remap, args.remap)), order=args.order, restamp=args.restamp,
@@ -105,3 +105,10 @@ def _options(args: argparse.Namespace) -> ReplayOptions:
         keyboard=not args.disable_keyboard_controls, progress=not args.quiet,
         qos_overrides=args.qos_profile_overrides_path, wait_for_subscribers=args.wait_for_subscribers,
         wait_s=args.wait_timeout, wait_for_all_acked_s=args.wait_for_all_acked, follow=follow)
+
+
+def _rate(args: argparse.Namespace) -> float | None:
+    """None where only the follower sets the pace."""
+    if args.rate is None:
+        return None if args.as_fast_as_followed else 1.0
+    return float(args.rate)

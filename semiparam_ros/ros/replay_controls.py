@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -33,9 +34,16 @@ class ReplayControls:
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
         for name, value, description in self._table():
-            node.declare_parameter(name, value, ParameterDescriptor(description=description))
+            self._declare(name, value, description)
         for name, action in self._services().items():
             node.create_service(Trigger, f'~/{name}', partial(self._serve, action))
+
+    def _declare(self, name: str, value: Any, description: str) -> None:
+        """With the value from ``--ros-args -p`` where there is one; SemiparamError when that is refused."""
+        try:
+            self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
+        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+            raise SemiparamError(f"the parameter '{name}' is refused: {str(error).rstrip('. ')}.") from None
 
     def _table(self) -> tuple[tuple[str, Any, str], ...]:
         return (('rate', self._player.rate or 0.0,

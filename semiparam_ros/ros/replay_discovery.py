@@ -57,9 +57,14 @@ def subscribers(node: ReplayNode) -> list[Subscriber]:
 
 def owner(info: Any) -> str:
     """The full node name behind an endpoint; the participant's number for one that is not of ROS."""
-    if info.node_name == _UNKNOWN:
+    if not is_named(info):
         return 'participant ' + bytes(info.endpoint_gid[:_PARTICIPANT_BYTES]).hex()
     return f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+
+
+def is_named(info: Any) -> bool:
+    """Whether the node behind an endpoint is known by name."""
+    return bool(info.node_name != _UNKNOWN)
 
 
 class SubscriberCheck:

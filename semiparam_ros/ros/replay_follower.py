@@ -10,7 +10,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.replay_discovery import owner, wait_until
+from semiparam_ros.ros.replay_discovery import is_named, owner, wait_until
 from semiparam_ros.ros.replay_flow import FlowControl
 from semiparam_ros.ros.replay_node import ReplayNode
 from semiparam_ros.ros.replay_options import FollowOptions
@@ -19,6 +19,7 @@ from semiparam_ros.ros.replay_stamps import begins_with_header, read_stamp
 from semiparam_ros.ros.replay_types import message_class
 
 HANDSHAKE_S = 3.0
+NAME_S = 1.0
 
 
 class Follower:
@@ -54,7 +55,15 @@ class Follower:
         if not wait_until(lambda: self._node.count_publishers(self.answer_topic) > 0, wait_s, stopping):
             raise SemiparamError(f'nobody publishes {self.answer_topic} after {wait_s:g} s: expected the node that '
                                  'answers the playback (start it first, or name its topic with --follow).')
-        return self._node.get_publishers_info_by_topic(self.answer_topic)[0]
+        # The endpoint and the name of its node are announced separately; one that is not of ROS never has a name.
+        wait_until(lambda: is_named(self._answering()), NAME_S, stopping)
+        return self._answering()
+
+    def _answering(self) -> Any:
+        found = self._node.get_publishers_info_by_topic(self.answer_topic)
+        if not found:
+            raise SemiparamError(f'the node that publishes {self.answer_topic} left at once.')
+        return found[0]
 
     def _connect(self, wait_s: float, stopping: threading.Event) -> None:
         """Wait until each side has discovered the other's endpoints."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Collection, Mapping
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -12,6 +13,7 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from semiparam_ros.bags.qos import Qos
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.replay_player import Item
 from semiparam_ros.ros.replay_qos import to_rclpy
 from semiparam_ros.ros.replay_stamps import NANOSECONDS, begins_with_header, with_stamp
@@ -24,10 +26,11 @@ class ReplayNode(Node):
     """Publishes what the player hands to :meth:`publish`, and lets services and parameters steer the player."""
 
     def __init__(self, topics: Mapping[str, tuple[str, Qos]], *, restamp: bool = False,
-                 clock_before_each: bool = False) -> None:
+                 clock_before_each: bool = False, blocked_s: float = 1.0) -> None:
         """:param topics: topic -> (type, what to offer)
         :param restamp: replace header stamps by the present time
         :param clock_before_each: publish the bag time on /clock before every message
+        :param blocked_s: how long a subscriber that takes nothing may hold up the playback [s]
         """
         super().__init__(NAME)
         self.offers = {topic: qos for topic, (_, qos) in topics.items()}
@@ -38,6 +41,8 @@ class ReplayNode(Node):
         self.counts = dict.fromkeys(topics, 0)
         self._restamped = {topic for topic in topics if restamp and begins_with_header(self.types[topic])}
         self._clock_before_each = clock_before_each
+        self._blocked_s = blocked_s
+        self.interrupted: Callable[[], bool] = lambda: False
         self._clock_output: Publisher | None = None
         if clock_before_each:
             self._clock_output = self.create_publisher(ClockMessage, '/clock', 10)
@@ -49,8 +54,22 @@ class ReplayNode(Node):
         raw = item.raw
         if item.topic in self._restamped:
             raw = with_stamp(raw, self.get_clock().now().nanoseconds)
-        self.outputs[item.topic].publish(raw)
-        self.counts[item.topic] += 1
+        if self._send(item.topic, raw):
+            self.counts[item.topic] += 1
+
+    def _send(self, topic: str, raw: bytes) -> bool:
+        """Publish, waiting while a subscriber's full queue refuses more (keep-all only); False when interrupted."""
+        deadline = time.monotonic() + self._blocked_s
+        while True:
+            try:
+                self.outputs[topic].publish(raw)
+                return True
+            except RuntimeError:  # RCLError, which rclpy does not export: the writer has waited for 0.1 s in vain
+                if self.interrupted():
+                    return False
+                if time.monotonic() > deadline:
+                    raise SemiparamError(f'{topic} cannot be published: a reliable subscriber has taken nothing for '
+                                         f'{self._blocked_s:g} s.') from None
 
     def start_clock(self, rate_hz: float, bag_time: Callable[[], int]) -> None:
         """Publish the bag time on /clock, ``rate_hz`` times a second of this machine."""
@@ -66,8 +85,8 @@ class ReplayNode(Node):
         assert self._clock_output is not None
         self._clock_output.publish(message)
 
-    def wait_for_all_acked(self, timeout_s: float) -> list[str]:
-        """Wait until every reliable subscriber has everything; the topics where one has not within the time."""
+    def wait_for_all_acked(self, topics: Collection[str], timeout_s: float) -> list[str]:
+        """Wait until every reliable subscriber has everything; those of ``topics`` where one has not in time."""
         return [topic for topic, output in self.outputs.items()
-                if self.offers[topic].reliability == 'reliable'
+                if topic in topics and self.offers[topic].reliability == 'reliable'
                 and not output.wait_for_all_acked(Duration(nanoseconds=int(timeout_s * 1e9)))]

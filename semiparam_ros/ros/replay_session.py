@@ -66,6 +66,7 @@ class ReplaySession:
         self._failures: list[str] = []
         self._followers: list[Follower] = []
         self._player: Player | None = None
+        self._duration = 0.0
 
     def run(self) -> ReplayAccount:
         """Play; raises SemiparamError for what is wrong before the first message."""
@@ -74,20 +75,26 @@ class ReplaySession:
             topics, skipped = self._topics(bag)
             timeline = BagTimeline(bag, topics, self._options.order, self._options.cut)
             ros = stack.enter_context(RosProcess(self._ros_arguments, self._stop))
-            node = ReplayNode({topic.name: (topic.type, topic.qos) for topic in topics.values()},
-                              restamp=self._options.restamp, clock_before_each=self._options.clock_before_each)
+            node = self._node(topics)
             ros.spin(node)
-            began = time.monotonic()
             try:
                 self._connect(node)
-                began = time.monotonic()
                 ending = self._play(node, timeline)
             except Stopped:
                 ending = 'stopped'
-            duration = time.monotonic() - began
+            if ros.error is not None:
+                self._failures.append(f'a callback failed: {ros.error}')
             answers = tuple(Answers.of(follower.answer_topic, follower.flow) for follower in self._followers)
-            return ReplayAccount(ending, duration, dict(node.counts), answers, tuple(self._failures),
+            return ReplayAccount(ending, self._duration, dict(node.counts), answers, tuple(self._failures),
                                  _losses(bag) if ending == 'finished' else (), skipped)
+
+    def _node(self, topics: Mapping[str, PlayedTopic]) -> ReplayNode:
+        options = self._options
+        node = ReplayNode({topic.name: (topic.type, topic.qos) for topic in topics.values()},
+                          restamp=options.restamp, clock_before_each=options.clock_before_each,
+                          blocked_s=options.follow.timeout_s if options.follow else 1.0)
+        node.interrupted = self._stopping.is_set
+        return node
 
     def _stop(self) -> None:
         """Called by the signal handlers."""
@@ -154,28 +161,35 @@ class ReplaySession:
     def _play_out(self, node: ReplayNode, player: Player, gate: Followers) -> str:
         """Run the player and see the last messages off."""
         ending = 'failed'
+        began = time.monotonic()
         try:
             if player.run() is Ending.STOPPED:
                 raise Stopped
-            self._settle(node, gate)
+            if self._followers:
+                wait_until(gate.settled, float('inf'), self._stopping)
             ending = 'finished'
         except Stopped:
             ending = 'stopped'
         except (FollowerSilent, SemiparamError) as error:
             self._failures.append(str(error))
+        self._duration = time.monotonic() - began
+        if ending == 'finished':
+            self._settle(node)
         for follower in self._followers:
             follower.flow.give_up()
         self._judge(ending)
         return ending
 
-    def _settle(self, node: ReplayNode, gate: Followers) -> None:
-        """Wait for the last answers and for the acknowledgements of the transport."""
-        if self._followers:
-            wait_until(gate.settled, float('inf'), self._stopping)
+    def _settle(self, node: ReplayNode) -> None:
+        """Wait for the acknowledgements of the transport."""
         patience = max(self._options.wait_for_all_acked_s, ACKNOWLEDGE_S if self._followers else 0.0)
+        # A follower that has answered has received: only others are asked, for their answer may take 3 s (the period
+        # of Fast DDS's heartbeat).
+        followers = {follower.name for follower in self._followers}
+        topics = {each.topic for each in subscribers(node) if each.owner not in followers}
         if patience:
             self._failures += [f'not every subscriber of {topic} acknowledged everything within {patience:g} s.'
-                               for topic in node.wait_for_all_acked(patience)]
+                               for topic in node.wait_for_all_acked(topics, patience)]
 
     def _judge(self, ending: str) -> None:
         """An unanswered request is a failure of a playback that promised to lose none."""
