@@ -44,6 +44,8 @@ class MergedBag(BagReader):
     @property
     def losses(self) -> Losses:
         parts = [reader.losses for reader in self.readers]
+        if len(parts) == 1:
+            return replace(parts[0], undecodable=dict(self._undecodable))
         total = Losses(str(self.path), undecodable=dict(self._undecodable))
         total.saved = sum(part.saved for part in parts)
         known = [part.intact for part in parts if part.intact is not None]
