@@ -1,0 +1,108 @@
+"""What the model has learnt, as quantities with names, units and standard deviations."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.frames import load_transform, loaded_links
+from semiparam_ros.core.model import Estimator
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.types import Array
+
+OUTPUT_AXES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
+SMALLEST_MASS = 1e-3
+"""[kg] A lighter payload has no centre of mass worth telling."""
+
+
+class Quantity(NamedTuple):
+    """One coefficient of the coupled columns."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+class Payload(NamedTuple):
+    """What the arm carries beyond its description, in the frame of ``link``; inertia (3, 3) about its centre."""
+
+    link: str
+    mass: float  # [kg]
+    centre: Array  # (3,) [m]
+    inertia: Array  # (3, 3) [kg m^2]
+
+
+def quantities(estimator: Estimator) -> list[Quantity]:
+    """Every coefficient in its order; empty for a non-parametric model."""
+    model = estimator.model
+    if not len(model.theta):
+        return []
+    labels = _labels(estimator.columns)
+    return [Quantity(name, float(value), float(std), unit) for (name, unit), value, std in
+            zip(labels, model.theta, model.theta_std(), strict=True)]
+
+
+def payload(estimator: Estimator) -> Payload | None:
+    """The declared payload, or else what the estimate adds to the last link that the outputs feel.
+
+    None while the model learns no base parameters, and where nothing of noticeable weight is there.
+    """
+    declared = _declared_payload(estimator)
+    if declared is not None:
+        return declared
+    if not estimator.ready or len(estimator.model.theta) < estimator.body.n_parameters:
+        return None
+    link = list(loaded_links(estimator.body))[-1]
+    return _payload(link, _added_load(estimator, link))
+
+
+def _declared_payload(estimator: Estimator) -> Payload | None:
+    for index, effect in enumerate(estimator.columns.effects):
+        if getattr(effect, 'kind', '') == 'payload' and len(estimator.model.theta):
+            theta = estimator.model.theta[estimator.columns.blocks[str(index)]]
+            return _payload(str(getattr(effect, 'where', '')), theta)
+    return None
+
+
+def _added_load(estimator: Estimator, link: str) -> Array:
+    """(10,) inertial parameters at ``link`` that explain best, in posterior standard deviations, what was learnt."""
+    body = estimator.body
+    learnt = slice(0, body.n_parameters)
+    difference = estimator.model.theta[learnt] - body.base_parameters
+    index, transform = load_transform(body, link)
+    load = body.basis[10 * index:10 * index + 10].T @ transform
+    std = np.maximum(estimator.model.theta_std()[learnt], 1e-12)
+    solution, *_ = np.linalg.lstsq(load / std[:, None], difference / std, rcond=1e-6)
+    return np.asarray(solution)
+
+
+def _payload(link: str, parameters: Array) -> Payload | None:
+    """From mass, first moment and inertia about the link's origin, (10,)."""
+    mass = float(parameters[0])
+    if mass < SMALLEST_MASS:
+        return None
+    centre = parameters[1:4] / mass
+    xx, xy, yy, xz, yz, zz = parameters[4:]
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return Payload(link, mass, centre, about_origin - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
+
+
+def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:
+    """(name, unit) of each coupled column."""
+    body = columns.body
+    labels = [(f'base_parameter_{index}', 'kg, kg m or kg m^2') for index in range(body.n_parameters)]
+    if columns.has_offset:
+        labels += [(f'offset_{axis}', unit) for axis, unit in zip(OUTPUT_AXES, body.output_units, strict=True)]
+    for effect in columns.effects:
+        labels += _effect_labels(effect, body)
+    return labels
+
+
+def _effect_labels(effect: object, body: RigidBody) -> list[tuple[str, str]]:
+    kind, where = getattr(effect, 'kind', 'effect'), getattr(effect, 'where', None)
+    head = f'{kind}@{where}' if where else kind
+    return [(f'{head}.{coefficient.name}', coefficient.unit)
+            for coefficient in effect.coefficients(body)]  # type: ignore[attr-defined]

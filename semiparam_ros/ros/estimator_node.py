@@ -1,0 +1,175 @@
+"""The node `estimator`: it owns topics, parameters, services and the background process; the rest it delegates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import InertiaStamped
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, JumpThreshold
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros import diagnostics
+from semiparam_ros.ros.background import ProcessBackground
+from semiparam_ros.ros.estimates import payload
+from semiparam_ros.ros.inputs import Inputs, Sinks
+from semiparam_ros.ros.learner import Answer, Learner, Outlets
+from semiparam_ros.ros.messages import inertia_message
+from semiparam_ros.ros.outputs import Outputs
+from semiparam_ros.ros.parameters import Parameters
+from semiparam_ros.ros.robot import Robot
+from semiparam_ros.ros.services import Services
+from semiparam_ros.settings.snapshot import Settings, unknown_name
+from semiparam_ros.settings.table import BY_NAME
+
+NAME = 'estimator'
+REPORT_PERIOD_S = 1.0
+
+
+class EstimatorNode(Node):
+    """Learns, predicts and publishes.
+
+    :param later: hands a function over to the executor's thread.
+    Raises SemiparamError when the parameters do not describe an estimator.
+    """
+
+    def __init__(self, later: Callable[[Callable[[], None]], object]) -> None:
+        super().__init__(NAME)
+        self.learner: Learner | None = None
+        self._news = ''
+        self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
+                                      self._accept, self._change)
+        settings = self._live.settings
+        self._outputs = Outputs(self, settings.outputs)
+        self._background = ProcessBackground(lambda function: later(lambda: self._guarded(function)))
+        self._robot = Robot(settings, self._begin, self._say)
+        self._inputs = Inputs(self, settings, Sinks(self._guarded_offer, self._set_frame, self._robot.from_topic,
+                                                    self._clear_pending))
+        self._input_report = diagnostics.InputReport(self._inputs)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._payload = self.create_publisher(InertiaStamped, '~/payload', 10)
+        Services(self, self._live, self._the_learner)
+        self._watch_clock()
+        self._robot.from_parameters()
+        # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
+        self.create_timer(REPORT_PERIOD_S, lambda: self._guarded(self._report),
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def close(self) -> None:
+        """End the background process and leave the graph."""
+        self._background.close()
+        self.destroy_node()
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """As every node does, but a refusal names the nearest parameter, and success tells what happens now."""
+        for parameter in parameter_list:
+            if parameter.name not in BY_NAME and not self.has_parameter(parameter.name):
+                return SetParametersResult(successful=False, reason=unknown_name(parameter.name))
+        sentence = self._live.refusal({item.name: item.value for item in parameter_list})
+        if sentence is not None:
+            return SetParametersResult(successful=False, reason=sentence)
+        self._live.news = ''
+        result = super().set_parameters_atomically(parameter_list)
+        if result.successful:
+            result.reason = self._live.news
+        return result
+
+    # The robot and its learner
+
+    def _begin(self, body: RigidBody) -> None:
+        """The robot is known: what was received so far is answered first."""
+        self._outputs.open(body)
+        self._tally = diagnostics.Tally(body.joints)
+        self.learner = Learner(self._live.settings, body, self._background, Outlets(
+            self._answer, self._outputs.publish_shadow, self._say, self._live.write))
+        self._inputs.open(body.joints)
+
+    def _the_learner(self) -> Learner:
+        if self.learner is None:
+            raise SemiparamError('there is no model yet: the robot description has not come.')
+        return self.learner
+
+    def _guarded_offer(self, sample: Sample) -> None:
+        learner = self.learner
+        if learner is not None:
+            self._guarded(lambda: learner.offer(sample))
+
+    def _answer(self, answer: Answer) -> None:
+        self._outputs.publish(answer)
+        self._inputs.stopwatch.stop()
+        self._tally.add(answer)
+
+    def _set_frame(self, frame_id: str) -> None:
+        self._outputs.frame_id = frame_id
+
+    def _clear_pending(self) -> None:
+        self._say('the clock jumped: half-finished samples and horizons are dropped, the model stays.')
+        if self.learner is not None:
+            self.learner.clear_pending()
+
+    def _watch_clock(self) -> None:
+        """A simulated clock that jumps back, as when a recording starts again."""
+        threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        self._jumps = self.get_clock().create_jump_callback(
+            threshold, post_callback=lambda jump: self._guarded(self._inputs.clock_jumped))
+
+    # Parameters
+
+    def _accept(self, settings: Settings) -> str | None:
+        """Why a change that the table allows does not fit this robot."""
+        if self.learner is None:
+            return None
+        try:
+            self.learner.check(settings)
+        except SemiparamError as error:
+            return str(error)
+        return None
+
+    def _change(self, settings: Settings) -> str:
+        return '' if self.learner is None else self.learner.change(settings)
+
+    # Reports
+
+    def _report(self) -> None:
+        for topic in self._inputs.follow_reliability():
+            self._say(f'{topic} is offered as best_effort only, and received so.')
+        reports = {'inputs': self._input_report.make(), 'timing': diagnostics.timing_report(self._inputs)}
+        if self.learner is None:
+            reports['learning'] = diagnostics.Report(diagnostics.WARN, 'waiting for a robot description.', {})
+        else:
+            reports['learning'] = diagnostics.learning_report(self.learner, self._news)
+            reports['model'] = diagnostics.model_report(self.learner, self._tally)
+            reports['parameters'] = diagnostics.parameters_report(self.learner)
+            self._report_payload(self.learner)
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        name = self.get_fully_qualified_name().lstrip('/')
+        message.status = [diagnostics.status(f'{name}: {title}', self._robot.name, report)
+                          for title, report in reports.items()]
+        self._diagnostics.publish(message)
+
+    def _report_payload(self, learner: Learner) -> None:
+        carried = payload(learner.estimator)
+        if carried is not None:
+            self._payload.publish(inertia_message(self.get_clock().now().to_msg(), carried))
+
+    def _say(self, sentence: str) -> None:
+        self._news = sentence
+        self.get_logger().info(sentence)
+
+    def _guarded(self, function: Callable[[], Any]) -> None:
+        """Nothing that comes in may end the node: a sentence in the log, and the model as it was."""
+        try:
+            function()
+        except SemiparamError as error:
+            self.get_logger().error(str(error), throttle_duration_sec=1.0)
+        except Exception as error:
+            self.get_logger().error(f'internal error, {type(error).__name__}: {error}', throttle_duration_sec=1.0)

@@ -1,0 +1,127 @@
+"""The samples that were received, kept to build another variant from, or to diagnose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.types import Array, Stamps
+
+
+class Chapter(NamedTuple):
+    """Samples in order of time, and which of them were learnt, (N,) bool."""
+
+    samples: Samples | None
+    learnt: Array
+
+    def __len__(self) -> int:
+        return len(self.learnt)
+
+    def pairs(self) -> Iterator[tuple[Sample, bool]]:
+        """One sample after the other."""
+        return zip(self.samples or (), self.learnt.tolist(), strict=True)
+
+
+class History:
+    """The first ``first`` samples learnt (and what came between them), and the latest ``latest`` of those after them.
+
+    Rows are written into arrays made once, so memory stays flat.
+    """
+
+    def __init__(self, first: int, latest: int, n_joints: int, n_outputs: int) -> None:
+        self._n_joints = n_joints
+        self._window = _Ring(2 * first, 3 * n_joints + n_outputs)
+        self._recent = _Ring(max(latest, 1), 3 * n_joints + n_outputs)
+        self._first, self._learnt = first, 0
+
+    def __len__(self) -> int:
+        return len(self._window) + len(self._recent)
+
+    def append(self, sample: Sample, learnt: bool) -> None:
+        """Keep one sample."""
+        ring = self._window if self._learnt < self._first and not self._window.full else self._recent
+        ring.append(sample, learnt)
+        self._learnt += learnt
+
+    def latest(self) -> Sample | None:
+        """The last sample, None before the first."""
+        ring = self._recent if len(self._recent) else self._window
+        row = ring.last()
+        samples = None if row is None else _samples(*row, self._n_joints)
+        return None if samples is None else next(iter(samples))
+
+    def chapter(self, since: int | None = None) -> Chapter:
+        """Everything that is kept, in order; with ``since`` only stamps [ns] from there on."""
+        parts = [self._window.rows(), self._recent.rows()]
+        stamps, rows, learnt = (np.concatenate(column) for column in zip(*parts, strict=True))
+        if since is not None:
+            late = stamps >= since
+            stamps, rows, learnt = stamps[late], rows[late], learnt[late]
+        return Chapter(_samples(stamps, rows, self._n_joints), learnt)
+
+
+def chapter_of(pairs: list[tuple[Sample, bool]]) -> Chapter:
+    """The same from single samples."""
+    samples = Samples.from_list([sample for sample, _ in pairs]) if pairs else None
+    return Chapter(samples, np.array([learnt for _, learnt in pairs], dtype=bool))
+
+
+def arrays_of(chapter: Chapter) -> dict[str, Array | Stamps]:
+    """A chapter as arrays for a file; :func:`chapter_from` reads them back."""
+    samples = chapter.samples
+    if samples is None:
+        return {'learnt': chapter.learnt}
+    return {'stamps': samples.stamps, 'inputs': samples.inputs, 'outputs': samples.outputs, 'learnt': chapter.learnt}
+
+
+def chapter_from(arrays: Mapping[str, Array], n_joints: int) -> Chapter:
+    """The chapter of :func:`arrays_of`."""
+    learnt = arrays['learnt']
+    if not len(learnt):
+        return Chapter(None, learnt)
+    rows = np.hstack([arrays['inputs'], arrays['outputs']])
+    return Chapter(_samples(arrays['stamps'].astype(np.int64), rows, n_joints), learnt)
+
+
+class _Ring:
+    """Rows that overwrite the oldest once there are ``size`` of them."""
+
+    def __init__(self, size: int, width: int) -> None:
+        self._stamps = np.zeros(size, dtype=np.int64)
+        self._rows = np.zeros((size, width))
+        self._learnt = np.zeros(size, dtype=bool)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return min(self._count, len(self._stamps))
+
+    @property
+    def full(self) -> bool:
+        return self._count >= len(self._stamps)
+
+    def append(self, sample: Sample, learnt: bool) -> None:
+        slot = self._count % len(self._stamps)
+        self._stamps[slot], self._learnt[slot] = sample.stamp, learnt
+        np.concatenate(sample[1:], out=self._rows[slot])
+        self._count += 1
+
+    def last(self) -> tuple[Stamps, Array] | None:
+        """Stamp and row of the latest, as arrays of one."""
+        if not self._count:
+            return None
+        slot = [(self._count - 1) % len(self._stamps)]
+        return self._stamps[slot], self._rows[slot]
+
+    def rows(self) -> tuple[Stamps, Array, Array]:
+        """Copies in order of arrival."""
+        order = np.arange(len(self)) if not self.full else np.arange(self._count, self._count + len(self)) % len(self)
+        return self._stamps[order], self._rows[order], self._learnt[order]
+
+
+def _samples(stamps: Stamps, rows: Array, n: int) -> Samples | None:
+    if not len(stamps):
+        return None
+    return Samples(stamps, rows[:, :n], rows[:, n:2 * n], rows[:, 2 * n:3 * n], rows[:, 3 * n:], int(stamps[0]))

@@ -1,0 +1,182 @@
+"""The topics that the node listens to, from messages to samples."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from semiparam_ros.bags.alignment import CAPACITY, SampleStream
+from semiparam_ros.bags.loading import (
+    feed_accelerations,
+    feed_joint_state,
+    feed_wrench,
+    measured_accelerations,
+    sample_stream,
+)
+from semiparam_ros.bags.recording_layout import stamp_ns
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.ros.clock_watch import ClockWatch
+from semiparam_ros.ros.timing import Stopwatch
+from semiparam_ros.settings.snapshot import Settings
+
+ROBOT_DESCRIPTION = 'robot_description'
+JOINT_STATES, WRENCH, ACCELERATIONS = 'joint_states', 'wrench', 'joint_accelerations'
+
+
+class Feed(NamedTuple):
+    """Type of a topic's messages and what hands one to the stream."""
+
+    kind: type
+    function: Callable[[SampleStream, Any], list[Sample]]
+
+
+FEEDS = {JOINT_STATES: Feed(JointState, feed_joint_state), WRENCH: Feed(WrenchStamped, feed_wrench),
+         ACCELERATIONS: Feed(JointTrajectory, feed_accelerations)}
+
+
+class Sinks(NamedTuple):
+    """Where what comes in goes: samples, the frame of the outputs, a URDF, and word of a jump of the clock."""
+
+    sample: Callable[[Sample], None]
+    frame_id: Callable[[str], None]
+    description: Callable[[str], None]
+    jumped: Callable[[], None]
+
+
+class Inputs:
+    """Subscriptions, and the stream they feed once the robot's joints are known; until then messages are kept."""
+
+    def __init__(self, node: Node, settings: Settings, sinks: Sinks) -> None:
+        self._node, self._settings, self._sinks = node, settings, sinks
+        self.counts: Counter[str] = Counter()
+        self.stopwatch = Stopwatch()
+        self.arrived: dict[str, float] = {}
+        self.stream: SampleStream | None = None
+        self.best_effort: set[str] = set()
+        self._joints: tuple[str, ...] | None = None
+        self._early: list[tuple[str, Any]] = []
+        self._watch = ClockWatch()
+        self._frame_topic = WRENCH if settings.outputs == 'wrench' else JOINT_STATES
+        self.topics = [JOINT_STATES, *([WRENCH] if settings.outputs == 'wrench' else []),
+                       *([ACCELERATIONS] if settings.acceleration_source != 'filter' else [])]
+        self._subscriptions = {topic: self._subscribe(topic, settings.reliability == 'best_effort')
+                               for topic in self.topics}
+        self._descriptions = [self._listen_to_description(durability) for durability in (
+            QoSDurabilityPolicy.TRANSIENT_LOCAL, QoSDurabilityPolicy.VOLATILE)]
+
+    def open(self, joints: tuple[str, ...]) -> None:
+        """The joints are known: messages that came before are handed on first."""
+        self._joints = joints
+        early, self._early = self._early, []
+        for topic, message in early:
+            self._receive(topic, message)
+
+    def clock_jumped(self) -> None:
+        """Forget what waits for its counterpart."""
+        self._watch.clear()
+        if self.stream is not None:
+            self.stream.reset()
+        self._sinks.jumped()
+
+    def publishers(self, topic: str) -> int:
+        """How many publishers a topic has that are heard."""
+        return int(self._subscriptions[topic].get_publisher_count())
+
+    def follow_reliability(self) -> list[str]:
+        """Topics that only best_effort publishers serve, which a reliable subscription does not hear: asked anew."""
+        silent = [topic for topic in self.topics if topic not in self.best_effort and not self.publishers(topic)
+                  and self._settings.reliability == 'auto' and self._is_offered_best_effort(topic)]
+        for topic in silent:
+            self._node.destroy_subscription(self._subscriptions[topic])
+            self._subscriptions[topic] = self._subscribe(topic, best_effort=True)
+        return silent
+
+    def _is_offered_best_effort(self, topic: str) -> bool:
+        name = self._node.resolve_topic_name(topic)
+        offers = [info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(name)]
+        return bool(offers) and all(offer == QoSReliabilityPolicy.BEST_EFFORT for offer in offers)
+
+    def _subscribe(self, topic: str, best_effort: bool) -> Subscription:
+        depth = self._settings.queue_depth
+        profile = QoSProfile(
+            history=QoSHistoryPolicy.KEEP_LAST if depth else QoSHistoryPolicy.KEEP_ALL, depth=depth,
+            reliability=QoSReliabilityPolicy.BEST_EFFORT if best_effort else QoSReliabilityPolicy.RELIABLE)
+        again = best_effort and self._settings.reliability == 'auto'
+        if best_effort:
+            self.best_effort.add(topic)
+        return self._node.create_subscription(
+            FEEDS[topic].kind, topic, lambda message: self._receive(topic, message), profile,
+            qos_overriding_options=None if again else QoSOverridingOptions.with_default_policies())
+
+    def _listen_to_description(self, durability: QoSDurabilityPolicy) -> Subscription:
+        """Latched, as robot_state_publisher offers it; and plain, as a tool may play it."""
+        return self._node.create_subscription(String, ROBOT_DESCRIPTION, self._describe,
+                                              QoSProfile(depth=1, durability=durability))
+
+    def _describe(self, message: String) -> None:
+        if message.data:
+            self._sinks.description(message.data)
+
+    def _receive(self, topic: str, message: Any) -> None:
+        self.counts[topic] += 1
+        self.arrived[topic] = time.monotonic()
+        self.stopwatch.start()
+        if self.stream is None and not self._can_open(topic):
+            self._keep(topic, message)
+            return
+        self._feed(topic, message)
+
+    def _keep(self, topic: str, message: Any) -> None:
+        self._early.append((topic, message))
+        self.counts[topic] -= 1
+        if len(self._early) > CAPACITY:
+            del self._early[0]
+            self.counts['given up'] += 1
+
+    def _can_open(self, topic: str) -> bool:
+        """Open the stream with the first joint state: whoever measures accelerations publishes them by then."""
+        if self._joints is None or topic != JOINT_STATES:
+            return False
+        published = ACCELERATIONS in self.topics and (
+            self.publishers(ACCELERATIONS) > 0 or any(early == ACCELERATIONS for early, _ in self._early))
+        self.stream = sample_stream(self._settings, self._joints, measured_accelerations(self._settings, published),
+                                    CAPACITY)
+        early, self._early = self._early, []
+        for kept, message in early:
+            self._receive(kept, message)
+        return True
+
+    def _feed(self, topic: str, message: Any) -> None:
+        stream = self.stream
+        assert stream is not None
+        backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
+        samples = FEEDS[topic].function(stream, message)
+        if stream.faults['backward_stamp'] > backward:
+            self._went_back(topic, message)
+            return
+        self._watch.accepted(topic)
+        if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:
+            self._sinks.frame_id(message.header.frame_id)
+        for sample in samples:
+            self._sinks.sample(sample)
+
+    def _went_back(self, topic: str, message: Any) -> None:
+        held = self._watch.refused(topic, stamp_ns(message.header.stamp), message)
+        if not held:
+            return
+        self.clock_jumped()
+        assert self.stream is not None
+        self.stream.faults['backward_stamp'] -= len(held)
+        for again in held:
+            self._feed(again.topic, again.message)

@@ -1,0 +1,60 @@
+"""The topics that carry the answers of the active model, and the horizon errors of all."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.ros.learner import Answer
+from semiparam_ros.ros.messages import EffortMessage, HorizonMessage, WrenchMessage
+
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+DEPTH = 1000
+
+
+class Outputs:
+    """Publishers, there from the start because a replay waits for them; ``frame_id`` is copied from the input."""
+
+    def __init__(self, node: Node, outputs: str) -> None:
+        self.frame_id = ''
+        self._node = node
+        kind, name = (WrenchStamped, 'wrench') if outputs == 'wrench' else (JointState, 'effort')
+        self._mean = node.create_publisher(kind, f'~/predicted_{name}', DEPTH)
+        self._std = node.create_publisher(kind, f'~/predicted_{name}_std', DEPTH)
+        self._residual = node.create_publisher(kind, '~/residual', DEPTH)
+        self._horizon = node.create_publisher(JointState, '~/horizon_error', DEPTH)
+        self._shadows: dict[str, Publisher] = {}
+        self._contact = node.create_publisher(Bool, '~/contact', LATCHED)
+        self._in_contact: bool | None = None
+
+    def open(self, body: RigidBody) -> None:
+        """The robot is known: prepare the messages."""
+        wrench = body.outputs == 'wrench'
+        self._value = WrenchMessage() if wrench else EffortMessage(body.joints)
+        self._errors = HorizonMessage(body.output_names, wrench)
+
+    def publish(self, answer: Answer) -> None:
+        """One answer: the residual, which a replay waits for, goes last but for the horizon it completed."""
+        prediction = answer.prediction
+        stamp, frame = prediction.sample.stamp, self.frame_id
+        self._mean.publish(self._value.filled(stamp, frame, prediction.mean))
+        self._std.publish(self._value.filled(stamp, frame, prediction.std))
+        self._residual.publish(self._value.filled(stamp, frame, prediction.sample.outputs - prediction.mean))
+        if prediction.horizon is not None:
+            self._horizon.publish(self._errors.filled(prediction.horizon))
+        if answer.contact != self._in_contact:
+            self._in_contact = answer.contact
+            self._contact.publish(Bool(data=answer.contact))
+
+    def publish_shadow(self, variant: str, errors: HorizonErrors) -> None:
+        """The horizon errors of a shadow variant, on ``~/shadow/sp2_ml/horizon_error``."""
+        if variant not in self._shadows:
+            topic = f'~/shadow/{variant.lower().replace("-", "_")}/horizon_error'
+            self._shadows[variant] = self._node.create_publisher(JointState, topic, DEPTH)
+        self._shadows[variant].publish(self._errors.filled(errors))

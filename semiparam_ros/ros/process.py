@@ -1,0 +1,73 @@
+"""The process of the node: rclpy started, the executor's loop, and a clean end on SIGINT and SIGTERM."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import ok, try_shutdown
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.estimator_node import EstimatorNode
+
+SPIN_S = 0.2
+
+
+def run_estimator(ros_arguments: Sequence[str]) -> int:
+    """Run the node until a signal ends it; raises SemiparamError when it cannot start."""
+    _start(ros_arguments)
+    stop = _Stop()
+    try:
+        # This executor takes a third of what rclpy's others take; its spin() without a timeout never sleeps.
+        executor = EventsExecutor()
+        node = EstimatorNode(executor.create_task)
+        try:
+            executor.add_node(node)
+            _keep_collector_out()
+            while ok() and not stop.asked:
+                executor.spin_once(timeout_sec=SPIN_S)
+        finally:
+            executor.remove_node(node)
+            node.close()
+    finally:
+        try_shutdown()
+    return 0
+
+
+class _Stop:
+    """Remembers that a signal came; a second one has its usual effect."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._usual = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def _on_signal(self, number: int, _frame: Any) -> None:
+        self.asked = True
+        for other, handler in self._usual.items():
+            signal.signal(other, handler)
+
+
+def _start(ros_arguments: Sequence[str]) -> None:
+    try:
+        # Our own handlers: rclpy's would end the context before the node has left the graph.
+        rclpy.init(args=[sys.argv[0], *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rcl complains about arguments in exceptions of several kinds
+        raise SemiparamError(f'the ROS arguments are refused: {_sentence(error)}') from None
+
+
+def _sentence(error: Exception) -> str:
+    """rcl's message without the places in its own sources."""
+    text = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return text.split(', at /')[0].rstrip('.') + '.'
+
+
+def _keep_collector_out() -> None:
+    """What is loaded now stays for good: the cyclic garbage collector need not look at it while samples come."""
+    gc.collect()
+    gc.freeze()
