@@ -10,8 +10,8 @@ M = 6
 X = np.random.default_rng(0).normal(size=(30, M))
 
 
-def features(count=400, seed=0, tau=(2.0,), mean=np.zeros(M), scale=np.ones(M)):
-    return RandomFeatures(M, count, seed, tau, mean, scale)
+def features(count=400, seed=0, tau=(2.0,), mean=(0.0,) * M, scale=(1.0,) * M):
+    return RandomFeatures(M, count, seed, tau, np.array(mean), np.array(scale))
 
 
 def gaussian_kernel(x, tau):

@@ -7,8 +7,7 @@ of which is kept: learning sample i added g_i E_i' to Theta, so that a model of 
 
     phi' Theta_t = phi' Theta_now - sum_{i > t} (phi' g_i) E_i'
 
-and T gains, with what each innovation means to each model, do the work of T models: T (D + n p + T n) operations a
-sample in place of T copies of D n weights.
+and T gains and innovations do the work of T models: T (D + n p) operations a sample in place of T D n.
 """
 
 from __future__ import annotations
@@ -36,21 +35,26 @@ class HorizonErrors(NamedTuple):
 class HorizonIndex:
     """The running index of a :class:`SemiParametricRecursion` over ``length`` T samples, at least 1.
 
-    Rings of T slots: model t, and the correction that made it, stand in slot t mod T; ``_next`` is the oldest's slot.
+    One row for each of the last T models, newest first, in buffers of 2 T rows that fill towards their front.
     """
 
     def __init__(self, length: int, n_outputs: int, n_features: int, n_columns: int) -> None:
         if length < 1:
             raise SemiparamError(f'horizon.length is {length}; expected at least one sample.')
         self.length = length
-        self._gains = np.zeros((length, n_features))
-        self._lacking = np.zeros((length, n_outputs, length))  # [t, :, i] E_y - E_C theta_t of each i > t, or 0
-        self._theta = np.zeros((length, n_columns))
-        self._squared_error = np.zeros((length, n_outputs))
-        self._outputs = np.zeros((length, n_outputs))
-        self._origins = np.zeros(length, dtype=np.int64)
+        rows = 2 * length
+        self._gains = np.zeros((rows, n_features))
+        self._innovations = np.zeros((rows, n_columns + 1, n_outputs))
+        self._theta = np.ones((rows, 1, n_columns + 1))  # [-theta, 1], which takes phi' Theta to the outputs
+        self._squared_error = np.zeros((rows, n_outputs))
+        self._outputs = np.zeros((rows, n_outputs))
+        self._origins = np.zeros(rows, dtype=np.int64)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the pending horizons, as after a jump of the clock."""
         self._filled = 0
-        self._next = 0
+        self._start = 2 * self.length
 
     def score(self, prior: Prior, fixed: Array, outputs: Array) -> HorizonErrors | None:
         """Charge one sample to the last T models; the errors of the oldest when its horizon is now complete.
@@ -58,39 +62,51 @@ class HorizonIndex:
         :param prior: of the sample. :param fixed: (n,) the part that no model learns. :param outputs: (n,) measured.
         Call it before the sample is learnt, then :meth:`remember` afterwards.
         """
-        predicted = prior.regressed[-1] + self._theta @ prior.columns_left.T
-        predicted -= self._lacking @ (self._gains @ prior.phi)
-        self._squared_error += (outputs - fixed - predicted) ** 2
-        self._outputs[self._next] = outputs  # in place of the oldest sample, which no horizon holds any more
+        self._make_room()
+        self._outputs[self._start - 1] = outputs
+        if self._filled:
+            models = slice(self._start, self._start + self._filled)
+            self._squared_error[models] += (outputs - fixed - self._predictions(prior, models)) ** 2
         return self._complete() if self._filled == self.length else None
 
     def remember(self, stamp: int, theta: Array, correction: Correction | None) -> None:
-        """Keep the model as it stands after the sample of ``stamp`` [ns], in place of the oldest.
+        """Keep the model as it stands after the sample of ``stamp`` [ns], and let go of the oldest.
 
         :param theta: (p,) its coefficients. :param correction: what learning the sample did, None if it did not.
         """
-        slot = self._next
-        self._gains[slot] = 0.0
-        if correction is not None:
-            self._gains[slot] = correction.gain
-            self._lacking[:, :, slot] = correction.innovations[-1] - self._theta @ correction.innovations[:-1]
-        self._lacking[slot] = 0.0
-        self._theta[slot] = theta
-        self._squared_error[slot] = 0.0
-        self._origins[slot] = stamp
-        self._next = (slot + 1) % self.length
+        self._start -= 1
         self._filled = min(self._filled + 1, self.length)
+        self._gains[self._start] = 0.0 if correction is None else correction.gain
+        self._innovations[self._start] = 0.0 if correction is None else correction.innovations
+        self._theta[self._start, 0, :-1] = -theta
+        self._squared_error[self._start] = 0.0
+        self._origins[self._start] = stamp
 
-    def clear(self) -> None:
-        """Forget the pending horizons, as after a jump of the clock."""
-        self._filled = self._next = 0
+    def _predictions(self, prior: Prior, models: slice) -> Array:
+        """(k, n) what k models of the past say of a sample."""
+        added = (self._gains[models] @ prior.phi)[:, None, None] * self._innovations[models]
+        later = np.zeros_like(added)  # what learning after each model added to phi' Theta
+        np.add.accumulate(added[:-1], axis=0, out=later[1:])
+        now = prior.regressed[-1] + self._theta[models, 0, :-1] @ -prior.columns_left.T
+        return np.asarray(now - (self._theta[models] @ later)[:, 0])
 
     def _complete(self) -> HorizonErrors:
-        error, y = self._squared_error[self._next], self._outputs
+        oldest = self._start + self.length - 1
+        y = self._outputs[self._start - 1:oldest]
         centred = y - y.sum(axis=0) / self.length
         floor = LEAST_POWER * self.length
         power, spread = (np.maximum(np.einsum('tk,tk->k', values, values), floor) for values in (y, centred))
-        return HorizonErrors(int(self._origins[self._next]), error / power, error / spread)
+        error = self._squared_error[oldest]
+        return HorizonErrors(int(self._origins[oldest]), error / power, error / spread)
+
+    def _make_room(self) -> None:
+        """Move the rows back to the end when they have reached the front: once in T samples."""
+        if self._start:
+            return
+        end = 2 * self.length
+        for rows in (self._gains, self._innovations, self._theta, self._squared_error, self._outputs, self._origins):
+            rows[end - self._filled:] = rows[:self._filled]
+        self._start = end - self._filled
 
 
 def force_and_torque(eps: Array) -> tuple[float, float]:

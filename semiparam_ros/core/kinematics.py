@@ -7,17 +7,25 @@ import numpy as np
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
+GAP_MEMORIES, GAP_STEPS = 5.0, 4.5
+LONGEST_STEP_S = 1.0
+"""Longest first step after a start, when the usual step is not known yet."""
+
 
 class CausalDifferentiator:
     """Fading-memory quadratic fit to the velocities (Morrison 1969): no lag while the acceleration is a ramp.
 
-    Samples lose weight as exp(-2 pi cutoff age), so a higher cutoff follows faster and is noisier. Steps in time may
-    vary. A gap longer than five memories starts afresh.
+    Samples lose weight as exp(-2 pi cutoff age), so a higher cutoff follows faster and is noisier; where the memory is
+    shorter than a step, the parabola goes through the last three samples. Steps in time may vary. A gap longer than
+    five memories and than four usual steps starts afresh.
+
+    On motions of about 1 Hz with 0.5 % of noise in the velocities, 10 Hz leaves an error of 6 to 10 % of the
+    acceleration at any rate from 20 Hz to 1 kHz (docs/mathematics.md); lower cutoffs lag, higher ones are noisier.
     """
 
     def __init__(self, n_joints: int, cutoff_hz: float) -> None:
         """``cutoff_hz``: rate at which the past fades [Hz], positive."""
-        if not cutoff_hz > 0.0:
+        if not 0.0 < cutoff_hz < np.inf:
             raise SemiparamError(f'acceleration.cutoff is {cutoff_hz}; expected a positive frequency in Hz.')
         self._n_joints = n_joints
         self._decay = 2.0 * np.pi * cutoff_hz
@@ -26,29 +34,53 @@ class CausalDifferentiator:
     def reset(self) -> None:
         """Forget the past, as after a jump of the clock."""
         self._stamp: int | None = None
+        self._step = LONGEST_STEP_S / GAP_STEPS
+        self._age = 0
         self._velocity = self._acceleration = self._jerk = np.zeros(self._n_joints)
 
     def update(self, stamp: int, position: Array, velocity: Array) -> Array:
-        """(n_joints,) accelerations [rad/s^2] at ``stamp`` [ns], from this and earlier velocities [rad/s]."""
+        """(n_joints,) accelerations [rad/s^2] at ``stamp`` [ns], from this and earlier velocities [rad/s].
+
+        A repeated stamp changes nothing, an earlier one starts afresh. Raises SemiparamError for velocities that are
+        not finite, and keeps the past.
+        """
+        velocity = np.array(velocity, dtype=float)
+        if not np.isfinite(velocity).all():
+            raise SemiparamError(f'the joint velocities are {velocity.tolist()}; expected finite values.')
         step = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
-        if self._stamp is None or step * self._decay > 5.0:
-            self._velocity, self._stamp = np.array(velocity, dtype=float), stamp
-            self._acceleration = self._jerk = np.zeros(self._n_joints)
-            self._age = 0
+        if self._stamp is not None and step == 0.0:
             return self._acceleration
+        if self._stamp is None or step < 0.0 or step > self._longest_step():
+            self.reset()
+            self._velocity, self._stamp = velocity, stamp
+            return self._acceleration
+        self._follow(step, velocity)
+        self._stamp, self._step = stamp, step
+        return self._acceleration
+
+    def _longest_step(self) -> float:
+        return max(GAP_MEMORIES / self._decay, GAP_STEPS * self._step)
+
+    def _follow(self, step: float, velocity: Array) -> None:
         self._age += 1
         g, h, k = self._gains(step)
         innovation = velocity - (self._velocity + step * self._acceleration + 0.5 * step**2 * self._jerk)
         self._velocity = velocity - (1.0 - g) * innovation
         self._acceleration = self._acceleration + step * self._jerk + (h / step) * innovation
         self._jerk = self._jerk + (k / step**2) * innovation
-        self._stamp = stamp
-        return self._acceleration
 
     def _gains(self, step: float) -> tuple[float, float, float]:
-        """Steady gains, reached from those of an ordinary line while the first samples come."""
-        fade = max(np.exp(-self._decay * step), 1e-6)
-        if self._age < 3 / (1.0 - fade):
-            fade = min(fade, 1.0 - 1.0 / (self._age + 1.0))
+        """Gains of the fading fit in the steady state, and at first those of a fit without weights to what there is.
+
+        With two samples that is their line, with three or more a parabola (Brookner 1998, expanding memory).
+        """
+        fade = np.exp(-self._decay * step)
         rest = 1.0 - fade
+        n = self._age
+        if n == 1:
+            return 1.0, 1.0, 0.0
+        growing = 3.0 * (3 * n**2 + 3 * n + 2) / ((n + 1) * (n + 2) * (n + 3))
+        if growing > 1.0 - fade**3:
+            scale = (n + 1.0) * (n + 2) * (n + 3)
+            return growing, 18.0 * (2 * n + 1) / scale, 60.0 / scale
         return 1.0 - fade**3, 1.5 * rest**2 * (1.0 + fade), rest**3
