@@ -29,6 +29,7 @@ from std_srvs.srv import Trigger
 
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.ros.replay_stamps import read_stamp
 
 pytestmark = pytest.mark.usefixtures('ros_domain')
@@ -70,7 +71,8 @@ def test_a_follower_that_falls_silent_ends_the_playback_with_a_sentence(tmp_path
 
 
 def test_a_subscriber_that_takes_nothing_ends_a_lossless_playback_with_a_sentence(tmp_path):
-    bag = write_robot(tmp_path / 'a.mcap', 5600)
+    # More than the queues of both sides hold: 5000 each.
+    bag = write_robot(tmp_path / 'a.mcap', 10500)
     with Peer('estimator') as peer, Peer('idle') as idle:
         peer.answer('/wrench', WRENCH)
         idle.executor.remove_node(idle.node)
@@ -126,6 +128,47 @@ def test_messages_come_at_their_time(tmp_path):
             assert tool.wait() == 0, tool.output
     assert len(arrivals) == 101
     assert arrivals[-1] - arrivals[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_recording_of_a_follower_is_played_to_it_without_its_old_answers(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 50)
+    with open_bag(bag) as source, BagWriter(tmp_path / 'b.mcap') as copy:
+        for message in source.messages():
+            copy.write(message.topic, message.type, message.data, message.log_time)
+            if message.topic == '/wrench':
+                copy.write('/estimator/residual', WRENCH, message.data, message.log_time)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH)
+        with Tool(tmp_path, 'replay', tmp_path / 'b.mcap', '--as-fast-as-followed') as tool:
+            assert tool.wait() == 0, tool.output
+    assert tool.said('/estimator/residual is not played: the follower publishes there.')
+    assert tool.said('answered 50 of 50')
+
+
+def test_a_follower_that_needs_the_description_first_gets_it_first(tmp_path):
+    """The estimator offers no answers before it knows its robot, which only the bag describes."""
+    bag = write_robot(tmp_path / 'a.mcap', 50)
+    with Peer('estimator') as peer:
+        peer.heard['/robot_description'] = descriptions = []
+
+        def begin(message):
+            descriptions.append(message)
+            peer.answer('/wrench', WRENCH)
+        peer.node.create_subscription(peer_type(TEXT), '/robot_description', begin, LATCHED)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
+            assert tool.wait() == 0, tool.output
+    assert len(descriptions) == 1 and tool.said('answered 50 of 50') and tool.said('/robot_description 1,')
+
+
+def test_a_long_run_of_refused_samples_is_passed_when_the_follower_keeps_all(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 40)
+    with Peer('estimator') as peer:
+        peer.node.declare_parameter('queue_depth', 0)
+        peer.answer('/wrench', WRENCH, refuses=lambda count: count <= 15)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--window', 10) as tool:
+            assert tool.wait() == 1, tool.output
+    assert tool.said('answered 25 of 40 messages on /wrench; 15 unanswered')
+    assert tool.said('failed: 15 of 40 messages on /wrench were not answered.')
 
 
 def peer_type(name):

@@ -23,9 +23,11 @@ class Hands:
         return self.ns
 
 
-def flow_control(window=3, timeout_s=5.0):
+def flow_control(window=3, timeout_s=5.0, keeps_all=False):
     hands = Hands()
-    return FlowControl('/wrench', window, timeout_s, stamp_of, hands), hands
+    flow = FlowControl('/wrench', window, timeout_s, stamp_of, hands)
+    flow.fit_queue(0 if keeps_all else None)
+    return flow, hands
 
 
 def test_the_window_holds_requests_back_and_an_answer_opens_it():
@@ -71,6 +73,28 @@ def test_a_refused_request_is_settled_by_the_next_answer_and_told():
         flow.sent(request(stamp))
     flow.answered(3)
     assert (flow.answers, flow.unanswered_stamps, flow.outstanding) == (1, [1, 2], 0)
+
+
+def test_a_follower_that_keeps_all_is_sent_more_after_a_silence():
+    flow, hands = flow_control(window=1, timeout_s=100.0, keeps_all=True)
+    flow.sent(request(1))
+    hands.ns = 10**9
+    assert flow.patience(request(2)) == pytest.approx(1.0)
+    hands.ns = 2 * 10**9
+    assert flow.patience(request(2)) == 0.0
+    flow.sent(request(2))
+    assert flow.patience(request(3)) == pytest.approx(2.0)
+    flow.answered(1)
+    flow.sent(request(3))
+    assert flow.patience(request(4)) == pytest.approx(2.0) and flow.outstanding == 2
+
+
+def test_the_window_is_no_larger_than_the_followers_queue():
+    flow, _ = flow_control(window=10)
+    flow.fit_queue(4)
+    assert flow.window == 4
+    flow.fit_queue(100)
+    assert flow.window == 4
 
 
 def test_answers_to_nothing_are_counted():

@@ -15,6 +15,8 @@ from collections.abc import Callable
 from semiparam_ros.ros.replay_clock import MonotonicClock
 from semiparam_ros.ros.replay_player import Item
 
+WIDEN_S = 2.0
+
 
 class FollowerSilent(Exception):
     """The follower stopped answering: one sentence for the user."""
@@ -40,12 +42,23 @@ class FlowControl:
         self.window = window
         self.timeout_s = timeout_s
         self._stamp_of = stamp_of
+        self._keeps_all = False
         self._monotonic = monotonic
         self._lock = threading.Lock()
         self._waiting: OrderedDict[int, int] = OrderedDict()
         self._last_sign = monotonic()
         self.requests = self.answers = self.unexpected = 0
         self.unanswered_stamps: list[int] = []
+
+    def fit_queue(self, depth: int | None) -> None:
+        """Adapt the window to the follower's queue: ``depth`` messages, 0 for all, None for unknown.
+
+        A follower that keeps all cannot overflow, so the window may double after each ``WIDEN_S`` of silence: a long
+        run of samples that it must refuse (wrenches before the first joint state) is passed instead of waited for.
+        """
+        with self._lock:
+            self._keeps_all = depth == 0
+            self.window = min(self.window, depth or self.window)
 
     @property
     def outstanding(self) -> int:
@@ -57,15 +70,24 @@ class FlowControl:
         with self._lock:
             if item.topic != self.request_topic or len(self._waiting) < self.window:
                 return 0.0
-            return self._remaining()
+            remaining, silent = self._remaining(), self._silent()
+            if not self._keeps_all:
+                return remaining
+            if len(self._waiting) < self.window * 2 ** int(silent / WIDEN_S):
+                return 0.0
+            return min(remaining, WIDEN_S - silent % WIDEN_S)
 
     def drain_patience(self) -> float:
         """0 when every request is settled, else as :meth:`patience`; for the end of the playback."""
         with self._lock:
             return self._remaining() if self._waiting else 0.0
 
+    def _silent(self) -> float:
+        """Seconds since the last answer, or since there was something to answer."""
+        return (self._monotonic() - self._last_sign) * 1e-9
+
     def _remaining(self) -> float:
-        silent = (self._monotonic() - self._last_sign) * 1e-9
+        silent = self._silent()
         if silent >= self.timeout_s:
             raise FollowerSilent(f'the follower has been silent for {silent:.1f} s while {len(self._waiting)} messages '
                                  f'on {self.request_topic} wait for it; it answered {self.answers} of {self.requests}.')

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 
@@ -20,6 +21,9 @@ from semiparam_ros.ros.replay_types import message_class
 
 HANDSHAKE_S = 3.0
 NAME_S = 1.0
+QUEUE_DEPTH = 'queue_depth'
+_REMARK = ('{name} keeps only the last {depth} messages of a topic (its parameter queue_depth) and may lose some; '
+           '0 keeps all.')
 
 
 class Follower:
@@ -48,7 +52,9 @@ class Follower:
         self._subscription = node.create_subscription(
             message_class(info.topic_type), self.answer_topic, self._answer,
             to_rclpy(subscription_qos([from_rclpy(info.qos_profile)])), raw=True)
-        self._connect(wait_s, stopping)
+        depth = self._connect(wait_s, stopping)
+        self.remark = _REMARK.format(name=self.name, depth=depth) if depth else ''
+        self.flow.fit_queue(depth)
 
     def _publisher(self, wait_s: float, stopping: threading.Event) -> Any:
         """Endpoint information of who answers; raises SemiparamError when nobody does in time."""
@@ -65,11 +71,11 @@ class Follower:
             raise SemiparamError(f'the node that publishes {self.answer_topic} left at once.')
         return found[0]
 
-    def _connect(self, wait_s: float, stopping: threading.Event) -> None:
-        """Wait until each side has discovered the other's endpoints."""
+    def _connect(self, wait_s: float, stopping: threading.Event) -> int | None:
+        """Wait until each side has discovered the other's endpoints; the follower's queue depth if it tells."""
         if not wait_until(lambda: self._subscription.get_publisher_count() > 0, wait_s, stopping):
             raise SemiparamError(f'{self.answer_topic} did not connect within {wait_s:g} s.')
-        _handshake(self._node, self.name, stopping)
+        return _handshake(self._node, self.name, stopping)
 
     def _answer(self, raw: bytes) -> None:
         self.flow.answered(self._read(raw))
@@ -85,8 +91,8 @@ def _request_topic(node: ReplayNode, answer_type: str, answer_topic: str) -> str
                          f'{answer_type} (name it: --follow {answer_topic}=TOPIC).')
 
 
-def _handshake(node: Node, follower: str, stopping: threading.Event) -> None:
-    """One service call to the follower, whose answer proves that it knows our subscription.
+def _handshake(node: Node, follower: str, stopping: threading.Event) -> int | None:
+    """One service call to the follower, whose answer proves that it knows our subscription, and tells `queue_depth`.
 
     Discovery is not symmetric: that we see its publisher does not mean that it sees our subscription, and until it
     does its answers are lost. It learns of endpoints in the order of their creation, and it cannot answer this call
@@ -96,8 +102,16 @@ def _handshake(node: Node, follower: str, stopping: threading.Event) -> None:
     client = node.create_client(GetParameters, f'{follower}/get_parameters') if follower.startswith('/') else None
     try:
         if client is not None and wait_until(client.service_is_ready, HANDSHAKE_S, stopping):
-            reply = client.call_async(GetParameters.Request())
-            wait_until(reply.done, HANDSHAKE_S, stopping)
+            reply = client.call_async(GetParameters.Request(names=[QUEUE_DEPTH]))
+            if wait_until(reply.done, HANDSHAKE_S, stopping):
+                return _integer(reply.result().values)
     finally:
         if client is not None:
             node.destroy_client(client)
+    return None
+
+
+def _integer(values: Sequence[ParameterValue]) -> int | None:
+    """The first value, None when it is not set or no integer."""
+    is_one = len(values) > 0 and values[0].type == ParameterType.PARAMETER_INTEGER
+    return int(values[0].integer_value) if is_one else None

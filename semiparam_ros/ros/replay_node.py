@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -42,13 +42,23 @@ class ReplayNode(Node):
         self._restamped = {topic for topic in topics if restamp and begins_with_header(self.types[topic])}
         self._clock_before_each = clock_before_each
         self._blocked_s = blocked_s
+        self._announced: dict[str, bytes] = {}
         self.interrupted: Callable[[], bool] = lambda: False
         self._clock_output: Publisher | None = None
         if clock_before_each:
             self._clock_output = self.create_publisher(ClockMessage, '/clock', 10)
 
+    def announce(self, items: Iterable[Item]) -> None:
+        """Publish latched messages ahead of the playback, which then leaves them out once."""
+        for item in items:
+            self.publish(item)
+            self._announced[item.topic] = item.raw
+
     def publish(self, item: Item) -> None:
         """Send one message, as the bytes that the bag holds unless its header is restamped."""
+        if self._announced and self._announced.get(item.topic) == item.raw:
+            del self._announced[item.topic]
+            return
         if self._clock_before_each:
             self._publish_clock(item.time)
         raw = item.raw

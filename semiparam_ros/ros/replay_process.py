@@ -44,7 +44,8 @@ class RosProcess:
             # Our own handlers: rclpy's would invalidate the context before the account is told.
             rclpy.init(args=[sys.argv[0], *self._arguments], signal_handler_options=SignalHandlerOptions.NO)
         except Exception as error:  # rcl complains about arguments in exceptions of several kinds
-            raise SemiparamError(f'the ROS arguments are refused: {str(error).splitlines()[0]}') from None
+            sentence = str(error).splitlines()[0].split(', at /')[0].rstrip('.')
+            raise SemiparamError(f'the ROS arguments are refused: {sentence}.') from None
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._on_signal) for number in _SIGNALS}
         return self

@@ -78,7 +78,7 @@ class ReplaySession:
             node = self._node(topics)
             ros.spin(node)
             try:
-                self._connect(node)
+                self._connect(node, timeline)
                 ending = self._play(node, timeline)
             except Stopped:
                 ending = 'stopped'
@@ -109,8 +109,8 @@ class ReplaySession:
         played, skipped = {}, {}
         for topic in options.selection.of(list(bag.topics)):
             info = bag.topics[topic]
-            if not is_installed(info.type):
-                skipped[topic] = f'{topic} is not played: its type {info.type or "(unknown)"} is not installed.'
+            if reason := self._obstacle(topic, info.type):
+                skipped[topic] = f'{topic} is not played: {reason}.'
                 continue
             qos = lossless(info.qos) if options.follow else info.qos
             if topic in overrides:
@@ -122,13 +122,26 @@ class ReplaySession:
             raise SemiparamError('there is nothing to play: no topic of the bag is chosen and installed.')
         return played, skipped
 
-    def _connect(self, node: ReplayNode) -> None:
+    def _obstacle(self, topic: str, type_name: str) -> str:
+        """Why a topic is not played, '' when it is."""
+        if not is_installed(type_name):
+            return f'its type {type_name or "(unknown)"} is not installed'
+        answers = self._options.follow.answers if self._options.follow else {}
+        outputs = [answer.rpartition('/')[0] + '/' for answer in answers]
+        if topic in answers or any(len(prefix) > 1 and topic.startswith(prefix) for prefix in outputs):
+            return 'the follower publishes there'
+        return ''
+
+    def _connect(self, node: ReplayNode, timeline: BagTimeline) -> None:
         """Find the followers and wait for subscribers."""
         options = self._options
         if options.follow is not None:
+            # Before it knows its robot, the estimator has nothing to answer with and offers no answers.
+            node.announce(timeline.announcements())
             for answer, request in options.follow.answers.items():
                 self._followers.append(Follower(node, answer, request, options.follow, options.wait_s, self._stopping,
                                                 self._wake))
+            self._say(follower.remark for follower in self._followers if follower.remark)
         count = max(options.wait_for_subscribers, 1 if self._followers else 0)
         if count:
             wait_for_subscribers(node, count, options.wait_s, self._stopping)

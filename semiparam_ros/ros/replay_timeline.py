@@ -133,6 +133,16 @@ class BagTimeline:
             last = {item.topic: item for item in self._stream(self._latched, end_ns=from_ns)}
         return [item._replace(time=from_ns) for item in last.values()]
 
+    def announcements(self) -> list[Item]:
+        """The first message on each latched topic, which a node may need before it can do anything."""
+        first = {item.topic: item for item in self._latched_before(self.start_ns)}
+        for item in self._stream(self._latched):
+            if item.time >= self.start_ns:
+                first.setdefault(item.topic, item)
+            if len(first) == len(self._latched):
+                break
+        return list(first.values())
+
     def _latched_names(self) -> set[str]:
         return {self._names[topic] for topic in self._latched}
 
