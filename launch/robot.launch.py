@@ -18,7 +18,7 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument('urdf', default_value=PathJoinSubstitution([SHARE, 'config', 'icub_right_arm.urdf']),
                               description='URDF file of the robot.'),
-        DeclareLaunchArgument('params_file', default_value=PathJoinSubstitution([SHARE, 'config', 'icub.yaml']),
+        DeclareLaunchArgument('params_file', default_value=PathJoinSubstitution([SHARE, 'config', 'icub_right_arm.yaml']),
                               description='ROS parameter file of the estimator.'),
     ]
     description = ParameterValue(Command(['cat ', LaunchConfiguration('urdf')]), value_type=str)

@@ -1,54 +1,26 @@
 """`semiparam evaluate` on recordings that the test writes, and on the measured iCub arm."""
 
-import itertools
 import json
 
 import numpy as np
 import pytest
+from recordings import FRAME, JOINTS, PERIOD_NS, URDF, write_arm
+from rich.console import Console
 
-from semiparam_ros.bags.recording_layout import JOINT_STATES, ROBOT_DESCRIPTION, TYPES, WRENCH, stamp_fields
-from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.scores import Scores, by_phase, normalised_errors, update_times
+from semiparam_ros.cli.tables import print_scores
 from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.model import Estimator, ModelOptions
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.settings import Settings, dump_params
 
-FRAME, JOINTS = 'r_arm_ft_sensor', ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
-PERIOD_NS = 50_000_000
 INITIAL = 100
 
 
 @pytest.fixture(scope='module')
-def urdf(repository) -> str:
-    return (repository / 'config/icub_right_arm.urdf').read_text()
-
-
-def write_bag(path, urdf, length, seed=1, start=0):
-    """Smooth motion of the arm, the wrench of its inertias 1.2 times, an offset and noise."""
-    body = RigidBody.from_urdf(urdf, JOINTS, 'wrench', FRAME)
-    rng = np.random.default_rng(seed)
-    frequency, phase = rng.uniform(0.5, 3.0, 4), rng.uniform(0.0, 6.0, 4)
-    with BagWriter(path) as bag:
-        bag.write(ROBOT_DESCRIPTION, TYPES[ROBOT_DESCRIPTION], {'data': urdf}, start)
-        for stamp in itertools.islice(itertools.count(start, PERIOD_NS), length):
-            angle = frequency * (stamp - start) * 1e-9 + phase
-            position, velocity = np.sin(angle), frequency * np.cos(angle)
-            wrench = body.regressor(position, velocity, -(frequency**2) * np.sin(angle)) @ (1.2 * body.base_parameters)
-            wrench = wrench + 1.0 + 0.05 * rng.standard_normal(6)
-            header = {'stamp': stamp_fields(stamp), 'frame_id': FRAME}
-            bag.write(JOINT_STATES, TYPES[JOINT_STATES], {
-                'header': header, 'name': list(JOINTS), 'position': position.tolist(), 'velocity': velocity.tolist(),
-                'effort': []}, stamp)
-            force, torque = (dict(zip('xyz', map(float, part), strict=True)) for part in (wrench[:3], wrench[3:]))
-            bag.write(WRENCH, TYPES[WRENCH], {'header': header, 'wrench': {'force': force, 'torque': torque}}, stamp)
-    return path
-
-
-@pytest.fixture(scope='module')
-def recording(tmp_path_factory, urdf):
-    return write_bag(tmp_path_factory.mktemp('bags') / 'a.mcap', urdf, 400)
+def recording(tmp_path_factory):
+    return write_arm(tmp_path_factory.mktemp('bags') / 'a.mcap', 400)
 
 
 @pytest.fixture(scope='module')
@@ -88,11 +60,11 @@ def test_figures_of_each_variant(evaluate, recording, capsys):
     assert max(map(len, table.splitlines())) <= 80
 
 
-def test_figures_are_those_of_the_estimator(evaluate, recording, urdf):
+def test_figures_are_those_of_the_estimator(evaluate, recording):
     from semiparam_ros.bags.loading import load_samples
 
     settings = Settings(sensor_frame=FRAME, joints=JOINTS)
-    estimator = Estimator(RigidBody.from_urdf(urdf, JOINTS, 'wrench', FRAME),
+    estimator = Estimator(RigidBody.from_urdf(URDF.read_text(), JOINTS, 'wrench', FRAME),
                           ModelOptions(variant='P', initial_samples=INITIAL, horizon=5))
     predictions = [estimator.step(sample) for sample in load_samples(recording, settings).samples]
     ready = [each for each in predictions if each.ready]
@@ -114,8 +86,8 @@ def test_series_and_plot_on_request(evaluate, recording, tmp_path):
     assert (tmp_path / 'eps.svg').read_text().count('</svg>') == 1
 
 
-def test_frozen_after_training_scores_every_sample_and_learns_none(evaluate, recording, urdf, tmp_path):
-    test = write_bag(tmp_path / 'b.mcap', urdf, 200, seed=5, start=10**18)
+def test_frozen_after_training_scores_every_sample_and_learns_none(evaluate, recording, tmp_path):
+    test = write_arm(tmp_path / 'b.mcap', 200, seed=5, start=10**18)
     frozen = evaluate(test, '--train', recording, '--frozen', '--variant', 'P')['variants']['P']
     learning = evaluate(test, '--train', recording, '--variant', 'P')['variants']['P']
     untrained = evaluate(test, '--variant', 'P')['variants']['P']
@@ -126,7 +98,7 @@ def test_frozen_after_training_scores_every_sample_and_learns_none(evaluate, rec
     np.testing.assert_allclose(twice['rmse'], frozen['rmse'], rtol=1e-12)
 
 
-def test_contacts_are_scored_but_not_learnt(recording, urdf, tmp_path):
+def test_contacts_are_scored_but_not_learnt(recording, tmp_path):
     """The gate that the node has: a threshold that every sample exceeds leaves the model as trained."""
     values = {'sensor_frame': FRAME, 'joints': list(JOINTS), 'initial.samples': INITIAL, 'variant': 'P',
               'gate.enabled': True, 'gate.threshold': 0.0, 'gate.release': 0.0, 'gate.timeout': 0.0}
@@ -156,10 +128,18 @@ def test_mistakes_are_one_sentence(arguments, sentence, recording, params, tmp_p
     assert len(error.strip().splitlines()) == 1
 
 
-def test_too_short_a_recording_is_refused(params, urdf, tmp_path, capsys):
-    bag = write_bag(tmp_path / 'short.mcap', urdf, 60)
+def test_too_short_a_recording_is_refused(params, tmp_path, capsys):
+    bag = write_arm(tmp_path / 'short.mcap', 60)
     assert cli.main(['evaluate', str(bag), '--params', str(params)]) == 2
     assert 'initial.samples' in capsys.readouterr().err
+
+
+def test_the_widest_figures_fit_into_a_terminal(capsys):
+    indices = {name: {'first_30_s': 1.23e-5, 'steady_state': 0.00123} for name in ('eps_force', 'eps_torque')}
+    result = {'nmse_mean': 0.00123, **indices, 'update_ms': {'median': 0.123, 'p99': 12.3}, 'samples': 10000}
+    print_scores(Console(width=80), {'SP2-ML live': result})
+    row = capsys.readouterr().out.splitlines()[-1].split()
+    assert row == ['SP2-ML', 'live', '0.00123', *['1.2e-05', '0.00123'] * 2, '0.123', '12.3', '10000']
 
 
 def test_phases_begin_when_learning_does():

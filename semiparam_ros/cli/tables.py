@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.table import Table
 
 HEADINGS = {'eps_force': 'eps^F', 'eps_torque': 'eps^T', 'eps_effort': 'eps'}
-PHASES = {'first_30_s': 'first 30 s', 'steady_state': 'steady'}
+PHASES = {'first_30_s': '< 30 s', 'steady_state': 'steady'}
 
 
 def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> None:
     """One row for each variant: nMSE, the horizon indices at first and in steady state, and the update time."""
     indices = [name for name in HEADINGS if any(result.get(name) for result in results.values())]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column('\nvariant', no_wrap=True)
     phases = [f'{HEADINGS[name]}\n{phase}' for name in indices for phase in PHASES.values()]
     for heading in ['\nnMSE', *phases, 'update\n[ms]', '\np99', '\nsamples']:

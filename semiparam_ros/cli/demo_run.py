@@ -1,0 +1,147 @@
+"""What `make demo` does: play on real DDS, judge what was published, compare, diagnose."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.bags.loading import LoadedBag, load_samples
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.bags.recording_layout import stamp_ns
+from semiparam_ros.cli.demo_processes import Program, isolated
+from semiparam_ros.cli.evaluate import evaluate
+from semiparam_ros.cli.options import console, output, progress_bar, write_json
+from semiparam_ros.cli.plots import plot_indices
+from semiparam_ros.cli.scores import Scores
+from semiparam_ros.cli.tables import print_scores
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings import Settings, load_params
+
+RESIDUAL, HORIZON, DIAGNOSTICS = '/estimator/residual', '/estimator/horizon_error', '/diagnostics'
+START_S, PLAY_S, DIAGNOSE_S = 60.0, 600.0, 600.0
+COMPARED = ('P', 'NP-ML')
+
+
+def demonstrate(args: argparse.Namespace) -> None:
+    """Play, judge, compare, and diagnose."""
+    args.output.mkdir(parents=True, exist_ok=True)
+    settings = load_params(args.params)
+    bag = load_samples(args.bag, settings)
+    live, recording = f'{settings.variant} live', args.output / 'live.mcap'
+    play(args, isolated(args.domain))
+    scores = {live: live_scores(recording, bag, settings)}
+    say_pace(args, bag)
+    results = {live: scores[live].result() | {'update_ms': latency(recording)}}
+    with progress_bar() as progress:
+        for variant in COMPARED:
+            scores[variant] = evaluate(replace(settings, variant=variant), [], [bag], False, progress)
+            results[variant] = scores[variant].result()
+    report(args, scores, results)
+    diagnose(args)
+
+
+def play(args: argparse.Namespace, environment: dict[str, str]) -> None:
+    """Node, recorder and replay as three processes."""
+    folder = args.output
+    node = ['run', '--params', args.params]
+    record = ['record', folder / 'live.mcap', '--overwrite', '--quiet', '--node', '/estimator',
+              '--topics', RESIDUAL, HORIZON, DIAGNOSTICS]
+    replay = ['replay', args.bag, '--as-fast-as-followed', '--disable-keyboard-controls',
+              '--json', folder / 'replay.json']
+    with (Program(node, environment, folder / 'estimator.log') as estimator,
+          Program(record, environment, folder / 'record.log') as recorder):
+        recorder.wait_for(lambda: recorder.said('recording'), 'the estimator was found', START_S)
+        with Program(replay, environment) as player:
+            player.finish(PLAY_S, beside=(estimator, recorder))
+        recorder.stop()
+        estimator.stop()
+
+
+def say_pace(args: argparse.Namespace, bag: LoadedBag) -> None:
+    """How fast it went, by the account of the replay."""
+    seconds = json.loads((args.output / 'replay.json').read_text())['duration_s']
+    recorded = float(bag.samples.time[-1])
+    say(f'{recorded:.0f} s of recording in {seconds:.0f} s, {recorded / seconds:.0f} times real time; '
+        f'all {len(bag.samples)} samples answered.')
+
+
+def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> Scores:
+    """What the node published, against the recording; a sample without its answer raises SemiparamError."""
+    residuals, horizons = published(path)
+    samples, first = bag.samples, settings.initial_samples
+    lost = [stamp for stamp in samples.stamps.tolist() if stamp not in residuals]
+    if lost:
+        raise SemiparamError(f'{len(lost)} of {len(samples)} samples were lost: no prediction for the one at '
+                             f'{1e-9 * (lost[0] - samples.origin):.3f} s of {str(path)!r}.')
+    if len(samples) <= first:
+        raise SemiparamError(f'the recording holds {len(samples)} samples; expected more than the initial window of '
+                             f'{first} (parameter initial.samples).')
+    scores = Scores(settings.outputs)
+    scores.start_recording(samples.origin)
+    for sample in samples[first:]:
+        scores.add(sample.outputs, sample.outputs - residuals[sample.stamp])
+    for horizon in horizons:
+        # Those that began in the initial window are the provisional model's.
+        if horizon.origin >= samples.stamps[first]:
+            scores.add_horizon(horizon)
+    return scores
+
+
+def published(path: Path) -> tuple[dict[int, Array], list[HorizonErrors]]:
+    """Residuals (6,) by stamp [ns], and the horizon errors in order, of a recording of the node."""
+    residuals, horizons = {}, []
+    with open_bag(path) as bag:
+        for message in bag.messages([RESIDUAL, HORIZON]):
+            stamp = stamp_ns(message.data.header.stamp)
+            if message.topic == RESIDUAL:
+                force, torque = message.data.wrench.force, message.data.wrench.torque
+                residuals[stamp] = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
+            else:
+                half = len(message.data.position) // 2
+                values = np.array(message.data.position)
+                horizons.append(HorizonErrors(stamp, values[:6], values[half:half + 6]))
+    return residuals, horizons
+
+
+def latency(path: Path) -> dict[str, float] | None:
+    """From a sample's arrival to its answer [ms], as the node's diagnostics tell last."""
+    found: dict[str, float] = {}
+    with open_bag(path) as bag:
+        for message in bag.messages([DIAGNOSTICS]):
+            found |= {value.key: float(value.value) for status in message.data.status for value in status.values
+                      if value.key.startswith('latency')}
+    if not found:
+        return None
+    return {'median': found['latency median [ms]'], 'p99': found['latency p99 [ms]']}
+
+
+def report(args: argparse.Namespace, scores: dict[str, Scores], results: dict[str, dict[str, Any]]) -> None:
+    """The table, and the files beside it."""
+    print_scores(output, results)
+    say(f'{" and ".join(COMPARED)}: the same recording through `semiparam evaluate`, without DDS.')
+    write_json(args.output / 'demo.json', {'command': 'demo', 'bag': str(args.bag), 'variants': results})
+    plot_indices(args.output / 'indices.png', scores)
+    say(f'plot of both indices over time: {args.output / "indices.png"}')
+    say(f"the node's inputs and outputs: {args.output / 'live.mcap'}")
+
+
+def diagnose(args: argparse.Namespace) -> None:
+    """What does the model lack on a recording with something undeclared?"""
+    if not args.undeclared.exists():
+        return
+    say(f'semiparam diagnose {args.undeclared.name}')
+    arguments = ['diagnose', args.undeclared, '--params', args.params, '--json', args.output / 'diagnosis.json']
+    with Program(arguments, isolated(args.domain)) as program:
+        program.finish(DIAGNOSE_S)
+
+
+def say(sentence: str) -> None:
+    """A remark on standard error."""
+    console.print(sentence, highlight=False, soft_wrap=True, markup=False)
