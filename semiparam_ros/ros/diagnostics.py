@@ -44,9 +44,8 @@ class Tally:
         self.excitation.add(prediction.sample)
         self.errors = prediction.horizon or self.errors
         if prediction.ready:
-            ratio = (prediction.sample.outputs - prediction.mean) / prediction.std
             self.answers += 1
-            self._squares += float(ratio @ ratio) / len(ratio)
+            self._squares += answer.innovation**2
 
     def innovation(self) -> float | None:
         """Root mean square of the standardised innovations since the last call."""

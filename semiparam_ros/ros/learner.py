@@ -15,6 +15,7 @@ from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.model import Estimator, Prediction
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import jobs
 from semiparam_ros.ros.background import Background
@@ -34,6 +35,8 @@ class Answer(NamedTuple):
     """What is published of one sample."""
 
     prediction: Prediction
+    residual: Array  # (n,) outputs minus prediction, in N and N m
+    innovation: float  # root mean square of the residual in predictive standard deviations
     learnt: bool
     contact: bool
 
@@ -104,20 +107,28 @@ class Learner:
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
         prediction = self.estimator.predict(sample)
-        contact = self.gate.judge(sample.stamp, standardised_innovation(prediction), self.settings)
+        innovation = standardised_innovation(prediction)
+        contact = self.gate.judge(sample.stamp, innovation, self.settings)
         learn = self.settings.learning and not contact
+        answer = Answer(self._as_measured(prediction), sample.outputs - prediction.mean, innovation, learn, contact)
         if learn and completes_window(self.estimator):
-            self._emit(Answer(prediction, learn, contact))
+            self._emit(answer)
             self._finish_window(prediction)
         else:
             errors = self.estimator.observe(prediction, learn)
-            self._emit(Answer(prediction._replace(horizon=errors), learn, contact))
+            if errors is not None:
+                answer = answer._replace(prediction=answer.prediction._replace(horizon=errors))
+            self._emit(answer)
+
+    def _as_measured(self, prediction: Prediction) -> Prediction:
+        """With the bias of the tare, which the sensor still has."""
+        return prediction._replace(mean=prediction.mean + self.tare.bias) if self.tare.active else prediction
 
     def _emit(self, answer: Answer) -> None:
         sample = answer.prediction.sample
         self.answered += 1
         self.learnt += answer.learnt
-        self.tare.add(answer.prediction)
+        self.tare.add(sample.stamp, answer.residual, answer.prediction.ready)
         self._outlets.answer(answer)
         self.history.append(sample, answer.learnt)
         self.company.offer(sample, answer.learnt)

@@ -45,7 +45,7 @@ class Outputs:
         stamp, frame = prediction.sample.stamp, self.frame_id
         self._mean.publish(self._value.filled(stamp, frame, prediction.mean))
         self._std.publish(self._value.filled(stamp, frame, prediction.std))
-        self._residual.publish(self._value.filled(stamp, frame, prediction.sample.outputs - prediction.mean))
+        self._residual.publish(self._value.filled(stamp, frame, answer.residual))
         if prediction.horizon is not None:
             self._horizon.publish(self._errors.filled(prediction.horizon))
         if answer.contact != self._in_contact:

@@ -74,9 +74,11 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
 
 
 def probe(body: RigidBody) -> Array:
-    """(3, n, p) regressors at three fixed states: equal for the same robot, sensor frame, outputs and convention."""
+    """(1 + 3 n, p) base parameters, and regressors at three fixed states: equal for the same robot, outputs and
+    convention, whatever the text of its description."""
     rng = np.random.default_rng(1)
-    return np.array([body.regressor(*rng.uniform(-1.0, 1.0, (3, body.n_joints))) for _ in range(3)])
+    regressors = [body.regressor(*rng.uniform(-1.0, 1.0, (3, body.n_joints))) for _ in range(3)]
+    return np.vstack([body.base_parameters[None], *regressors])
 
 
 def _meta(state: SavedState) -> dict[str, Any]:

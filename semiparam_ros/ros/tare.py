@@ -6,7 +6,6 @@ from collections import deque
 
 import numpy as np
 
-from semiparam_ros.core.model import Prediction
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -29,13 +28,12 @@ class Tare:
         """Whether there is a bias."""
         return bool(self.bias.any())
 
-    def add(self, prediction: Prediction) -> None:
-        """Keep the residual of one answer for a second."""
-        sample = prediction.sample
-        if not prediction.ready:
+    def add(self, stamp: int, residual: Array, ready: bool) -> None:
+        """Keep the residual of one answer for a second, unless the model is provisional."""
+        if not ready:
             return
-        self._residuals.append((sample.stamp, sample.outputs - prediction.mean))
-        while not 0 <= sample.stamp - self._residuals[0][0] <= WINDOW_NS:
+        self._residuals.append((stamp, residual))
+        while not 0 <= stamp - self._residuals[0][0] <= WINDOW_NS:
             self._residuals.popleft()
 
     def take(self) -> int:

@@ -1,0 +1,75 @@
+"""A small arm with a motion of its own, for the tests of the node."""
+
+import pickle
+from collections import deque
+
+import numpy as np
+
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.settings import Settings
+from semiparam_ros.settings.build import build_rigid_body
+
+JOINTS = ('a', 'b')
+URDF = """<robot name="two">
+  <link name="base"/>
+  <link name="upper"><inertial><mass value="1.0"/><origin xyz="0 0 0.1"/>
+    <inertia ixx="0.01" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="ft"><inertial><mass value="0.5"/><origin xyz="0.02 0 0.1"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
+  <joint name="b" type="revolute"><parent link="upper"/><child link="ft"/><origin xyz="0 0 0.3"/><axis xyz="1 0 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
+</robot>"""
+SETTINGS = Settings(robot_description=URDF, joints=JOINTS, sensor_frame='ft', features_count=40, initial_samples=60,
+                    horizon_length=5)
+BODY = build_rigid_body(SETTINGS)
+PERIOD_NS = 20_000_000
+START_NS = 1_000_000_000
+
+
+def motion(count: int, seed: int = 0, body=BODY) -> list[Sample]:
+    """Samples at 50 Hz: smooth motion, a heavier hand than described, an unmodelled bump, and noise."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(count)[:, None] * PERIOD_NS * 1e-9
+    rate, phase = rng.uniform(1.0, 4.0, (3, body.n_joints)), rng.uniform(0, 6.3, (3, body.n_joints))
+    angle = time[:, None, :] * rate + phase
+    position = 0.5 * np.sin(angle).sum(axis=1)
+    velocity = 0.5 * (rate * np.cos(angle)).sum(axis=1)
+    acceleration = -0.5 * (rate**2 * np.sin(angle)).sum(axis=1)
+    inertia = body.base_parameters * 1.2
+    samples = []
+    for index, row in enumerate(zip(position, velocity, acceleration, strict=True)):
+        outputs = body.regressor(*row) @ inertia + 0.3 * np.sin(3.0 * row[0][0]) \
+            + 0.01 * rng.standard_normal(body.n_outputs)
+        samples.append(Sample(START_NS + index * PERIOD_NS, *row, outputs))
+    return samples
+
+
+class DelayedBackground:
+    """A background whose jobs run when the test says so; arguments and results are pickled, as between processes."""
+
+    def __init__(self):
+        self.jobs = deque()
+        self.tasks = deque()
+
+    def submit(self, function, *arguments, done):
+        self.jobs.append((pickle.dumps((function, arguments)), done))
+
+    def later(self, function):
+        self.tasks.append(function)
+
+    def run(self, count=1000):
+        """Run up to ``count`` jobs and all tasks, those included that they bring about."""
+        while (self.jobs and count) or self.tasks:
+            while self.tasks:
+                self.tasks.popleft()()
+            if self.jobs and count:
+                count -= 1
+                packed, done = self.jobs.popleft()
+                function, arguments = pickle.loads(packed)
+                try:
+                    result, error = pickle.loads(pickle.dumps(function(*arguments))), None
+                except Exception as caught:
+                    result, error = None, caught
+                done(result, error)
