@@ -11,6 +11,7 @@ import time
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from replay_peers import (
     EVERYTHING,
     LATCHED,
@@ -108,7 +109,8 @@ def test_paced_playback_offers_what_the_bag_recorded_and_the_overrides_change_it
     overrides.write_text('/joint_states: {durability: transient_local, depth: 50}\n')
     with Peer() as peer:
         peer.listen('/wrench', WRENCH, 10)  # asks for more than best effort: nothing will come, and a sentence says so
-        peer.listen('/joint_states', STATES, LATCHED)
+        peer.listen('/joint_states', STATES, QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=1,
+                                                        durability=DurabilityPolicy.TRANSIENT_LOCAL))
         with Tool(tmp_path, 'replay', bag, '--rate', 2, '--wait-for-subscribers', '--qos-overrides', overrides) as tool:
             peer.wait_for(lambda: len(peer.heard['/joint_states']) > 0)
             offer = {topic: peer.node.get_publishers_info_by_topic(topic)[0].qos_profile for topic in peer.heard}

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
-
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters
-from rclpy.node import Node
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.replay_discovery import is_named, owner, wait_until
 from semiparam_ros.ros.replay_flow import FlowControl
+from semiparam_ros.ros.replay_handshake import handshake
 from semiparam_ros.ros.replay_node import ReplayNode
 from semiparam_ros.ros.replay_options import FollowOptions
 from semiparam_ros.ros.replay_qos import from_rclpy, subscription_qos, to_rclpy
 from semiparam_ros.ros.replay_stamps import begins_with_header, read_stamp
 from semiparam_ros.ros.replay_types import message_class
 
-HANDSHAKE_S = 3.0
 NAME_S = 1.0
 QUEUE_DEPTH = 'queue_depth'
 _REMARK = ('{name} keeps only the last {depth} messages of a topic (its parameter queue_depth) and may lose some; '
@@ -75,7 +71,7 @@ class Follower:
         """Wait until each side has discovered the other's endpoints; the follower's queue depth if it tells."""
         if not wait_until(lambda: self._subscription.get_publisher_count() > 0, wait_s, stopping):
             raise SemiparamError(f'{self.answer_topic} did not connect within {wait_s:g} s.')
-        return _handshake(self._node, self.name, stopping)
+        return handshake(self._node, self.name, stopping, QUEUE_DEPTH)
 
     def _answer(self, raw: bytes) -> None:
         self.flow.answered(self._read(raw))
@@ -89,29 +85,3 @@ def _request_topic(node: ReplayNode, answer_type: str, answer_topic: str) -> str
         return fitting[0]
     raise SemiparamError(f'which topic {answer_topic} answers is not clear: {len(fitting)} of the played topics are '
                          f'{answer_type} (name it: --follow {answer_topic}=TOPIC).')
-
-
-def _handshake(node: Node, follower: str, stopping: threading.Event) -> int | None:
-    """One service call to the follower, whose answer proves that it knows our subscription, and tells `queue_depth`.
-
-    Discovery is not symmetric: that we see its publisher does not mean that it sees our subscription, and until it
-    does its answers are lost. It learns of endpoints in the order of their creation, and it cannot answer this call
-    before it knows the client, which is younger than the subscription. A follower without parameter services (one that
-    is not of ROS) is trusted after the time has passed.
-    """
-    client = node.create_client(GetParameters, f'{follower}/get_parameters') if follower.startswith('/') else None
-    try:
-        if client is not None and wait_until(client.service_is_ready, HANDSHAKE_S, stopping):
-            reply = client.call_async(GetParameters.Request(names=[QUEUE_DEPTH]))
-            if wait_until(reply.done, HANDSHAKE_S, stopping):
-                return _integer(reply.result().values)
-    finally:
-        if client is not None:
-            node.destroy_client(client)
-    return None
-
-
-def _integer(values: Sequence[ParameterValue]) -> int | None:
-    """The first value, None when it is not set or no integer."""
-    is_one = len(values) > 0 and values[0].type == ParameterType.PARAMETER_INTEGER
-    return int(values[0].integer_value) if is_one else None

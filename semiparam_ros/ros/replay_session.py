@@ -19,6 +19,7 @@ from semiparam_ros.ros.replay_controls import ReplayControls
 from semiparam_ros.ros.replay_discovery import Stopped, subscribers, wait_for_subscribers, wait_until, warnings
 from semiparam_ros.ros.replay_flow import FlowControl, FollowerSilent
 from semiparam_ros.ros.replay_follower import Follower
+from semiparam_ros.ros.replay_handshake import handshake
 from semiparam_ros.ros.replay_keyboard import HELP, Keyboard
 from semiparam_ros.ros.replay_node import ReplayNode
 from semiparam_ros.ros.replay_options import ReplayOptions
@@ -145,6 +146,9 @@ class ReplaySession:
         count = max(options.wait_for_subscribers, 1 if self._followers else 0)
         if count:
             wait_for_subscribers(node, count, options.wait_s, self._stopping)
+            known = {follower.name for follower in self._followers}
+            for name in {each.owner for each in subscribers(node)} - known:
+                handshake(node, name, self._stopping)
         self._say(warnings(subscribers(node), bool(self._followers)))
         if options.delay_s:
             wait_until(lambda: False, options.delay_s, self._stopping)
