@@ -36,6 +36,8 @@ EXTRAS = {
         'mypy',
         'types-PyYAML',
         'idyntree',
+        'cyclonedds',
+        'roslibpy',
         'colcon-common-extensions',
         'setuptools<80',
     ],
@@ -51,7 +53,7 @@ def version() -> str:
 
 def shared(folder: str) -> list:
     """(install folder, files) pairs for every file below one folder of the source tree."""
-    files = [path.relative_to(HERE) for path in sorted((HERE / folder).rglob('*')) if path.is_file()]
+    files = [path.relative_to(HERE) for path in sorted((HERE / folder).rglob('*')) if path.is_file() and path.suffix != '.pyc']
     parents = sorted({path.parent for path in files})
     return [(f'{SHARE}/{parent}', [str(path) for path in files if path.parent == parent]) for parent in parents]
 
