@@ -53,7 +53,8 @@ def version() -> str:
 
 def shared(folder: str) -> list:
     """(install folder, files) pairs for every file below one folder of the source tree."""
-    files = [path.relative_to(HERE) for path in sorted((HERE / folder).rglob('*')) if path.is_file() and path.suffix != '.pyc']
+    found = sorted(path for path in (HERE / folder).rglob('*') if path.is_file() and path.suffix != '.pyc')
+    files = [path.relative_to(HERE) for path in found]
     parents = sorted({path.parent for path in files})
     return [(f'{SHARE}/{parent}', [str(path) for path in files if path.parent == parent]) for parent in parents]
 
