@@ -83,6 +83,17 @@ def test_a_subscriber_that_takes_nothing_ends_a_lossless_playback_with_a_sentenc
     assert tool.said('failed: /joint_states cannot be published: a reliable subscriber has taken nothing for 1 s')
 
 
+def test_a_follower_that_leaves_ends_the_playback_at_once(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 400)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH, refuses=lambda count: count > 150)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
+            peer.wait_for(lambda: len(peer.heard['/wrench']) > 150)
+            peer.node.destroy_node()
+            assert tool.wait() == 1, tool.output
+    assert tool.said('failed: the follower has left while ') and tool.said('it answered 150 of 250')
+
+
 def test_refused_samples_are_counted_and_told(tmp_path):
     bag = write_robot(tmp_path / 'a.mcap', 300)
     with Peer('estimator') as peer:

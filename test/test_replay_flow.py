@@ -35,7 +35,7 @@ def test_the_window_holds_requests_back_and_an_answer_opens_it():
     for stamp in (1, 2, 3):
         assert flow.patience(request(stamp)) == 0.0
         flow.sent(request(stamp))
-    assert flow.patience(request(4)) == 5.0
+    assert flow.patience(request(4)) == 1.0
     flow.answered(1)
     assert flow.patience(request(4)) == 0.0
     assert (flow.requests, flow.answers, flow.outstanding) == (3, 1, 2)
@@ -53,18 +53,26 @@ def test_silence_ends_the_playback_with_a_sentence_that_counts():
     for stamp in (1, 2, 3, 4):
         flow.sent(request(stamp))
     flow.answered(1)
-    hands.ns = 4 * 10**9
-    assert flow.patience(request(5)) == pytest.approx(1.0)
+    hands.ns = int(4.5 * 10**9)
+    assert flow.patience(request(5)) == pytest.approx(0.5)
     hands.ns = 5 * 10**9
     with pytest.raises(FollowerSilent, match=r'silent for 5\.0 s while 3 messages on /wrench .* answered 1 of 4'):
         flow.patience(request(5))
+
+
+def test_a_follower_that_leaves_is_not_waited_for():
+    flow, _ = flow_control(window=1)
+    flow.sent(request(1))
+    flow.is_gone = lambda: True
+    with pytest.raises(FollowerSilent, match='has left while 1 messages on /wrench'):
+        flow.patience(request(2))
 
 
 def test_a_pause_before_a_request_is_no_silence():
     flow, hands = flow_control(window=1)
     hands.ns = 100 * 10**9
     flow.sent(request(1))
-    assert flow.patience(request(2)) == 5.0
+    assert flow.patience(request(2)) == 1.0
 
 
 def test_a_refused_request_is_settled_by_the_next_answer_and_told():
@@ -83,10 +91,10 @@ def test_a_follower_that_keeps_all_is_sent_more_after_a_silence():
     hands.ns = 2 * 10**9
     assert flow.patience(request(2)) == 0.0
     flow.sent(request(2))
-    assert flow.patience(request(3)) == pytest.approx(2.0)
+    assert flow.patience(request(3)) == pytest.approx(1.0)
     flow.answered(1)
     flow.sent(request(3))
-    assert flow.patience(request(4)) == pytest.approx(2.0) and flow.outstanding == 2
+    assert flow.patience(request(4)) == pytest.approx(1.0) and flow.outstanding == 2
 
 
 def test_the_window_is_no_larger_than_the_followers_queue():
@@ -128,7 +136,7 @@ def test_what_still_waits_at_the_end_is_unanswered():
 def test_every_request_is_answered_or_told_and_never_more_than_the_window_waits(steps, window, random):
     """Stamps that repeat and jump back, as a looped bag gives them; a follower that refuses some."""
     flow, _ = flow_control(window)
-    queue, refused = [], 0
+    queue = []
     for stamp in (100 - step for step in steps):
         while flow.patience(request(stamp)) > 0.0:
             # A window of refused requests alone would wait for the timeout: the last one is answered here.
@@ -138,10 +146,11 @@ def test_every_request_is_answered_or_told_and_never_more_than_the_window_waits(
         assert flow.outstanding <= window
         if len(queue) > 1 and queue[-1] != queue[-2] and random.random() < 0.3:
             queue.pop(-2)
-            refused += 1
     while queue:
         flow.answered(queue.pop(0))
-    assert flow.outstanding == 0
+    # Where a stamp came twice and the first was refused, the answer to the second cannot be told from one to the first.
+    assert flow.outstanding <= len(steps) - len(set(steps))
+    flow.give_up()
     assert flow.answers + len(flow.unanswered_stamps) == flow.requests == len(steps)
 
 

@@ -16,6 +16,9 @@ from semiparam_ros.ros.replay_clock import MonotonicClock
 from semiparam_ros.ros.replay_player import Item
 
 WIDEN_S = 2.0
+# What waits in the follower is not without bound either.
+WIDEN_AT_MOST = 128
+LOOK_S = 1.0
 
 
 class FollowerSilent(Exception):
@@ -43,6 +46,7 @@ class FlowControl:
         self.timeout_s = timeout_s
         self._stamp_of = stamp_of
         self._keeps_all = False
+        self.is_gone: Callable[[], bool] = lambda: False
         self._monotonic = monotonic
         self._lock = threading.Lock()
         self._waiting: OrderedDict[int, int] = OrderedDict()
@@ -73,7 +77,7 @@ class FlowControl:
             remaining, silent = self._remaining(), self._silent()
             if not self._keeps_all:
                 return remaining
-            if len(self._waiting) < self.window * 2 ** int(silent / WIDEN_S):
+            if len(self._waiting) < self.window * min(2 ** int(silent / WIDEN_S), WIDEN_AT_MOST):
                 return 0.0
             return min(remaining, WIDEN_S - silent % WIDEN_S)
 
@@ -87,11 +91,15 @@ class FlowControl:
         return (self._monotonic() - self._last_sign) * 1e-9
 
     def _remaining(self) -> float:
+        """Seconds until somebody should look again; raises FollowerSilent when there is nothing to hope for."""
         silent = self._silent()
+        if self.is_gone():
+            raise FollowerSilent(f'the follower has left while {len(self._waiting)} messages on {self.request_topic} '
+                                 f'wait for it; it answered {self.answers} of {self.requests}.')
         if silent >= self.timeout_s:
             raise FollowerSilent(f'the follower has been silent for {silent:.1f} s while {len(self._waiting)} messages '
                                  f'on {self.request_topic} wait for it; it answered {self.answers} of {self.requests}.')
-        return self.timeout_s - silent
+        return min(self.timeout_s - silent, LOOK_S)
 
     def sent(self, item: Item) -> None:
         """Count a request that is about to be published."""

@@ -51,6 +51,7 @@ class Follower:
         depth = self._connect(wait_s, stopping)
         self.remark = _REMARK.format(name=self.name, depth=depth) if depth else ''
         self.flow.fit_queue(depth)
+        self.flow.is_gone = lambda: self._subscription.get_publisher_count() == 0
 
     def _publisher(self, wait_s: float, stopping: threading.Event) -> Any:
         """Endpoint information of who answers; raises SemiparamError when nobody does in time."""
