@@ -18,7 +18,7 @@ from semiparam_ros.simulation.arrays import Array
 
 CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
 OUTPUTS = ('wrench', 'effort')
-CHANNELS = ('force_x', 'force_y', 'force_z', 'torque_x', 'torque_y', 'torque_z')
+CHANNELS = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 
 
 @dataclass(frozen=True)

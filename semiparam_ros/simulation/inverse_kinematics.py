@@ -6,31 +6,38 @@ import numpy as np
 
 from semiparam_ros.simulation.arm import Arm
 from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.simulation.chain import Poses
 
-ITERATIONS = 30
-POSTURE_WEIGHT = 3e-4
-LIMIT_MARGIN = 0.05
+ITERATIONS = 40
+DAMPING_M = 1e-2
+LIMIT_MARGIN = 0.03
+TOLERANCE_RAD = 1e-7
 
 
 def follow(arm: Arm, frame: str, path: Array, posture: Array) -> Array:
     """Joint positions (N, n_joints) whose ``frame`` runs along ``path`` (N, 3) [m], as near as may be to ``posture``.
 
-    Damped least squares on |x(q) - path|^2 + w^2 |q - posture|^2, for all instants at once. The redundancy is settled
+    Damped Newton steps J# (path - x) + (1 - J# J) (posture - q), for all instants at once. The redundancy is settled
     by the posture and not by history, so the result is a smooth function of the path and never drifts.
     """
     low, high = (limit + sign * LIMIT_MARGIN for limit, sign in zip(arm.limits, (1, -1), strict=True))
-    position = np.clip(np.array(np.broadcast_to(posture, (len(path), arm.n_joints))), low, high)
-    eye = POSTURE_WEIGHT * np.eye(arm.n_joints)
+    posture = np.broadcast_to(posture, (len(path), arm.n_joints))
+    position, open_rows = np.clip(posture, low, high), np.arange(len(path))
     for _ in range(ITERATIONS):
-        pose = arm.pose(frame, position)
-        jacobian = pose.jacobian[:, :3]
-        gradient = np.einsum('nkj,nk->nj', jacobian, path - pose.place) + POSTURE_WEIGHT * (posture - position)
-        hessian = np.einsum('nki,nkj->nij', jacobian, jacobian) + eye
-        step = np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
-        position = np.clip(position + np.clip(step, -0.2, 0.2), low, high)
-        if np.abs(step).max() < 1e-9:
+        step = _step(arm.pose(frame, position[open_rows]), path[open_rows], (posture - position)[open_rows])
+        position[open_rows] = np.clip(position[open_rows] + np.clip(step, -0.2, 0.2), low, high)
+        open_rows = open_rows[np.abs(step).max(axis=1) > TOLERANCE_RAD]
+        if not len(open_rows):
             break
     return position
+
+
+def _step(pose: Poses, path: Array, wish: Array) -> Array:
+    """The damped Newton step (N, n_joints); ``wish`` is the way to the posture."""
+    jacobian = pose.jacobian[:, :3]
+    inner = jacobian @ jacobian.transpose(0, 2, 1) + DAMPING_M**2 * np.eye(3)
+    missing = path - pose.place - np.einsum('nkj,nj->nk', jacobian, wish)
+    return np.asarray(wish + np.einsum('nkj,nk->nj', jacobian, np.linalg.solve(inner, missing[:, :, None])[:, :, 0]))
 
 
 def home(arm: Arm) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -14,7 +14,8 @@ from semiparam_ros.simulation.inverse_kinematics import follow
 from semiparam_ros.simulation.trajectory import Trajectory, fine_time, tracked
 from semiparam_ros.simulation.wander import wander, wanders
 
-Reference = Callable[[Arm, Array, Array, np.random.Generator], Array]
+Homes = Mapping[str, Array]
+Reference = Callable[[Arm, Array, Homes, np.random.Generator], Array]
 
 RADIUS_M = 0.05
 TURN_S = 1.25
@@ -24,20 +25,20 @@ MAX_SPEED = 2.0
 SEGMENT_S, FADE_S = 15.0, 2.0
 
 
-def trajectory(arm: Arm, motion: str, duration: float, home: Array, rng: np.random.Generator) -> Trajectory:
-    """The tracked motion for ``duration`` [s] around the posture ``home`` (n_joints,) [rad]."""
+def trajectory(arm: Arm, motion: str, duration: float, homes: Homes, rng: np.random.Generator) -> Trajectory:
+    """The tracked motion for ``duration`` [s]; circles go around the posture ``homes`` [rad] of their plane."""
     if motion not in MOTIONS:
         raise SemiparamError(f"motion '{motion}' is unknown; expected one of {', '.join(MOTIONS)}.")
     time = fine_time(duration)
-    return tracked(time, MOTIONS[motion](arm, time, home, rng), rng)
+    return tracked(time, MOTIONS[motion](arm, time, homes, rng), rng)
 
 
 def circle(plane: str) -> Reference:
-    """Circles of the tip with a diameter of 10 cm, one turn in about 1.25 s, in base axes ``plane``."""
-    def reference(arm: Arm, time: Array, home: Array, rng: np.random.Generator) -> Array:
-        coarse = time[::COARSE_STEP]
+    """Circles of the tip with a diameter of 10 cm, one turn in about 1.25 s, in the base axes of ``plane``."""
+    def reference(arm: Arm, time: Array, homes: Homes, rng: np.random.Generator) -> Array:
+        coarse, home = time[::COARSE_STEP], homes[plane]
         path = circle_path(coarse, PLANES[plane], rng) + arm.pose(arm.tip, home[None]).place
-        posture = home + 0.06 * wanders(coarse, 40.0, arm.n_joints, rng)
+        posture = home + 0.04 * wanders(coarse, 40.0, arm.n_joints, rng)
         return refined(coarse, follow(arm, arm.tip, path, posture), time)
     return reference
 
@@ -46,15 +47,15 @@ def circle_path(time: Array, axes: tuple[int, int, int], rng: np.random.Generato
     """Path (N, 3) [m] about the origin; speed, radius and centre wander by several per cent, at their own pace."""
     rate = (2 * np.pi / TURN_S) * (1 + 0.05 * wander(time, 25.0, rng))
     phase = np.concatenate([[0.0], np.cumsum(rate[1:] * np.diff(time))]) + rng.uniform(0, 2 * np.pi)
-    radius = RADIUS_M * (1 + 0.05 * wander(time, 18.0, rng))
+    radius = RADIUS_M * (1 + 0.04 * wander(time, 18.0, rng))
     path = np.empty((len(time), 3))
     path[:, axes[0]] = radius * np.cos(phase)
     path[:, axes[1]] = radius * np.sin(phase)
     path[:, axes[2]] = 0.0
-    return path + 0.006 * wanders(time, 30.0, 3, rng)
+    return path + 0.004 * wanders(time, 30.0, 3, rng)
 
 
-def fourier(arm: Arm, time: Array, home: Array, rng: np.random.Generator) -> Array:
+def fourier(arm: Arm, time: Array, homes: Homes, rng: np.random.Generator) -> Array:
     """Every joint on a sum of sines of its own, as wide as limits and speed allow: exciting for identification."""
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in arm.limits)
     centre, reach = (low + high) / 2, 0.4 * (high - low)
@@ -69,24 +70,25 @@ def fourier(arm: Arm, time: Array, home: Array, rng: np.random.Generator) -> Arr
     return np.asarray(centre + reach * np.tanh(shape))
 
 
-def reach(arm: Arm, time: Array, home: Array, rng: np.random.Generator) -> Array:
+def reach(arm: Arm, time: Array, homes: Homes, rng: np.random.Generator) -> Array:
     """From one random posture to the next along minimum-jerk curves, with short rests."""
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in arm.limits)
-    position, now, here = np.empty((len(time), arm.n_joints)), time[0], home
-    while now < time[-1]:
+    speed = np.minimum(MAX_SPEED, 0.7 * arm.speed_limits)
+    position, now, here = np.empty((len(time), arm.n_joints)), time[0], homes['circle_xy']
+    while now <= time[-1]:
         target = low + (high - low) * rng.uniform(0.12, 0.88, arm.n_joints)
-        speed = np.minimum(MAX_SPEED, 0.7 * arm.speed_limits)
         move = max(rng.uniform(0.8, 1.6), float(np.max(1.9 * np.abs(target - here) / speed)))
-        chosen = time >= now
-        s = np.clip((time[chosen] - now) / move, 0.0, 1.0)[:, None]
-        position[chosen] = here + (target - here) * s**3 * (10 - 15 * s + 6 * s**2)
-        now, here = now + move + rng.uniform(0.1, 0.5), target
+        then = now + move + rng.uniform(0.1, 0.5)
+        rows = slice(*np.searchsorted(time, (now, then)))
+        s = np.clip((time[rows] - now) / move, 0.0, 1.0)[:, None]
+        position[rows] = here + (target - here) * s**3 * (10 - 15 * s + 6 * s**2)
+        now, here = then, target
     return position
 
 
-def mixed(arm: Arm, time: Array, home: Array, rng: np.random.Generator) -> Array:
+def mixed(arm: Arm, time: Array, homes: Homes, rng: np.random.Generator) -> Array:
     """Circles in both planes, Fourier motion and reaching in turn, 15 s each, faded into one another."""
-    parts = [part(arm, time, home, rng) for part in (circle('circle_xy'), fourier, circle('circle_xz'), reach)]
+    parts = [part(arm, time, homes, rng) for part in (circle('circle_xy'), fourier, circle('circle_xz'), reach)]
     turn = np.clip(((time - time[0]) % SEGMENT_S - (SEGMENT_S - FADE_S)) / FADE_S, 0.0, 1.0)[:, None]
     fade = turn**3 * (10 - 15 * turn + 6 * turn**2)
     current = ((time - time[0]) // SEGMENT_S).astype(int) % len(parts)

@@ -22,7 +22,8 @@ from semiparam_ros.simulation.world import World
 
 ICUB_JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 ICUB_SENSOR = 'r_arm_ft_sensor'
-ICUB_HOME = (-0.4, 1.3, 1.3, 1.25)
+# The elbow reaches over ten centimetres only: circles must lie across the line from the shoulder to the hand.
+ICUB_HOMES = {'circle_xy': (-0.3, 0.75, 1.4, 1.29), 'circle_xz': (-0.68, 1.8, 1.35, 1.3)}
 START_NS = 1_700_000_000_000_000_000
 MIN_SAMPLES = 10
 DRAWS = 8
@@ -46,7 +47,7 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
     robot = np.random.default_rng(scenario.seed if scenario.robot_seed is None else scenario.robot_seed)
     arm = varied(arm_of(scenario), robot)
     times = np.arange(scenario.samples) / scenario.rate_hz
-    path = trajectory(arm, scenario.motion, float(times[-1]), home_of(scenario, arm), moving)
+    path = trajectory(arm, scenario.motion, float(times[-1]), homes_of(scenario, arm), moving)
     bare = World(arm, path, times, np.zeros(arm.n_joints))
     scale = output_scale(bare)
     world, extra = add_effects(bare, BASELINES[scenario.baseline], scale, missing)
@@ -84,6 +85,8 @@ def check_effect(effect: EffectRequest, scenario: Scenario) -> None:
     cause = cause_of(effect.kind, scenario.outputs)
     if not (np.isfinite(effect.size) and effect.size > 0):
         raise SemiparamError(f"size {effect.size} of effect '{effect.kind}' is out of range; expected more than 0.")
+    if effect.where is not None and not cause.takes_place:
+        raise SemiparamError(f"effect '{effect.kind}' has no place; leave out '@{effect.where}'.")
     if effect.start_s is not None and not cause.can_start:
         raise SemiparamError(f"effect '{effect.kind}' is there all the time; it cannot have a start.")
     if effect.start_s is not None and not 0 <= effect.start_s < scenario.samples / scenario.rate_hz:
@@ -100,16 +103,14 @@ def arm_of(scenario: Scenario) -> Arm:
                          scenario.convention)
 
 
-def home_of(scenario: Scenario, arm: Arm) -> Array:
-    """The posture that the motion goes around."""
-    if scenario.home is not None:
-        if len(scenario.home) != arm.n_joints:
-            raise SemiparamError(f'home has {len(scenario.home)} values; expected one for each of '
-                                 f'{arm.n_joints} joints.')
-        return np.array(scenario.home, dtype=float)
-    if scenario.urdf is None and arm.joints == ICUB_JOINTS:
-        return np.array(ICUB_HOME)
-    return inverse_kinematics.home(arm)
+def homes_of(scenario: Scenario, arm: Arm) -> dict[str, Array]:
+    """The posture that circles in each plane go around."""
+    if scenario.home is not None and len(scenario.home) != arm.n_joints:
+        raise SemiparamError(f'home has {len(scenario.home)} values; expected one for each of {arm.n_joints} joints.')
+    if scenario.home is None and scenario.urdf is None and arm.joints == ICUB_JOINTS:
+        return {plane: np.array(home) for plane, home in ICUB_HOMES.items()}
+    home = inverse_kinematics.home(arm) if scenario.home is None else np.array(scenario.home, dtype=float)
+    return dict.fromkeys(ICUB_HOMES, home)
 
 
 def bundled_urdf() -> Path:

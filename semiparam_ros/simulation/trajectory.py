@@ -71,5 +71,7 @@ def second_order(drive: Array, omega: float, damping: float, step: float) -> Arr
 def slow_noise(count: int, rng: np.random.Generator) -> Array:
     """Noise of ``TREMOR_RAD`` RMS below about ``TREMOR_HZ``, (count,) [rad]."""
     omega = 2 * np.pi * TREMOR_HZ
-    noise = second_order(rng.standard_normal(count), omega, 0.7, 1.0 / FINE_RATE_HZ)
+    noise = rng.standard_normal(count)
+    for _ in range(2):
+        noise = second_order(noise, omega, 0.7, 1.0 / FINE_RATE_HZ)
     return TREMOR_RAD * noise / np.std(noise)

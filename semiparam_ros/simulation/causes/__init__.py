@@ -4,12 +4,28 @@ from __future__ import annotations
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.causes.base import Cause, Quantity, Site
+from semiparam_ros.simulation.causes.cables import CableHysteresis, CableSpring
+from semiparam_ros.simulation.causes.drive import (
+    Backlash,
+    EffortGain,
+    EffortOffset,
+    JointSpring,
+    RotorInertia,
+    TransmissionRipple,
+)
 from semiparam_ros.simulation.causes.forces import (
     ExternalForce,
     Payload,
     PeriodicDisturbance,
     QuadraticDrag,
     ViscousDrag,
+)
+from semiparam_ros.simulation.causes.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    LoadFriction,
+    StribeckFriction,
+    ViscousFriction,
 )
 from semiparam_ros.simulation.causes.geometry import GravityTilt, JointOffset, TimeDelay
 from semiparam_ros.simulation.causes.sensor import (
@@ -20,14 +36,20 @@ from semiparam_ros.simulation.causes.sensor import (
     SensorOffset,
     ThermalDrift,
 )
+from semiparam_ros.simulation.causes.unlisted import Bump, DriftingFriction, TwoMassFlexibility
 
-__all__ = ['CAUSES', 'Cause', 'Quantity', 'Site', 'cause_of', 'kinds']
+__all__ = ['CAUSES', 'LISTED_KINDS', 'UNLISTED_KINDS', 'Cause', 'Quantity', 'Site', 'cause_of', 'kinds']
 
 _LISTED: tuple[type[Cause], ...] = (
     Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
-    JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, PeriodicDisturbance)
+    JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
+    PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
+    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash)
+_UNLISTED: tuple[type[Cause], ...] = (Bump, DriftingFriction, TwoMassFlexibility)
 
-CAUSES: dict[str, type[Cause]] = {cause.kind: cause for cause in _LISTED}
+LISTED_KINDS = tuple(cause.kind for cause in _LISTED)
+UNLISTED_KINDS = tuple(cause.kind for cause in _UNLISTED)
+CAUSES: dict[str, type[Cause]] = {cause.kind: cause for cause in (*_LISTED, *_UNLISTED)}
 
 
 def kinds(outputs: str) -> tuple[str, ...]:

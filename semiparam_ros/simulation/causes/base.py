@@ -86,6 +86,7 @@ class Cause:
 
     kind: ClassVar[str]
     acts_on: ClassVar[tuple[str, ...]] = BOTH
+    takes_place: ClassVar[bool] = True
     can_start: ClassVar[bool] = False
     typical: ClassVar[float] = 1.0
 

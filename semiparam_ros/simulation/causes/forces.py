@@ -113,7 +113,7 @@ class ViscousDrag(FrameForce):
         return -world.arm.pose(str(self.where), motion.position).velocity(motion.velocity)[:, :3]
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'coefficient': Quantity(magnitude, 'N s/m')}
+        return {'drag': Quantity(magnitude, 'N s/m')}
 
 
 @dataclass(frozen=True)
@@ -127,4 +127,4 @@ class QuadraticDrag(ViscousDrag):
         return np.asarray(against * np.linalg.norm(against, axis=1)[:, None])
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'coefficient': Quantity(magnitude, 'N s^2/m^2')}
+        return {'drag': Quantity(magnitude, 'N s^2/m^2')}

@@ -40,6 +40,7 @@ class GravityTilt(Cause):
     """The base is not level: gravity comes from another direction in its axes."""
 
     kind = 'gravity_tilt'
+    takes_place = False
     typical = 0.03
     axis: Array
 
@@ -62,6 +63,7 @@ class TimeDelay(Cause):
     """The outputs come later than their stamps say: the sensor shows the continuous motion a while ago."""
 
     kind = 'time_delay'
+    takes_place = False
     typical = 0.01
 
     @classmethod
@@ -72,4 +74,4 @@ class TimeDelay(Cause):
         return replace(world, delay_s=world.delay_s + magnitude)
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'delay': Quantity(magnitude, 's')}
+        return {'delay_s': Quantity(magnitude, 's')}

@@ -19,6 +19,7 @@ class Bias(Cause):
     """A wrench ``direction`` (6,), in units of the outputs' standard deviation, comes on top of the reading."""
 
     acts_on = ('wrench',)
+    takes_place = False
     can_start = True
     typical = 0.1
     direction: Array
@@ -92,7 +93,7 @@ class ThermalDrift(Bias):
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
         return {'drift': Quantity(magnitude * self.direction, 'N, N m'),
-                'time_constant': Quantity(self.time_constant, 's')}
+                'time_constant_s': Quantity(self.time_constant, 's')}
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ class SensorGain(ReadingMatrix):
         return matrix
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'gain_error': Quantity(self.sign * magnitude, '1')}
+        return {'gain': Quantity(self.sign * magnitude, '1')}
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,7 @@ class SensorCrosstalk(ReadingMatrix):
     """The calibration matrix is wrong off its diagonal: every channel hears the others."""
 
     kind = 'sensor_crosstalk'
+    takes_place = False
     pattern: Array
 
     @classmethod
@@ -159,6 +161,7 @@ class SensorMisalignment(ReadingMatrix):
     """The sensor is mounted turned about an axis; force and torque arrive in turned axes."""
 
     kind = 'sensor_misalignment'
+    takes_place = False
     axis: Array
 
     @classmethod
