@@ -10,6 +10,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 KINDS = 3  # position, velocity, acceleration
+LEAST_SHARE = 0.2
 
 
 class RandomFeatures:
@@ -78,7 +79,15 @@ def spread(tau: Sequence[float], n_inputs: int) -> Array:
 
 
 def input_scaling(inputs: Array) -> tuple[Array, Array]:
-    """Mean and scale (standard deviation; 1 where an input does not move) of a window of inputs (N, m)."""
-    scale = inputs.std(axis=0)
-    floor = 1e-9 * max(1.0, float(np.abs(inputs).max()))
-    return inputs.mean(axis=0), np.where(scale > floor, scale, 1.0)
+    """Mean and scale of a window of inputs (N, m): the standard deviation, kept from that of noise alone.
+
+    A joint that hardly moved in the window would have its noise blown up to the size of the others' motion, and its
+    first real motion far beyond what the features have seen. So each scale is at least a fifth of the largest of its
+    kind (position, velocity, acceleration), and 1 where no joint moved.
+    """
+    deviation = inputs.std(axis=0)
+    largest = deviation.reshape(KINDS, -1).max(axis=1)
+    floor = np.repeat(LEAST_SHARE * largest, inputs.shape[1] // KINDS)
+    scale = np.maximum(deviation, floor)
+    rounding = 1e-9 * max(1.0, float(np.abs(inputs).max()))
+    return inputs.mean(axis=0), np.where(scale > rounding, scale, 1.0)
