@@ -1,8 +1,9 @@
 """Log marginal likelihood of a window under the model y = C theta + (phi' x I) alpha + e, with its gradient.
 
 All outputs share phi, so after whitening by ``output_scale`` the covariance of the stacked outputs is
-V = I_n x A + C Gamma C' with A = sigma^2 I + rho^2 Phi Phi'. Only A (through min(t, D)) and a p x p matrix are
+V = I_n x A + C Gamma C' with A = sigma^2 N + rho^2 Phi Phi'. Only A (through min(t, D)) and a p x p matrix are
 ever factored. The gradient runs backwards: dL/dA once, and from it every length scale (DESIGN, section 2).
+N = I is the paper's white noise; with a drift, N = I + kappa R (see ``drift``).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from semiparam_ros.core.drift import Drift
 from semiparam_ros.core.shared_factor import SharedFactor
 from semiparam_ros.core.types import Array, Stamps
 
@@ -28,6 +30,8 @@ class Slope(NamedTuple):
     tau: Array
     sigma: float
     output_scale: Array
+    kappa: float = 0.0
+    memory: float = 0.0
 
 
 class Evidence(NamedTuple):
@@ -48,6 +52,7 @@ class Window:
     :param spectrum: omega (d, m), standard normal; d = 0 for a purely parametric model.
     :param groups: (m,) index of the length scale of each input.
     :param prior_scale: (p,) prior standard deviations of theta in units of gamma.
+    :param step: distance of neighbouring samples in the recording, for the drift.
     :param profiled: theta is a hyperparameter maximised in closed form (SP), not a Gaussian variable (P, SPK).
     """
 
@@ -58,22 +63,25 @@ class Window:
     groups: Stamps
     prior_scale: Array
     profiled: bool = False
+    step: int = 1
 
     def thinned(self, rows: int, frequencies: int) -> Window:
         """The same problem on at most ``rows`` evenly spaced samples and the first ``frequencies`` of omega."""
         step = max(1, -(-len(self.outputs) // rows))
         return replace(self, outputs=self.outputs[::step], coupled=self.coupled[::step], inputs=self.inputs[::step],
-                       spectrum=self.spectrum[:frequencies])
+                       spectrum=self.spectrum[:frequencies], step=self.step * step)
 
 
 class Point(NamedTuple):
-    """Where the evidence is taken: ``tau`` (groups,), ``output_scale`` (n,)."""
+    """Where the evidence is taken: ``tau`` (groups,), ``output_scale`` (n,); kappa 0 is white noise."""
 
     gamma: float
     rho: float
     tau: Array
     sigma: float
     output_scale: Array
+    kappa: float = 0.0
+    memory: float = 1.0
 
 
 class _Coupled(NamedTuple):
@@ -93,7 +101,8 @@ def evidence(window: Window, at: Point, gradient: bool = True) -> Evidence:
     c = (window.coupled / at.output_scale[:, None]).reshape(steps * n, p)
     scaled_inputs = window.inputs / at.tau[window.groups]
     phi = harmonics(scaled_inputs @ window.spectrum.T)
-    factor = SharedFactor(at.rho * phi, at.sigma)
+    drift = Drift(steps, at.kappa, at.memory, window.step) if at.kappa > 0.0 else None
+    factor = SharedFactor(at.rho * phi, at.sigma, drift)
     solved = factor.solve(np.hstack([y, c.reshape(steps, n * p)]))
     ay, ac = solved[:, :n], np.ascontiguousarray(solved[:, n:]).reshape(steps * n, p)
     coupled = _estimate(c.T @ ac, ac.T @ y.ravel(), at.gamma * window.prior_scale, window.profiled)
@@ -104,11 +113,12 @@ def evidence(window: Window, at: Point, gradient: bool = True) -> Evidence:
     if not gradient:
         return Evidence(value, coupled.theta, None)
     z = np.hstack([weighted, (ac @ coupled.root).reshape(steps, -1)])
-    rho_slope, sigma_slope, by_features = _covariance_slopes(factor, z, n)
+    slopes = factor.slopes(z, n)
     scale_slope = np.sum(errors * weighted, axis=0) - steps
     scale_slope += np.sum(((ac @ coupled.root) * (c @ coupled.root)).reshape(steps, n, -1), axis=(0, 2))
-    tau_slope = _length_scale_slopes(at.rho * by_features, phi, scaled_inputs, window, len(at.tau))
-    return Evidence(value, coupled.theta, Slope(coupled.gamma_slope, rho_slope, tau_slope, sigma_slope, scale_slope))
+    tau_slope = _length_scale_slopes(at.rho * slopes.features, phi, scaled_inputs, window, len(at.tau))
+    return Evidence(value, coupled.theta, Slope(coupled.gamma_slope, slopes.rho, tau_slope, slopes.sigma, scale_slope,
+                                                slopes.kappa, slopes.memory))
 
 
 def harmonics(phase: Array) -> Array:
@@ -146,16 +156,6 @@ def _posterior(information: Array, right: Array, prior_std: Array) -> _Coupled:
     penalty = float(white @ white)
     slope = penalty - float(np.sum(1.0 - 1.0 / eigenvalues))
     return _Coupled(prior_std * white, root, float(np.log(eigenvalues).sum()), penalty, slope)
-
-
-def _covariance_slopes(factor: SharedFactor, z: Array, n: int) -> tuple[float, float, Array]:
-    """Slopes by log rho and log sigma, and dL/dF (t, D), all from dL/dA = (Z Z' - n A^-1) / 2."""
-    solved = factor.solved_features()
-    by_features = z @ (z.T @ factor.features) - n * solved
-    # sigma^2 tr A^-1 = t - tr(F'A^-1 F) keeps its absolute accuracy as sigma vanishes
-    noise_trace = factor.rows - float(np.sum(factor.features * solved))
-    sigma_slope = factor.noise * float(np.sum(z * z)) - n * noise_trace
-    return float(np.sum(by_features * factor.features)), sigma_slope, by_features
 
 
 def _length_scale_slopes(by_phi: Array, phi: Array, scaled: Array, window: Window, groups: int) -> Array:

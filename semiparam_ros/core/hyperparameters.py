@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semiparam_ros.core.evidence import Window
-from semiparam_ros.core.marginal_likelihood import maximise_evidence
+from semiparam_ros.core.marginal_likelihood import EvidenceMaximum, maximise_evidence
 from semiparam_ros.core.types import Array
 from semiparam_ros.core.validation import Grid, select_by_validation
 from semiparam_ros.core.window import (
@@ -34,6 +34,8 @@ class Hyperparameters:
     :param sigma: noise standard deviation; of output k it is sigma * output_scale[k].
     :param output_scale: (n,), geometric mean one; ones when all outputs share one noise.
     :param pi: (p,) coefficients of the coupled columns, for SP and SP2.
+    :param drift_share: part of sigma^2 that is a slow drift, 0 to 1. :param drift_memory: its e-folding time
+        [samples]; both only say what the window showed, predictions take all of sigma for white.
     """
 
     gamma: float
@@ -42,18 +44,21 @@ class Hyperparameters:
     sigma: float
     output_scale: tuple[float, ...]
     pi: tuple[float, ...] | None = None
+    drift_share: float = 0.0
+    drift_memory: float = 0.0
 
 
 def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectrum: Array, *,
-             length_scales: LengthScales = 'one', noise: Noise = 'one', method: str = 'quasi-newton',
-             prior_scale: Array | None = None, starts: int = 4, jobs: int = 1, grid: Grid | None = None,
-             progress: Callable[[int, int], None] | None = None) -> Hyperparameters:
+             length_scales: LengthScales = 'one', noise: Noise = 'one', drifting: bool = True,
+             method: str = 'quasi-newton', prior_scale: Array | None = None, starts: int = 4, jobs: int = 1,
+             grid: Grid | None = None, progress: Callable[[int, int], None] | None = None) -> Hyperparameters:
     """Estimate the hyperparameters of a variant from its initial window.
 
     :param outputs: Y (t, n). :param coupled: C (t, n, p), offset columns included; ignored by NP.
     :param inputs: scaled inputs (t, m). :param spectrum: omega (d, m) of the random features; ignored by P.
     :param length_scales: one, one for each kind of input, or one for each input (VS: by kind at most).
     :param noise: one standard deviation, or one for each output.
+    :param drifting: the evidence allows for slowly drifting noise; False: white noise, as in the paper.
     :param method: 'quasi-newton' or 'nelder-mead'; of no consequence to the VS variants.
     :param prior_scale: (p,) prior standard deviations of theta in units of gamma; ones if left out.
     :param progress: called as progress(done, total) by the VS variants.
@@ -68,18 +73,18 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
                           inputs.shape[1])
     if selection == 'VS':
         return _by_validation(kind, Window(outputs, coupled, inputs, spectrum, groups, scale), noise, grid, progress)
-    return _by_evidence(kind, Window(outputs, coupled, inputs, spectrum, groups, scale), noise, method, starts, jobs)
+    window = Window(outputs, coupled, inputs, spectrum, groups, scale)
+    pi = plain_least_squares(outputs, coupled, noise) if kind == 'SP2' else None
+    found = maximise_evidence(_window_of_kind(kind, window, pi), noise, drifting, method, starts, jobs)
+    return _by_evidence(found, found.theta if kind == 'SP' else pi)
 
 
-def _by_evidence(kind: str, window: Window, noise: Noise, method: str, starts: int, jobs: int) -> Hyperparameters:
-    pi = None
-    if kind == 'SP2':
-        pi = plain_least_squares(window.outputs, window.coupled, noise)
-    maximum = maximise_evidence(_window_of_kind(kind, window, pi), noise, method, starts, jobs)
-    at = maximum.at
-    pi = maximum.theta if kind == 'SP' else pi
-    return Hyperparameters(at.gamma, at.rho, tuple(at.tau.tolist()), at.sigma, tuple(at.output_scale.tolist()),
-                           None if pi is None else tuple(pi.tolist()))
+def _by_evidence(found: EvidenceMaximum, pi: Array | None) -> Hyperparameters:
+    """The online model knows one noise: white part and drift together, so that its bands cover both."""
+    at = found.at
+    return Hyperparameters(at.gamma, at.rho, tuple(at.tau.tolist()), at.sigma * float(np.sqrt(1.0 + at.kappa)),
+                           tuple(at.output_scale.tolist()), None if pi is None else tuple(pi.tolist()),
+                           at.kappa / (1.0 + at.kappa), at.memory if at.kappa else 0.0)
 
 
 def _by_validation(kind: str, window: Window, noise: Noise, grid: Grid | None,

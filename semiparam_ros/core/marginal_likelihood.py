@@ -22,6 +22,9 @@ TAU_SCAN = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 KIND_PATTERNS = ((1.0, 1.0, 1.0), (1.0, 3.0, 6.0))
 SIGNAL_SCAN = (0.3, 3.0)
 NOISE_SCAN = (0.03, 0.3, 1.0)
+FIRST_KAPPA, FIRST_MEMORY = 0.3, 20.0
+LEAST_DRIFT, MOST_DRIFT = (1e-3, 3.0), (1e2, 1e3)
+"""Bounds of kappa and memory [samples]: a faster drift is noise, a slower one is an offset."""
 SAME_BASIN = 0.5
 """Draft ends farther apart than this in any logarithm are polished separately."""
 
@@ -36,25 +39,27 @@ class EvidenceMaximum(NamedTuple):
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Which logarithms are searched, in the order gamma, rho, tau, sigma, output scales."""
+    """Which logarithms are searched, in the order gamma, rho, tau, sigma, kappa, memory, output scales."""
 
     free: Array  # boolean mask over the full vector
     base: Array  # logarithms of the values that stay
     groups: int
-    shared_noise: bool
+    drifting: bool
 
     def point(self, vector: Array) -> Point:
         """Hyperparameters at the searched logarithms; the mean log scale is taken out (it is sigma's and rho's)."""
         full = self.base.copy()
         full[self.free] = vector
-        tau, scale = full[2:2 + self.groups], full[3 + self.groups:]
-        return Point(float(np.exp(full[0])), float(np.exp(full[1])), np.exp(tau),
-                     float(np.exp(full[2 + self.groups])), np.exp(scale - scale.mean()))
+        gamma, rho, *tau = np.exp(full[:2 + self.groups]).tolist()
+        sigma, kappa, memory = np.exp(full[2 + self.groups:5 + self.groups]).tolist()
+        scale = full[5 + self.groups:]
+        return Point(gamma, rho, np.array(tau), sigma, np.exp(scale - scale.mean()), kappa * self.drifting, memory)
 
     def gradient(self, slope: Slope) -> Array:
         """(k,) slope by the searched logarithms."""
         scale = slope.output_scale - slope.output_scale.mean()
-        full = np.concatenate([[slope.gamma, slope.rho], slope.tau, [slope.sigma], scale])
+        noise = [slope.sigma, slope.kappa, slope.memory]
+        full = np.concatenate([[slope.gamma, slope.rho], slope.tau, noise, scale])
         return np.asarray(full[self.free])
 
     def vector(self, at: Point) -> Array:
@@ -62,9 +67,13 @@ class Coordinates:
         return np.asarray(logarithms(at)[self.free])
 
 
-def maximise_evidence(window: Window, noise: str, method: str, starts: int, jobs: int) -> EvidenceMaximum:
-    """The best of several searches; every start is drafted on a thinned window, the best ends polished on all of it."""
-    guess = first_guess(window, noise)
+def maximise_evidence(window: Window, noise: str, drifting: bool, method: str, starts: int,
+                      jobs: int) -> EvidenceMaximum:
+    """The best of several searches; every start is drafted on a thinned window, the best ends polished on all of it.
+
+    :param drifting: the noise is white plus a drift; otherwise white, as in the paper.
+    """
+    guess = first_guess(window, noise, drifting)
     coordinates, bounds = _coordinates(window, guess, noise), _bounds(window, guess)
     box = bounds[coordinates.free]
     draft = window.thinned(*DRAFT)
@@ -78,9 +87,8 @@ def maximise_evidence(window: Window, noise: str, method: str, starts: int, jobs
     best = maximise(_Objective(window, coordinates), chosen, box, method, jobs=jobs)[0]
     at = coordinates.point(best.point)
     result = evidence(window, at, gradient=False)
-    absent = Point(at.gamma if _has_prior(window) else 0.0, at.rho if len(window.spectrum) else 0.0, at.tau,
-                   at.sigma, at.output_scale)
-    return EvidenceMaximum(absent, result.theta, result.value)
+    present = at._replace(gamma=at.gamma * _has_prior(window), rho=at.rho * (len(window.spectrum) > 0))
+    return EvidenceMaximum(present, result.theta, result.value)
 
 
 class _Objective:
@@ -94,7 +102,7 @@ class _Objective:
         return result.value, vector if result.slope is None else self.coordinates.gradient(result.slope)
 
 
-def first_guess(window: Window, noise: str) -> Point:
+def first_guess(window: Window, noise: str, drifting: bool = False) -> Point:
     """A point of the right orders of magnitude, from a least squares fit of the coupled columns."""
     theta = least_squares(window.outputs, window.coupled)
     residuals = window.outputs - window.coupled @ theta
@@ -104,7 +112,7 @@ def first_guess(window: Window, noise: str) -> Point:
     spread = theta / window.prior_scale
     gamma = max(float(np.sqrt(np.mean(spread**2))), 1e-3) if len(theta) else 1.0
     groups = int(window.groups.max()) + 1
-    return Point(gamma, left, np.full(groups, 2.0), left, output_scale)
+    return Point(gamma, left, np.full(groups, 2.0), left, output_scale, FIRST_KAPPA * drifting, FIRST_MEMORY)
 
 
 def scan(window: Window, guess: Point, starts: int) -> list[Point]:
@@ -130,17 +138,19 @@ def _grid(window: Window, guess: Point) -> Iterator[Point]:
 
 def _coordinates(window: Window, guess: Point, noise: str) -> Coordinates:
     nonparametric, n = bool(len(window.spectrum)), window.outputs.shape[1]
-    several = noise == 'output' and n > 1
-    free = [_has_prior(window), nonparametric, *[nonparametric] * len(guess.tau), True, *[several] * n]
-    return Coordinates(np.array(free), logarithms(guess), len(guess.tau), not several)
+    several, drifting = noise == 'output' and n > 1, guess.kappa > 0.0
+    free = [_has_prior(window), nonparametric, *[nonparametric] * len(guess.tau), True, drifting, drifting,
+            *[several] * n]
+    return Coordinates(np.array(free), logarithms(guess), len(guess.tau), drifting)
 
 
 def _bounds(window: Window, guess: Point) -> Array:
     """(k, 2) logarithms: generous, yet such that the shared covariance keeps a Cholesky factor."""
     size = float(np.sqrt(np.mean((window.outputs / guess.output_scale) ** 2)))
-    low = [1e-4 * guess.gamma, 1e-3 * guess.rho, *[0.1] * len(guess.tau), 1e-4 * guess.sigma,
+    low = [1e-4 * guess.gamma, 1e-3 * guess.rho, *[0.1] * len(guess.tau), 1e-4 * guess.sigma, *LEAST_DRIFT,
            *(1e-4 * guess.output_scale)]
-    high = [1e4 * guess.gamma, 1e3 * size, *[300.0] * len(guess.tau), 10.0 * size, *(1e4 * guess.output_scale)]
+    high = [1e4 * guess.gamma, 1e3 * size, *[300.0] * len(guess.tau), 10.0 * size, *MOST_DRIFT,
+            *(1e4 * guess.output_scale)]
     return np.asarray(np.log(np.column_stack([low, high])))
 
 
@@ -157,4 +167,5 @@ def _has_prior(window: Window) -> bool:
 
 def logarithms(at: Point) -> Array:
     """The full vector of logarithms of a point."""
-    return np.asarray(np.log(np.concatenate([[at.gamma, at.rho], at.tau, [at.sigma], at.output_scale])))
+    noise = [at.sigma, at.kappa or 1.0, at.memory]
+    return np.asarray(np.log(np.concatenate([[at.gamma, at.rho], at.tau, noise, at.output_scale])))

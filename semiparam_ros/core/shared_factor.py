@@ -1,50 +1,89 @@
-"""The covariance A = sigma^2 I + F F' that all outputs share, factored in the smaller of its two dimensions."""
+"""The covariance A = B + F F' that all outputs share, factored in the smaller of its two dimensions."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
+from semiparam_ros.core.drift import Drift
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 
-class SharedFactor:
-    """A = sigma^2 I_t + F F' for scaled features F = rho Phi (t, D), never factored beyond min(t, D).
+class CovarianceSlopes(NamedTuple):
+    """Derivatives of the log evidence: by logarithms, and by the scaled features (t, D)."""
 
-    With D < t the factor is that of S = sigma^2 I_D + F'F, and A^-1 = (I - F S^-1 F') / sigma^2.
+    rho: float
+    sigma: float
+    kappa: float
+    memory: float
+    features: Array
+
+
+class SharedFactor:
+    """A = B + F F' for scaled features F = rho Phi (t, D); B = sigma^2 I, or sigma^2 N when the noise drifts.
+
+    With D < t, and always when it drifts, the factor is that of S = sigma^2 (I_D + F'B^-1 F), and
+    A^-1 = B^-1 - sigma^2 B^-1 F S^-1 F'B^-1; otherwise that of A itself.
     """
 
-    def __init__(self, features: Array, sigma: float) -> None:
-        """:param features: F, (t, D); D = 0 leaves white noise. :param sigma: noise std, > 0."""
-        self.features, self.noise = features, sigma * sigma
+    def __init__(self, features: Array, sigma: float, drift: Drift | None = None) -> None:
+        """:param features: F, (t, D); D = 0 leaves noise alone. :param sigma: std of the white noise, > 0."""
+        self.features, self.noise, self.drift = features, sigma * sigma, drift
         self.rows, self.count = features.shape
-        self.narrow = self.count < self.rows
-        gram = features.T @ features if self.narrow else features @ features.T
+        self.narrow = drift is not None or self.count < self.rows
+        self._white = features if drift is None or not self.count else drift.whiten(features)  # sigma^2 B^-1 F
+        gram = features.T @ self._white if self.narrow else features @ features.T
         self._root = _cholesky(gram, self.noise)
 
     @property
     def log_determinant(self) -> float:
         """log |A|."""
         spare = (self.rows - self.count) * np.log(self.noise) if self.narrow else 0.0
-        return float(2.0 * np.log(np.diag(self._root)).sum() + spare)
+        drift = self.drift.log_determinant if self.drift is not None else 0.0
+        return float(2.0 * np.log(np.diag(self._root)).sum() + spare + drift)
 
     def solve(self, columns: Array) -> Array:
-        """A^-1 B for B (t, q)."""
+        """A^-1 X for X (t, q)."""
         if not self.narrow:
             return self._back_substitute(columns)
-        if not self.count:
-            return np.asarray(columns / self.noise)
-        weights = self._back_substitute(self.features.T @ columns)
-        return np.asarray((columns - self.features @ weights) / self.noise)
+        white = columns if self.drift is None else self.drift.whiten(columns)
+        if self.count:
+            white = white - self._white @ self._back_substitute(self._white.T @ columns)
+        return np.asarray(white / self.noise)
 
     def solved_features(self) -> Array:
-        """A^-1 F, (t, D); equal to F S^-1."""
+        """A^-1 F, (t, D); equal to sigma^2 B^-1 F S^-1."""
         if not self.count:
             return self.features
         if self.narrow:
-            return self._back_substitute(self.features.T).T
+            return self._back_substitute(self._white.T).T
         return self._back_substitute(self.features)
+
+    def slopes(self, z: Array, n: int) -> CovarianceSlopes:
+        """Everything that follows from dL/dA = (Z Z' - n A^-1) / 2, for Z (t, q)."""
+        solved = self.solved_features()
+        by_features = z @ (z.T @ self.features) - n * solved
+        rho = float(np.sum(by_features * self.features))
+        # tr A^-1 B = t - tr(F'A^-1 F) keeps its absolute accuracy as sigma vanishes
+        trace = self.rows - float(np.sum(self.features * solved))
+        square = self.noise * float(np.sum(z * z))
+        if self.drift is None:
+            return CovarianceSlopes(rho, square - n * trace, 0.0, 0.0, by_features)
+        kappa, memory = self._drift_slopes(self.drift, z, n, solved)
+        slow = self.noise * self.drift.kappa * float(np.sum(z * self.drift.correlate(z)))
+        return CovarianceSlopes(rho, square + slow - n * trace, kappa, memory, by_features)
+
+    def _drift_slopes(self, drift: Drift, z: Array, n: int, solved: Array) -> tuple[float, float]:
+        """By log kappa and log memory: tr A^-1 X = tr B^-1 X - tr(B^-1 F (A^-1 F)' X) for X = dB, both with O(t D)."""
+        slopes = []
+        for apply, whole in zip((drift.correlate, drift.correlate_slope), drift.determinant_slopes(), strict=True):
+            part = float(np.sum(self._white * apply(solved))) if self.count else 0.0
+            square = self.noise * float(np.sum(z * apply(z)))
+            slopes.append(0.5 * (drift.kappa * square - n * (whole - drift.kappa * part)))
+        return slopes[0], slopes[1]
 
     def _back_substitute(self, columns: Array) -> Array:
         solution, _ = lapack.dpotrs(self._root, columns, lower=1)
