@@ -13,6 +13,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 SHARE = FindPackageShare('semiparam_ros')
+PARAMS = PathJoinSubstitution([SHARE, 'config', 'icub_right_arm.yaml'])
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -20,7 +21,7 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument('bag', default_value=PathJoinSubstitution([SHARE, 'bags', 'icub_xy.mcap']),
                               description='Recording to play.'),
-        DeclareLaunchArgument('params_file', default_value=PathJoinSubstitution([SHARE, 'config', 'icub_right_arm.yaml']),
+        DeclareLaunchArgument('params_file', default_value=PARAMS,
                               description='ROS parameter file of the estimator.'),
         DeclareLaunchArgument('rate', default_value='1.0', description='Recorded seconds played in a second.'),
         DeclareLaunchArgument('lossless', default_value='true',

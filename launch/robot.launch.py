@@ -11,6 +11,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 SHARE = FindPackageShare('semiparam_ros')
+PARAMS = PathJoinSubstitution([SHARE, 'config', 'icub_right_arm.yaml'])
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -18,7 +19,7 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument('urdf', default_value=PathJoinSubstitution([SHARE, 'config', 'icub_right_arm.urdf']),
                               description='URDF file of the robot.'),
-        DeclareLaunchArgument('params_file', default_value=PathJoinSubstitution([SHARE, 'config', 'icub_right_arm.yaml']),
+        DeclareLaunchArgument('params_file', default_value=PARAMS,
                               description='ROS parameter file of the estimator.'),
     ]
     description = ParameterValue(Command(['cat ', LaunchConfiguration('urdf')]), value_type=str)
