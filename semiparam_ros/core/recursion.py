@@ -22,10 +22,10 @@ import numpy as np
 from scipy.linalg.blas import dgemv, dger
 from scipy.linalg.lapack import dtpqrt, dtrtrs
 
+from semiparam_ros.core.square_root import SquareRoot
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
-RENORMALISE_ABOVE = 1e3
 QR_BLOCK = 8
 
 
@@ -36,6 +36,7 @@ class Prior(NamedTuple):
     covariance: Array  # (n, n) of the outputs, noise included
     phi: Array  # (D,)
     f: Array  # (D,) S' phi
+    reach: Array  # (D,) S f = P phi
     s: float  # sigma^2 + f'f
     regressed: Array  # (p + 1, n) phi' Theta, y last
     columns_left: Array  # (n, p) E_C, what the features leave of the coupled columns
@@ -67,8 +68,7 @@ class SemiParametricRecursion:
         self._prior_std = np.array(prior_std, dtype=float)
         self._check()
         self.theta = np.zeros(self.n_columns) if prior_mean is None else np.array(prior_mean, dtype=float)
-        self._root = np.asfortranarray(rho * np.eye(n_features))
-        self._inflation = 1.0  # S is stored as S / inflation, so that forgetting costs no pass over it
+        self._root = SquareRoot(n_features, rho)
         self._renewed = 0
         self._coefficients = np.zeros((self.n_columns + 1, n_outputs, n_features))
         self._information = np.zeros((self.n_columns + 1, self.n_columns + 1), order='F')
@@ -79,14 +79,15 @@ class SemiParametricRecursion:
 
     def predict(self, phi: Array, columns: Array) -> Prior:
         """Mean and covariance of the outputs at features (D,) and coupled columns (n, p)."""
-        f, s, regressed = self._project(phi)
+        f, reach, regressed = self._project(phi)
+        s = self.sigma**2 + float(f @ f)
         left = columns - regressed[:-1].T
         mean = regressed[-1] + left @ self.theta
         covariance = s * self._identity
         if self.n_columns:
             half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
             covariance += half.T @ half
-        return Prior(mean, covariance, phi, f, s, regressed, left)
+        return Prior(mean, covariance, phi, f, reach, s, regressed, left)
 
     def learn(self, prior: Prior, outputs: Array) -> Correction:
         """Learn the outputs (n,) of the sample that ``prior`` was computed for, by this model as it stands."""
@@ -113,8 +114,7 @@ class SemiParametricRecursion:
 
     def state(self) -> dict[str, Array]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
-        return {'root': self._root.copy(order='F'), 'inflation': np.array(self._inflation),
-                'renewed': np.array(self._renewed), 'coefficients': self._coefficients.copy(),
+        return {**self._root.state(), 'renewed': np.array(self._renewed), 'coefficients': self._coefficients.copy(),
                 'information': self._information.copy(order='F'), 'theta': self.theta.copy()}
 
     def restore(self, state: dict[str, Array]) -> None:
@@ -125,8 +125,8 @@ class SemiParametricRecursion:
                 raise SemiparamError(f"the saved '{name}' has shape {given.shape}; expected finite values of shape "
                                      f'{mine.shape} for {self.n_outputs} outputs, {self.n_features} features and '
                                      f'{self.n_columns} columns.')
-        self._root = np.array(state['root'], dtype=float, order='F')
-        self._inflation, self._renewed = float(state['inflation']), int(state['renewed'])
+        self._root.restore(state)
+        self._renewed = int(state['renewed'])
         self._coefficients = np.array(state['coefficients'], dtype=float, order='C')
         self._information = np.array(state['information'], dtype=float, order='F')
         self.theta = np.array(state['theta'], dtype=float)
@@ -139,25 +139,18 @@ class SemiParametricRecursion:
         if not 0.0 < self.forgetting <= 1.0:
             raise SemiparamError(f'forgetting is {self.forgetting}; expected a value above 0 and at most 1.')
 
-    def _project(self, phi: Array) -> tuple[Array, float, Array]:
-        """f, s and phi' Theta."""
+    def _project(self, phi: Array) -> tuple[Array, Array, Array]:
+        """f, S f and phi' Theta."""
         if not self.n_features:
-            return phi, self.sigma**2, np.zeros((self.n_columns + 1, self.n_outputs))
-        f = dgemv(self._inflation, self._root, phi, trans=1)
+            return phi, phi, np.zeros((self.n_columns + 1, self.n_outputs))
         regressed = dgemv(1.0, self._coefficients.reshape(-1, self.n_features).T, phi, trans=1)
-        return f, self.sigma**2 + float(f @ f), regressed.reshape(self.n_columns + 1, self.n_outputs)
+        return *self._root.project(phi), regressed.reshape(self.n_columns + 1, self.n_outputs)
 
     def _update_features(self, prior: Prior, innovations: Array) -> Array:
-        gain = self._shrink_root(prior.f, prior.s, self.sigma)
+        gain = prior.reach / prior.s
         dger(1.0, gain, innovations.ravel(), a=self._coefficients.reshape(-1, self.n_features).T, overwrite_a=1)
+        self._root.shrink(prior.f, prior.reach, self.sigma)
         return gain
-
-    def _shrink_root(self, f: Array, s: float, sigma: float) -> Array:
-        """Potter's update of S for one observation with noise sigma; returns its gain S f / s (of the old S)."""
-        gain = dgemv(self._inflation / s, self._root, f)
-        shrink = s / (self._inflation * (s + sigma * np.sqrt(s)))
-        self._root = dger(-shrink, gain, f, a=self._root, overwrite_a=1)
-        return np.asarray(gain)
 
     def _update_information(self, rows: Array) -> None:
         """R with further rows (k, p + 1) below it, triangular again."""
@@ -171,12 +164,8 @@ class SemiParametricRecursion:
         would grow without bound while the robot stands still, and the model would burst when it moves again. Each
         renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves.
         """
-        root = np.sqrt(self.forgetting)
-        self._inflation /= root
-        self._information *= root
-        if self._inflation > RENORMALISE_ABOVE:
-            self._root *= self._inflation
-            self._inflation = 1.0
+        self._root.inflate(1.0 / np.sqrt(self.forgetting))
+        self._information *= np.sqrt(self.forgetting)
         if self.n_features:
             self._renew_weight(self._renewed % self.n_features)
         if self.n_columns:
@@ -184,9 +173,9 @@ class SemiParametricRecursion:
         self._renewed += 1
 
     def _renew_weight(self, index: int) -> None:
-        variance = self.rho**2 / (1.0 - self.forgetting**self.n_features)
-        f = self._inflation * self._root[index]
-        self._shrink_root(f, variance + float(f @ f), np.sqrt(variance))
+        unit = np.zeros(self.n_features)
+        unit[index] = 1.0
+        self._root.shrink(*self._root.project(unit), self.rho / np.sqrt(1.0 - self.forgetting**self.n_features))
 
     def _renew_coefficient(self, index: int) -> None:
         row = np.zeros((1, self.n_columns + 1), order='F')
