@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class Hyperparameters:
 
     :param gamma: prior standard deviation of theta (times the block's own prior scale).
     :param rho: prior standard deviation of the feature weights; of output k it is rho * output_scale[k].
-    :param tau: 1 length scale, 3 (position, velocity, acceleration) or one for each input, of scaled inputs.
+    :param tau: 1 length scale, 3 (position, velocity, acceleration) or one for each input, of scaled inputs; P: none.
     :param sigma: noise standard deviation; of output k it is sigma * output_scale[k].
     :param output_scale: (n,), geometric mean one; ones when all outputs share one noise.
     :param pi: (p,) coefficients of the coupled columns, for SP and SP2.
@@ -56,7 +56,7 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
 
     :param outputs: Y (t, n). :param coupled: C (t, n, p), offset columns included; ignored by NP.
     :param inputs: scaled inputs (t, m). :param spectrum: omega (d, m) of the random features; ignored by P.
-    :param length_scales: one, one for each kind of input, or one for each input (VS: by kind at most).
+    :param length_scales: one, one for each kind of input, or one for each input (VS then tries one for each kind).
     :param noise: one standard deviation, or one for each output.
     :param drifting: the evidence allows for slowly drifting noise; False: white noise, as in the paper.
     :param method: 'quasi-newton' or 'nelder-mead'; of no consequence to the VS variants.
@@ -71,18 +71,21 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
     scale = np.ones(coupled.shape[2]) if prior_scale is None else np.asarray(prior_scale, dtype=float)
     groups = input_groups('kind' if selection == 'VS' and length_scales == 'input' else length_scales,
                           inputs.shape[1])
-    if selection == 'VS':
-        return _by_validation(kind, Window(outputs, coupled, inputs, spectrum, groups, scale), noise, grid, progress)
     window = Window(outputs, coupled, inputs, spectrum, groups, scale)
+    if selection == 'VS':
+        found = _by_validation(kind, window, noise, grid, progress)
+        by_input = tuple(np.array(found.tau)[groups].tolist())
+        return replace(found, tau=by_input) if length_scales == 'input' else found
     pi = plain_least_squares(outputs, coupled, noise) if kind == 'SP2' else None
-    found = maximise_evidence(_window_of_kind(kind, window, pi), noise, drifting, method, starts, jobs)
-    return _by_evidence(found, found.theta if kind == 'SP' else pi)
+    maximum = maximise_evidence(_window_of_kind(kind, window, pi), noise, drifting, method, starts, jobs)
+    return _by_evidence(kind, maximum, maximum.theta if kind == 'SP' else pi)
 
 
-def _by_evidence(found: EvidenceMaximum, pi: Array | None) -> Hyperparameters:
+def _by_evidence(kind: str, found: EvidenceMaximum, pi: Array | None) -> Hyperparameters:
     """The online model knows one noise: white part and drift together, so that its bands cover both."""
     at = found.at
-    return Hyperparameters(at.gamma, at.rho, tuple(at.tau.tolist()), at.sigma * float(np.sqrt(1.0 + at.kappa)),
+    tau = () if kind == 'P' else tuple(at.tau.tolist())
+    return Hyperparameters(at.gamma, at.rho, tau, at.sigma * float(np.sqrt(1.0 + at.kappa)),
                            tuple(at.output_scale.tolist()), None if pi is None else tuple(pi.tolist()),
                            at.kappa / (1.0 + at.kappa), at.memory if at.kappa else 0.0)
 

@@ -1,0 +1,113 @@
+"""`semiparam fit BAG`: hyperparameters once, for every later start of the node and of the other commands."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from semiparam_ros.cli.options import add_json_option, add_params_option, console, output, progress_bar, write_json
+from semiparam_ros.errors import SemiparamError
+
+if TYPE_CHECKING:
+    from semiparam_ros.core.hyperparameters import Hyperparameters
+    from semiparam_ros.report.initial_window import Estimation
+    from semiparam_ros.settings import Settings
+
+HELP = 'Estimate the hyperparameters from the start of a recording and write a ROS parameter file with them.'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `semiparam fit`."""
+    parser.add_argument('bag', metavar='BAG', type=Path,
+                        help='recording; its first initial.samples are used (.mcap, rosbag2, .db3, ROS 1 .bag)')
+    add_params_option(parser)
+    parser.add_argument('--output', '-o', metavar='FILE.yaml', type=Path, required=True,
+                        help='parameter file to write: those of --params with the hyperparameters filled in')
+    parser.add_argument('--variant', metavar='V', help='variant to fit instead of the one in the parameters')
+    add_estimation_options(parser)
+    parser.add_argument('--jobs', metavar='N', type=int, default=2, help='searches at a time (default: 2)')
+    add_json_option(parser)
+
+
+def add_estimation_options(parser: argparse.ArgumentParser) -> None:
+    """How the hyperparameters are looked for; `semiparam compare` has the same options."""
+    group = parser.add_argument_group('estimation')
+    group.add_argument('--method', choices=('quasi-newton', 'nelder-mead'), default='quasi-newton',
+                       help='optimiser of the marginal likelihood (default: quasi-newton; the paper: nelder-mead)')
+    group.add_argument('--starts', metavar='N', type=int, default=4, help='searches from different points (default: 4)')
+    group.add_argument('--white-noise', action='store_true',
+                       help='take the noise for white, as in the paper; otherwise it may drift slowly besides')
+    group.add_argument('--grid-tau', metavar='T', type=float, nargs='+',
+                       help='length scales that the VS variants try, in standard deviations of the inputs')
+    group.add_argument('--grid-ratio', metavar='R', type=float, nargs='+',
+                       help='ratios sigma / rho that the VS variants try')
+
+
+def estimation_of(args: argparse.Namespace) -> Estimation:
+    """The checked options. Raises SemiparamError for a grid of one point or a count below one."""
+    from semiparam_ros.core.validation import Grid
+    from semiparam_ros.report.initial_window import Estimation
+
+    for option in ('starts', 'jobs'):
+        if getattr(args, option) < 1:
+            raise SemiparamError(f'--{option} is {getattr(args, option)}; expected at least 1.')
+    grid = Grid()
+    if args.grid_tau or args.grid_ratio:
+        grid = Grid(tuple(args.grid_tau or grid.tau), tuple(args.grid_ratio or grid.ratio))
+    return Estimation(args.method, args.starts, args.jobs, not args.white_noise, grid)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, write the parameter file, and show what was found."""
+    from semiparam_ros.cli.evaluate import chosen_variants, load_bags
+    from semiparam_ros.report.initial_window import fitted_settings
+    from semiparam_ros.settings import dump_params, load_params
+
+    settings = load_params(args.params)
+    settings = replace(settings, variant=chosen_variants([args.variant] if args.variant else None, settings)[0])
+    estimation = estimation_of(args)
+    bag = load_bags([args.bag], settings)[0]
+    window = bag.samples[:settings.initial_samples]
+    if len(window) < settings.initial_samples:
+        console.print(f'{args.bag} holds {len(window)} samples, fewer than initial.samples '
+                      f'({settings.initial_samples}): all of them are used.', highlight=False, markup=False)
+    with progress_bar() as bar:
+        task = bar.add_task(settings.variant, total=None)
+        fitted, found = fitted_settings(settings, window, bag.robot_description, estimation,
+                                        lambda done, total: bar.update(task, completed=done, total=total))
+    dump_params(fitted, args.output)
+    if args.json:
+        write_json(args.json, result(args, settings, found, len(window)))
+    _show(settings, found)
+    output.print(f'parameter file: {args.output}', highlight=False, markup=False, soft_wrap=True)
+    return 0
+
+
+def result(args: argparse.Namespace, settings: Settings, found: Hyperparameters, samples: int) -> dict[str, Any]:
+    """What the JSON file holds."""
+    from dataclasses import asdict
+
+    return {'command': 'fit', 'bag': str(args.bag), 'variant': settings.variant, 'samples': samples,
+            'parameter_file': str(args.output), 'hyperparameters': asdict(found)}
+
+
+def _show(settings: Settings, found: Hyperparameters) -> None:
+    from semiparam_ros.cli.tables import figure
+
+    rows = [('variant', settings.variant)]
+    for name in ('gamma', 'rho', 'tau', 'sigma', 'output_scale', 'pi'):
+        value = getattr(found, name)
+        values = value if isinstance(value, tuple) else (value,) if value else ()
+        if values:
+            rows.append((name, ' '.join(map(_short, values))))
+    if found.drift_share > 0.01:
+        rows.append(('drift', f'{100 * found.drift_share:.0f} % of the noise variance is slow, with a memory of '
+                              f'{figure(found.drift_memory)} samples'))
+    for name, text in rows:
+        output.print(f'{name:13s} {text}', highlight=False, markup=False)
+
+
+def _short(value: float) -> str:
+    return f'{value:.3g}'
