@@ -41,6 +41,13 @@ def loaded_links(body: RigidBody) -> dict[str, int]:
     return {name: joint - 1 for joint, (_, name) in sorted(links.items())}
 
 
+def links_beside(body: RigidBody, link: str) -> list[str]:
+    """All links that are fixed to the same body as ``link``, itself included: other places for the same cause."""
+    model = body.arm if body.distal is None else body.distal
+    joint = model.frames[_frame(model, link, body)].parentJoint
+    return [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == joint]
+
+
 @lru_cache(maxsize=8)
 def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     """Motion of a link and the outputs' response to a force on it. An unknown link raises SemiparamError."""
@@ -70,8 +77,7 @@ def load_regressor(body: RigidBody, samples: Samples, link: str) -> Array:
     """(N, n, 10) outputs caused by a load on ``link``: mass, first moment and inertia in the link's frame."""
     index, transform = load_transform(body, link)
     columns = slice(10 * index, 10 * index + 10)
-    rows = zip(samples.position, samples.velocity, samples.acceleration, strict=True)
-    return np.array([body.full_regressor(*row)[:, columns] for row in rows]) @ transform
+    return np.asarray(body.full_regressors(samples)[:, :, columns] @ transform)
 
 
 def _moved(parameters: Array, rotation: Array, shift: Array) -> Array:

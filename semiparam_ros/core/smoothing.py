@@ -20,6 +20,10 @@ from semiparam_ros.core.types import Array
 ORDER = 4
 TUNING_SAMPLES = 1200
 BAND = 2 * ORDER
+LONGEST_STEP = 20.0
+"""A gap in the recording counts as this many steps: beyond it the blocks would be singular."""
+LEAST_STEP = 0.2
+"""Steps shorter than this share of the median add noise as if they were not: their precision would overflow."""
 
 
 def smoothed(samples: Samples, with_velocities: bool = True) -> Samples:
@@ -37,7 +41,7 @@ def _smooth_joint(time: Array, position: Array, velocity: Array,
                   with_velocities: bool) -> tuple[Array, Array, Array]:
     step = float(np.median(np.diff(time)))
     centre = float(position.mean())
-    problem = _Problem(np.diff(time) / step, position - centre, velocity * step, with_velocities)
+    problem = _Problem(np.minimum(np.diff(time) / step, LONGEST_STEP), position - centre, velocity * step, with_velocities)
     short = problem.head(TUNING_SAMPLES)
     best = minimize(short.cost, short.start(), method='Nelder-Mead', options={'maxfev': 160, 'fatol': 0.1})
     states = problem.states(best.x)
@@ -68,7 +72,10 @@ class _Problem:
     def cost(self, logs: Array) -> float:
         """Negative log marginal likelihood, up to a constant."""
         logs = np.clip(logs, -40.0, 20.0)
-        factor, states, misfit = self._solve(logs)
+        try:
+            factor, _, misfit = self._solve(logs)
+        except np.linalg.LinAlgError:  # noise so small that rounding spoils the factor
+            return float('inf')
         determinant = 2.0 * float(np.log(factor[-1]).sum())
         count = len(self.position)
         snap = self._noise_logdet + 2.0 * ORDER * (count - 1) * float(logs[0])
@@ -98,12 +105,13 @@ def _transitions(steps: Array) -> tuple[Array, Array]:
     """F (N-1, 4, 4) and Q (N-1, 4, 4) of the integrated Wiener process over ``steps``."""
     transition = np.zeros((len(steps), ORDER, ORDER))
     noise = np.zeros_like(transition)
+    felt = np.maximum(steps, LEAST_STEP)
     for i in range(ORDER):
         for j in range(ORDER):
             if j >= i:
                 transition[:, i, j] = steps ** (j - i) / factorial(j - i)
             power = 2 * ORDER - 1 - i - j
-            noise[:, i, j] = steps**power / (power * factorial(ORDER - 1 - i) * factorial(ORDER - 1 - j))
+            noise[:, i, j] = felt**power / (power * factorial(ORDER - 1 - i) * factorial(ORDER - 1 - j))
     return transition, noise
 
 

@@ -16,6 +16,7 @@ from semiparam_ros.effects import Effect
 DERIVATIVE_STEP = 1e-5
 START_GRID = 60
 START_MARGIN = 0.04
+START_RIDGE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,10 @@ def best_start(state: Fit, columns: Array) -> tuple[int, float, float]:
     count = len(used)
 
     def gain(start: int) -> float:
+        size = 1.0 / np.sqrt(np.diag(gram[start]) + 1e-300)
         inner = gram[start] - cross[start].T @ cho_solve(state.factor, cross[start])
-        ridge = 1e-6 * np.diag(gram[start]) + 1e-12 * np.trace(gram[0])
-        return float(right[start] @ np.linalg.solve(inner + np.diag(ridge), right[start]))
+        scaled = inner * np.outer(size, size) + START_RIDGE * np.eye(len(size))
+        return float(right[start] * size @ np.linalg.solve(scaled, right[start] * size))
 
     margin = max(int(START_MARGIN * count), 1)
     coarse = np.unique(np.linspace(margin, count - margin, START_GRID).astype(int))

@@ -18,12 +18,12 @@ def noise_floor(residual: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(differences**2, axis=0) / 20.0))
 
 
-def correlation_time(residual: Array) -> float:
-    """Integrated autocorrelation time in samples, at least 1, averaged over the channels.
+def correlation_times(residual: Array) -> Array:
+    """(n,) integrated autocorrelation time of each channel in samples, at least 1.
 
     Sums pairs of neighbouring autocorrelations while they stay positive (Geyer 1992).
     """
-    return float(np.mean([_channel_time(column) for column in residual.T]))
+    return np.array([_channel_time(column) for column in residual.T])
 
 
 def _channel_time(values: Array) -> float:

@@ -7,21 +7,23 @@ the effect with the most columns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from semiparam_ros.core.frames import links_beside
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.candidates import Candidate, added_columns, best_start, others
-from semiparam_ros.diagnosis.noise import correlation_time
+from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, fit, refit_weights, residual_scale
 from semiparam_ros.effects import Effect
 
-FLAGS = ('at_link', 'directions')
+FLAGS = ('at_link', 'directions', 'link_axes')
 GAUSS_NEWTON_STEPS = 4
 REFINE_EVALUATIONS = 14
-START_WORTH = 1.05
+START_WORTH = 1.1
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ def _linear_trial(state: Fit, effect: Effect) -> Trial:
     """The effect with its coefficients fitted, starting when it explains most if it can start."""
     columns = added_columns(state, effect)
     if not effect.is_calibration:
-        start, late, always = best_start(state, columns)
-        if effect.must_start or late > START_WORTH * always:
+        start, late, always = best_start(state, columns) if effect.must_start or effect.may_start else (0, 0.0, 1.0)
+        if effect.must_start or (effect.may_start and late > START_WORTH * always):
             effect = effect.with_shape(start_s=float(state.samples.time[start]))
             columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
     explained = state.explain(columns)
@@ -70,12 +72,12 @@ def _explained_share(state: Fit, trial: Trial) -> float:
     return -float(np.sum(left**2))
 
 
-def score(state: Fit, trial: Trial, correlation: float) -> Trial:
-    """The trial with its evidence over the declared model, for samples correlated over ``correlation`` samples."""
-    count = state.use.sum() / correlation
+def score(state: Fit, trial: Trial, correlation: Array) -> Trial:
+    """The trial with its evidence over the declared model; channel k is correlated over correlation[k] samples."""
+    counts = state.use.sum() / correlation
     after = (trial.residual[state.use] ** 2).sum(axis=0)
-    gain = 0.5 * count * float(np.log(state.squares / after).sum())
-    return replace(trial, evidence=gain - 0.5 * trial.free * np.log(count * state.scale.size))
+    gain = 0.5 * float(counts @ np.log(state.squares / after))
+    return replace(trial, evidence=gain - 0.5 * trial.free * float(np.log(counts.sum())))
 
 
 def refined(state: Fit, trial: Trial) -> Trial:
@@ -89,7 +91,17 @@ def refined(state: Fit, trial: Trial) -> Trial:
     for name in effect.shape:
         if name not in (*FLAGS, 'start_s'):
             effect = _line_search(near, effect, name)
-    return _linear_trial(near, replace(effect, shape={k: v for k, v in effect.shape.items() if k != 'start_s'}))
+    effect = replace(effect, shape={k: v for k, v in effect.shape.items() if k != 'start_s'})
+    return _at_best_link(near, _linear_trial(near, effect))
+
+
+def _at_best_link(state: Fit, trial: Trial) -> Trial:
+    """The trial at whichever link of the same body explains most; a load is the same at all of them."""
+    where = trial.effect.where
+    if where is None or where in state.body.joints or trial.effect.kind == 'payload':
+        return trial
+    moved = [_linear_trial(state, replace(trial.effect, where=link)) for link in links_beside(state.body, where)]
+    return max([trial, *moved], key=lambda tried: _explained_share(state, tried))
 
 
 def _line_search(state: Fit, effect: Effect, name: str) -> Effect:
@@ -161,6 +173,14 @@ def declare(state: Fit, effects: list[Effect]) -> Fit:
     return refit_weights(gauss_newton(state, calibrations)) if calibrations else state
 
 
-def correlation_of(state: Fit, trial: Trial) -> float:
-    """Correlation time [samples] of what the trial leaves."""
-    return correlation_time(trial.residual[state.use])
+def correlation_of(state: Fit, trials: Sequence[Trial]) -> Array:
+    """(n,) correlation time [samples] of each channel in what the trial that explains it best leaves of it."""
+    left = np.array([(trial.residual[state.use] ** 2).sum(axis=0) for trial in trials])
+    best = [trials[index].residual[state.use][:, channel] for channel, index in enumerate(left.argmin(axis=0))]
+    return correlation_times(np.column_stack(best))
+
+
+def overlap(state: Fit, one: Trial, other: Trial) -> float:
+    """Cosine between what two trials explain: 1 when they explain the same, 0 when different things."""
+    first, second = (((state.residual - trial.residual)[state.use] / state.scale).ravel() for trial in (one, other))
+    return float(first @ second / (np.linalg.norm(first) * np.linalg.norm(second) + 1e-300))

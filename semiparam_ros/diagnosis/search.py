@@ -17,6 +17,7 @@ from semiparam_ros.diagnosis.ranking import (
     coarse_trial,
     correlation_of,
     declare,
+    overlap,
     refined,
     score,
 )
@@ -27,6 +28,7 @@ REFINED = 8
 LEAST_EVIDENCE = 12.0
 RIVAL_NATS = 6.0
 RIVAL_SHARE = 0.02
+RIVAL_OVERLAP = 0.7
 MOST_ROUNDS = 12
 Progress = Callable[[str, float], None]
 
@@ -78,8 +80,7 @@ def ranked(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> li
 
 
 def _by_evidence(state: Fit, trials: list[Trial]) -> list[Trial]:
-    least = min(trials, key=lambda trial: float(np.sum(np.log((trial.residual[state.use] ** 2).sum(axis=0)))))
-    correlation = correlation_of(state, least)
+    correlation = correlation_of(state, trials)
     return sorted((score(state, trial, correlation) for trial in trials), key=lambda trial: -trial.evidence)
 
 
@@ -96,7 +97,7 @@ def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) ->
         after = declare(state, [chosen[0].effect])
         if not carries_over(state, after):
             return None
-    rivals = tuple(rivals_of(trial, ranking) for trial in chosen)
+    rivals = tuple(rivals_of(state, trial, ranking) for trial in chosen)
     return Step(tuple(chosen), rivals, tuple(ranking), state, after)
 
 
@@ -111,9 +112,10 @@ def _one_for_each_joint(state: Fit, ranking: list[Trial]) -> list[Trial]:
     return [trial for trial in best.values() if trial.effect.where in joints and not trial.effect.is_calibration]
 
 
-def rivals_of(chosen: Trial, ranking: Sequence[Trial]) -> tuple[tuple[str, str | None, float], ...]:
-    """(kind, where, odds) of the trials that explain as much, for no more parameters; odds are against the chosen."""
+def rivals_of(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> tuple[tuple[str, str | None, float], ...]:
+    """(kind, where, odds against the chosen) of the trials that explain the same thing about as well."""
     tolerance = max(RIVAL_NATS, RIVAL_SHARE * chosen.evidence)
-    close = [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < tolerance]
+    close = [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < tolerance
+             and overlap(state, chosen, trial) > RIVAL_OVERLAP]
     return tuple((trial.effect.kind, trial.effect.where, float(np.exp(min(trial.evidence - chosen.evidence, 0.0))))
                  for trial in close)

@@ -19,7 +19,7 @@ PEAKS = 4
 
 
 class PeriodicDisturbance(Effect):
-    """A sine and a cosine: in the sensor's axes, as a force at a link along the base's axes, or on a joint."""
+    """A sine and a cosine: in the sensor's axes, as a force at a link along its own or the base's axes, or on a joint."""
 
     kind: ClassVar[str] = 'periodic_disturbance'
     sentence: ClassVar[str] = 'something shakes the arm at one frequency'
@@ -37,10 +37,14 @@ class PeriodicDisturbance(Effect):
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
-        directions = cls._directions(body, samples, where)
-        signal = np.einsum('tni,tn->ti', directions, residual)
-        return [{'frequency_hz': frequency, 'directions': float(directions.shape[2])}
-                for frequency in spectral_peaks(samples.time, signal)]
+        turning = (0.0, 1.0) if where is not None and body.outputs == 'wrench' else (0.0,)
+        found: list[Shape] = []
+        for along in turning:
+            directions = cls._directions(body, samples, where, along)
+            signal = np.einsum('tni,tn->ti', directions, residual)
+            found += [{'frequency_hz': frequency, 'directions': float(directions.shape[2]), 'link_axes': along}
+                      for frequency in spectral_peaks(samples.time, signal)]
+        return found
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         if body.outputs == 'effort':
@@ -53,16 +57,17 @@ class PeriodicDisturbance(Effect):
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         phase = 2.0 * np.pi * self.value('frequency_hz', 1.0) * samples.time[:, None, None]
-        directions = self._directions(body, samples, self.where)
+        directions = self._directions(body, samples, self.where, self.value('link_axes'))
         return np.concatenate([np.sin(phase) * directions, np.cos(phase) * directions], axis=2), None
 
     @staticmethod
-    def _directions(body: RigidBody, samples: Samples, where: str | None) -> Array:
+    def _directions(body: RigidBody, samples: Samples, where: str | None, link_axes: float) -> Array:
         """(N, n, k) outputs of a unit disturbance in each of its k directions."""
         if where is None:
             return np.broadcast_to(np.eye(body.n_outputs), (len(samples), body.n_outputs, body.n_outputs))
         if body.outputs == 'wrench':
-            return frame_motion(body, samples, where).force_map
+            motion = frame_motion(body, samples, where)
+            return motion.force_map @ motion.rotation if link_axes else motion.force_map
         column = np.eye(body.n_outputs)[:, joint_index(body, where), None]
         return np.broadcast_to(column, (len(samples), *column.shape))
 
