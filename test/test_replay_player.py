@@ -1,5 +1,6 @@
 """The player without ROS: order, pace, pause, step, seek and loop of a timeline made by hand."""
 
+import itertools
 import threading
 import time
 
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.replay_clock import PlayClock
 from semiparam_ros.ros.replay_player import Ending, Item, Player
+from semiparam_ros.ros.replay_read_ahead import ReadAhead
 
 MS = 1_000_000
 ARRIVES_S = 10.0
@@ -165,6 +167,45 @@ def test_a_rate_that_is_not_above_zero_is_refused(rate):
 def test_an_unpaced_playback_has_no_rate():
     with pytest.raises(SemiparamError, match='no rate to set'):
         Player(Score(2), lambda item: None, rate=None).set_rate(2.0)
+
+
+def readers():
+    return sum(thread.name == 'read ahead' for thread in threading.enumerate())
+
+
+def test_reading_ahead_changes_nothing_but_the_thread():
+    score = Score(200)
+    ahead = ReadAhead(score)
+    assert list(ahead.play(score.start_ns)) == score.items and list(ahead.play(score.end_ns)) == score.items[-1:]
+    assert list(ahead.play(score.end_ns + 1)) == [] and readers() == 0
+
+
+def test_reading_ahead_stops_when_nobody_listens_any_more():
+    items = ReadAhead(Endless()).play(0)
+    assert next(items).time == 0 and readers() == 1
+    items.close()
+    assert readers() == 0
+
+
+class Endless:
+    """More than any queue holds."""
+
+    start_ns, end_ns = 0, 10**18
+
+    def play(self, from_ns):
+        return (Item(k, '/t', b'') for k in itertools.count(from_ns))
+
+
+def test_what_breaks_the_reading_is_raised_after_what_was_read():
+    class Broken(Endless):
+        def play(self, from_ns):
+            yield Item(0, '/t', b'')
+            raise SemiparamError('the bag is damaged here.')
+
+    heard = []
+    with pytest.raises(SemiparamError, match='damaged here'):
+        Player(ReadAhead(Broken()), heard.append, rate=None).run()
+    assert len(heard) == 1
 
 
 class Hands:

@@ -54,7 +54,8 @@ def _add_follow(group: argparse._ArgumentGroup) -> None:
                             'with --rate, that is the ceiling')
     group.add_argument('--follow', nargs='+', default=[], metavar='TOPIC[=PLAYED]',
                        help='topics of answers, each with the played topic that it answers (default '
-                            '/estimator/residual, answering the topic of its own type)')
+                            '/estimator/residual, answering the topic of its own type); without '
+                            '--as-fast-as-followed at the pace of the bag')
     group.add_argument('--window', type=int, default=100, metavar='N', help='messages on the way at most (default 100)')
     group.add_argument('--answer-timeout', type=float, default=60.0, metavar='S',
                        help='silence that counts as the end of the follower (default 60)')

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
+from contextlib import closing
 from enum import Enum
+from itertools import chain
 from typing import NamedTuple, Protocol
 
 from semiparam_ros.errors import SemiparamError
@@ -34,7 +36,7 @@ class Timeline(Protocol):
     def end_ns(self) -> int:
         """Bag time of its last message [ns]."""
 
-    def play(self, from_ns: int) -> Iterator[Item]:
+    def play(self, from_ns: int) -> Generator[Item, None, None]:
         """Every item due at or after ``from_ns``, in order."""
 
 
@@ -86,8 +88,6 @@ class Player:
     def run(self) -> Ending:
         """Play to the end, for ever when looping, or until stopped. Errors of the gate pass through."""
         position = self._timeline.start_ns
-        with self._changed:
-            self._clock.jump(position)
         while True:
             done = self._play_from(position)
             with self._changed:
@@ -97,18 +97,24 @@ class Player:
                     return Ending.FINISHED
                 position = self._timeline.start_ns if self._target is None else self._target
                 self._target = None
-                self._clock.jump(position)
 
     def _play_from(self, position: int) -> _Next:
         """Publish from one bag time on; GO when the timeline ends, else what interrupted it."""
-        empty = True
-        for item in self._timeline.play(position):
-            empty = False
-            verdict = self._wait_for(item)
-            if verdict is not _Next.GO:
-                return verdict
-            self._send(item)
-        if empty and self.loop and position <= self._timeline.start_ns:
+        with closing(self._timeline.play(position)) as items:
+            first = next(items, None)
+            if first is None:
+                return self._nothing_from(position)
+            with self._changed:  # after the first read, which takes longest
+                self._clock.jump(position)
+            for item in chain([first], items):
+                verdict = self._wait_for(item)
+                if verdict is not _Next.GO:
+                    return verdict
+                self._send(item)
+        return _Next.GO
+
+    def _nothing_from(self, position: int) -> _Next:
+        if self.loop and position <= self._timeline.start_ns:
             raise SemiparamError('there is nothing to loop: no message is left between the start and the end.')
         return _Next.GO
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol
 
@@ -43,11 +44,14 @@ def describe(playback: Playback) -> str:
 class ReplayProgress:
     """Context manager that shows ``playback`` between two bag times [ns] from a thread of its own.
 
+    :param answers: what the followers have answered so far, '' where nobody is followed
     :param quiet: show nothing
     """
 
-    def __init__(self, playback: Playback, start_ns: int, end_ns: int, console: Console, quiet: bool = False) -> None:
+    def __init__(self, playback: Playback, start_ns: int, end_ns: int, console: Console,
+                 answers: Callable[[], str] = str, quiet: bool = False) -> None:
         self._playback = playback
+        self._answers = answers
         self._start = start_ns
         self._length = (end_ns - start_ns) * _SECONDS
         self._console = console
@@ -90,11 +94,14 @@ class ReplayProgress:
         position = self._position()
         self._bar.update(self._task, completed=position, description=describe(self._playback),
                          position=f'{position:.1f} of {self._length:.1f} s',
-                         count=f'{self._playback.published} messages')
+                         count=self._count())
 
     def _line(self) -> str:
-        return (f'{self._position():.1f} of {self._length:.1f} s, {self._playback.published} messages, '
-                f'{describe(self._playback)}')
+        return f'{self._position():.1f} of {self._length:.1f} s, {self._count()}, {describe(self._playback)}'
+
+    def _count(self) -> str:
+        answers = self._answers()
+        return f'{self._playback.published} messages' + (f', {answers}' if answers else '')
 
 
 def _bar(console: Console) -> Progress:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,10 +28,13 @@ from semiparam_ros.ros.replay_player import Ending, Item, Player
 from semiparam_ros.ros.replay_process import RosProcess
 from semiparam_ros.ros.replay_progress import ReplayProgress
 from semiparam_ros.ros.replay_qos import load_overrides, lossless, overridden
+from semiparam_ros.ros.replay_read_ahead import ReadAhead
 from semiparam_ros.ros.replay_timeline import BagTimeline, PlayedTopic
 from semiparam_ros.ros.replay_types import is_installed
 
 ACKNOWLEDGE_S = 10.0
+# Python's threads take turns of 5 ms by default: a message would be so late while another thread reads ahead.
+SWITCH_S = 2e-4
 
 
 class Followers:
@@ -47,6 +51,10 @@ class Followers:
         """See ``replay_player.Gate``."""
         for flow in self._flows:
             flow.sent(item)
+
+    def answers(self) -> str:
+        """How many requests were answered, by each follower."""
+        return ', '.join(f'{flow.answers} of {flow.requests} answered' for flow in self._flows)
 
     def settled(self) -> bool:
         """Whether nothing waits for an answer; raises FollowerSilent when it has waited too long."""
@@ -161,7 +169,8 @@ class ReplaySession:
         """Play to the end; 'finished', 'stopped' or 'failed'."""
         options = self._options
         gate = Followers([follower.flow for follower in self._followers])
-        player = Player(timeline, node.publish, rate=options.rate, loop=options.loop, paused=options.paused,
+        sys.setswitchinterval(SWITCH_S)
+        player = Player(ReadAhead(timeline), node.publish, rate=options.rate, loop=options.loop, paused=options.paused,
                         gate=gate if self._followers else None)
         self._player = player
         controls = ReplayControls(node, player, timeline.start_ns)
@@ -172,7 +181,8 @@ class ReplaySession:
         with Keyboard(controls.keys(), options.keyboard) as keyboard:
             if keyboard.active:
                 self._say([HELP])
-            with ReplayProgress(player, timeline.start_ns, timeline.end_ns, self._console, not options.progress):
+            with ReplayProgress(player, timeline.start_ns, timeline.end_ns, self._console, gate.answers,
+                                quiet=not options.progress):
                 return self._play_out(node, player, gate)
 
     def _play_out(self, node: ReplayNode, player: Player, gate: Followers) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 
@@ -110,7 +110,7 @@ class BagTimeline:
             raise SemiparamError('there is nothing to play: the chosen topics hold no message.')
         return self.bag.start_ns, self.bag.end_ns
 
-    def play(self, from_ns: int) -> Iterator[Item]:
+    def play(self, from_ns: int) -> Generator[Item, None, None]:
         """Every message due from ``from_ns`` to the end, after the last latched ones before it."""
         yield from self._latched_before(from_ns)
         for item in self._items(from_ns):
