@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from semiparam_ros.ros.replay_clock import MonotonicClock
 from semiparam_ros.ros.replay_player import Item
@@ -129,3 +129,27 @@ class FlowControl:
         with self._lock:
             self.unanswered_stamps.extend(self._waiting.values())
             self._waiting.clear()
+
+
+class Followers:
+    """The gate of a playback with any number of followers: the slowest one decides."""
+
+    def __init__(self, flows: Sequence[FlowControl]) -> None:
+        self._flows = flows
+
+    def patience(self, item: Item) -> float:
+        """See ``replay_player.Gate``."""
+        return min((wait for flow in self._flows if (wait := flow.patience(item)) > 0.0), default=0.0)
+
+    def sent(self, item: Item) -> None:
+        """See ``replay_player.Gate``."""
+        for flow in self._flows:
+            flow.sent(item)
+
+    def answers(self) -> str:
+        """How many requests were answered, by each follower."""
+        return ', '.join(f'{flow.answers} of {flow.requests} answered' for flow in self._flows)
+
+    def settled(self) -> bool:
+        """Whether nothing waits for an answer; raises FollowerSilent when it has waited too long."""
+        return all(flow.drain_patience() == 0.0 for flow in self._flows)

@@ -18,13 +18,13 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.replay_account import Answers, ReplayAccount
 from semiparam_ros.ros.replay_controls import ReplayControls
 from semiparam_ros.ros.replay_discovery import Stopped, subscribers, wait_for_subscribers, wait_until, warnings
-from semiparam_ros.ros.replay_flow import FlowControl, FollowerSilent
+from semiparam_ros.ros.replay_flow import Followers, FollowerSilent
 from semiparam_ros.ros.replay_follower import Follower
 from semiparam_ros.ros.replay_handshake import handshake
 from semiparam_ros.ros.replay_keyboard import HELP, Keyboard
 from semiparam_ros.ros.replay_node import ReplayNode
 from semiparam_ros.ros.replay_options import ReplayOptions
-from semiparam_ros.ros.replay_player import Ending, Item, Player
+from semiparam_ros.ros.replay_player import Ending, Player
 from semiparam_ros.ros.replay_process import RosProcess
 from semiparam_ros.ros.replay_progress import ReplayProgress
 from semiparam_ros.ros.replay_qos import load_overrides, lossless, overridden
@@ -35,30 +35,6 @@ from semiparam_ros.ros.replay_types import is_installed
 ACKNOWLEDGE_S = 10.0
 # Python's threads take turns of 5 ms by default: a message would be so late while another thread reads ahead.
 SWITCH_S = 2e-4
-
-
-class Followers:
-    """The gate of a playback with any number of followers: the slowest one decides."""
-
-    def __init__(self, flows: Sequence[FlowControl]) -> None:
-        self._flows = flows
-
-    def patience(self, item: Item) -> float:
-        """See ``replay_player.Gate``."""
-        return min((wait for flow in self._flows if (wait := flow.patience(item)) > 0.0), default=0.0)
-
-    def sent(self, item: Item) -> None:
-        """See ``replay_player.Gate``."""
-        for flow in self._flows:
-            flow.sent(item)
-
-    def answers(self) -> str:
-        """How many requests were answered, by each follower."""
-        return ', '.join(f'{flow.answers} of {flow.requests} answered' for flow in self._flows)
-
-    def settled(self) -> bool:
-        """Whether nothing waits for an answer; raises FollowerSilent when it has waited too long."""
-        return all(flow.drain_patience() == 0.0 for flow in self._flows)
 
 
 class ReplaySession:
