@@ -27,11 +27,11 @@ class Stage:
     """A learner with everything that came out of it."""
 
     def __init__(self, settings=SETTINGS, background=None, body=BODY):
-        self.answers, self.news, self.horizons, self.reverted = [], [], [], []
+        self.answers, self.errors, self.horizons, self.news, self.reverted = [], [], [], [], []
         self.background = background or DelayedBackground()
         self.learner = Learner(settings, body, self.background, Outlets(
-            self.answers.append, lambda variant, errors: self.horizons.append((variant, errors)), self.news.append,
-            self.reverted.append))
+            self.answers.append, self.errors.append, lambda variant, errors: self.horizons.append((variant, errors)),
+            self.news.append, self.reverted.append))
 
     def offer(self, samples):
         for sample in samples:
@@ -43,11 +43,14 @@ class Stage:
 
 
 def offline(samples, settings=SETTINGS, learnt=None):
-    """Predictions of the estimator alone."""
-    estimator = build_estimator(settings)
-    flags = learnt or [True] * len(samples)
-    return estimator, np.array([estimator.step(sample, flag).mean
-                                for sample, flag in zip(samples, flags, strict=True)])
+    """The estimator alone, and its predictions."""
+    estimator, steps = steps_of(samples, settings, learnt)
+    return estimator, np.array([step.mean for step in steps])
+
+
+def steps_of(samples, settings=SETTINGS, learnt=None):
+    estimator, flags = build_estimator(settings), learnt or [True] * len(samples)
+    return estimator, [estimator.step(sample, flag) for sample, flag in zip(samples, flags, strict=True)]
 
 
 def test_samples_that_come_while_hyperparameters_are_estimated_are_answered_in_order():
@@ -58,7 +61,11 @@ def test_samples_that_come_while_hyperparameters_are_estimated_are_answered_in_o
     stage.background.run()
     stage.offer(samples[100:])
     assert [answer.prediction.sample.stamp for answer in stage.answers] == [sample.stamp for sample in samples]
-    np.testing.assert_array_equal(stage.means, offline(samples)[1])
+    steps = steps_of(samples)[1]
+    np.testing.assert_array_equal(stage.means, [step.mean for step in steps])
+    horizons = [step.horizon for step in steps if step.horizon is not None]
+    assert [errors.origin for errors in stage.errors] == [errors.origin for errors in horizons]
+    np.testing.assert_array_equal([errors.eps for errors in stage.errors], [errors.eps for errors in horizons])
     assert stage.learner.estimator.ready
 
 
@@ -130,6 +137,8 @@ def test_a_switch_within_the_initial_window_keeps_its_samples():
 
 def test_a_model_that_cannot_be_built_is_refused_beforehand_or_reverted():
     stage = Stage()
+    with pytest.raises(SemiparamError, match='nowhere'):
+        stage.learner.check(replace(SETTINGS, effects=('external_force@nowhere',)))
     stage.offer(motion(120))
     stage.background.run()
     with pytest.raises(SemiparamError, match='nowhere'):
@@ -304,9 +313,9 @@ def test_after_a_jump_of_the_clock_the_model_stays():
     before = stage.learner.estimator.predict(samples[150]).mean
     stage.learner.clear_pending()
     np.testing.assert_array_equal(stage.learner.estimator.predict(samples[150]).mean, before)
+    del stage.errors[:]
     stage.offer(samples[:30])
-    horizons = [answer.prediction.horizon for answer in stage.answers[150:]]
-    assert not any(horizons[:SETTINGS.horizon_length]) and all(horizons[SETTINGS.horizon_length:])
+    assert [errors.origin for errors in stage.errors] == [sample.stamp for sample in samples[:25]]
 
 
 def test_history_keeps_the_first_and_the_latest():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 HELP = 'Run the node estimator: learn and predict live.'
@@ -16,12 +17,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the file, for rcl says little of what is wrong in one; then start the node."""
-    from semiparam_ros.ros.process import run_estimator
-    from semiparam_ros.settings.files import read_params
-
     ros_arguments = list(args.ros_args)
     if args.params is not None:
-        if not any(argument.startswith('__node:=') for argument in ros_arguments):
-            read_params(args.params)
+        check_file(args.params, ros_arguments)
         ros_arguments += ['--ros-args', '--params-file', str(args.params)]
+    from semiparam_ros.ros.process import run_estimator  # after the check, which then answers at once
+
     return run_estimator(ros_arguments)
+
+
+def check_file(path: Path, ros_arguments: Sequence[str]) -> None:
+    """Each value by itself: rules across parameters are for the node, which also knows the command line.
+
+    Raises SemiparamError, naming the file.
+    """
+    from semiparam_ros.settings.files import read_params
+    from semiparam_ros.settings.snapshot import Settings
+
+    renamed = any(argument.startswith('__node:=') for argument in ros_arguments)
+    if not renamed:
+        Settings().changed(read_params(path), where=str(path))

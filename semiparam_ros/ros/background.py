@@ -53,10 +53,10 @@ class ProcessBackground:
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
-        processes = list((self._pool._processes or {}).values())
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
+        for process in list((self._pool._processes or {}).values()):
             process.terminate()
+        # Waiting costs nothing now, and spares the interpreter's end a pool that is half closed.
+        self._pool.shutdown(wait=True, cancel_futures=True)
 
 
 class InlineBackground:

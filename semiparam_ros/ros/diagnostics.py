@@ -42,7 +42,6 @@ class Tally:
         """One answer has gone out."""
         prediction = answer.prediction
         self.excitation.add(prediction.sample)
-        self.errors = prediction.horizon or self.errors
         if prediction.ready:
             self.answers += 1
             self._squares += answer.innovation**2

@@ -14,6 +14,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
@@ -89,7 +90,7 @@ class EstimatorNode(Node):
         self._outputs.open(body)
         self._tally = diagnostics.Tally(body.joints)
         self.learner = Learner(self._live.settings, body, self._background, Outlets(
-            self._answer, self._outputs.publish_shadow, self._say, self._live.write))
+            self._answer, self._complete, self._outputs.publish_shadow, self._say, self._live.write))
         self._inputs.open(body.joints)
 
     def _the_learner(self) -> Learner:
@@ -106,6 +107,10 @@ class EstimatorNode(Node):
         self._outputs.publish(answer)
         self._inputs.stopwatch.stop()
         self._tally.add(answer)
+
+    def _complete(self, errors: HorizonErrors) -> None:
+        self._outputs.publish_errors(errors)
+        self._tally.errors = errors
 
     def _set_frame(self, frame_id: str) -> None:
         self._outputs.frame_id = frame_id

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.hyperparameters import Hyperparameters
 from semiparam_ros.core.model import Estimator, Prediction
 from semiparam_ros.core.rigid_body import RigidBody
@@ -20,10 +21,10 @@ class Known(NamedTuple):
     input_scale: tuple[float, ...]
 
 
-def observe(estimator: Estimator, prediction: Prediction) -> Estimator:
+def observe(estimator: Estimator, prediction: Prediction) -> tuple[Estimator, HorizonErrors | None]:
     """Learn the sample that completes the initial window: the hyperparameters are estimated here."""
-    estimator.observe(prediction)
-    return estimator
+    errors = estimator.observe(prediction)
+    return estimator, errors
 
 
 def build(settings: Settings, body: RigidBody, chapter: Chapter, known: Known | None) -> Estimator:

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.model import Estimator, Prediction
 from semiparam_ros.core.rigid_body import RigidBody
@@ -44,12 +46,14 @@ class Answer(NamedTuple):
 class Outlets(NamedTuple):
     """Where a learner's results go.
 
-    ``answer`` receives each answer, ``horizon`` a shadow variant and the horizon errors that it completed, ``news`` a
-    sentence whenever the model changes or cannot, ``reverted`` the settings that stay after a change failed.
+    ``answer`` receives each answer, ``errors`` the horizon errors that it completed, ``shadow`` a shadow variant and
+    those it completed, ``news`` a sentence whenever the model changes or cannot, ``reverted`` the settings that stay
+    after a change failed.
     """
 
     answer: Callable[[Answer], None]
-    horizon: Callable[[str, HorizonErrors], None] = lambda variant, errors: None
+    errors: Callable[[HorizonErrors], None] = lambda errors: None
+    shadow: Callable[[str, HorizonErrors], None] = lambda variant, errors: None
     news: Callable[[str], None] = lambda sentence: None
     reverted: Callable[[Settings], None] = lambda settings: None
 
@@ -64,7 +68,7 @@ class Learner:
         self.waiting: deque[Sample] = deque()
         self.learnt = self.answered = self.lost = 0
         self._background, self._outlets = background, outlets
-        self.company = Company(body, background, self._hand_over, self._cannot_build, outlets.horizon)
+        self.company = Company(body, background, self._hand_over, self._cannot_build, outlets.shadow)
         self._begin(jobs.new_estimator(settings, body))
 
     def _begin(self, estimator: Estimator, past: Chapter | None = None) -> None:
@@ -116,9 +120,12 @@ class Learner:
             self._finish_window(prediction)
         else:
             errors = self.estimator.observe(prediction, learn)
-            if errors is not None:
-                answer = answer._replace(prediction=answer.prediction._replace(horizon=errors))
             self._emit(answer)
+            self._complete(errors)
+
+    def _complete(self, errors: HorizonErrors | None) -> None:
+        if errors is not None:
+            self._outlets.errors(errors)
 
     def _as_measured(self, prediction: Prediction) -> Prediction:
         """With the bias of the tare, which the sensor still has."""
@@ -138,19 +145,21 @@ class Learner:
         self._background.submit(jobs.observe, self.estimator, prediction,
                                 done=lambda result, error: self._window_done(job, result, error))
 
-    def _window_done(self, job: object, estimator: Estimator | None, error: BaseException | None) -> None:
+    def _window_done(self, job: object, result: tuple[Estimator, HorizonErrors | None] | None,
+                     error: BaseException | None) -> None:
         if job is not self._window_job:
             return  # it was reset, or replaced, meanwhile
         self._window_job = None
-        if estimator is None:
+        if result is None:
             self.estimator.window = []
             self._outlets.news(f'the initial window gives no hyperparameters ({sentence_of(error)}); another one is '
                                'gathered.')
         else:
-            self.estimator = estimator
-            self.company.remember(self.built, estimator)
-            self._outlets.news(f'{self.built.variant} has its hyperparameters from {len(estimator.window)} samples '
-                               'and takes over from the provisional model.')
+            self.estimator, errors = result
+            self._complete(errors)
+            self.company.remember(self.built, self.estimator)
+            self._outlets.news(f'{self.built.variant} has its hyperparameters from {self.built.initial_samples} '
+                               'samples and takes over from the provisional model.')
         self._drain()
 
     def _drain(self) -> None:
@@ -168,10 +177,12 @@ class Learner:
         """Raise SemiparamError if a model of these settings cannot be built on this robot."""
         if same_model(settings, self.built):
             return
-        estimator = jobs.new_estimator(settings, self.body)
-        latest = self.history.latest()
-        if latest is not None:
-            estimator.predict(latest)
+        latest = self.history.latest() or self._at_rest()
+        jobs.new_estimator(settings, self.body).predict(latest)
+
+    def _at_rest(self) -> Sample:
+        zeros = np.zeros(self.body.n_joints)
+        return Sample(0, zeros, zeros, zeros, np.zeros(self.body.n_outputs))
 
     def change(self, settings: Settings) -> str:
         """Take over new, already validated settings; returns a sentence on what happens now, '' for nothing much."""
@@ -194,6 +205,7 @@ class Learner:
         """Forget everything learnt; samples that wait are still answered."""
         self.company.dismiss(forget_hyperparameters=True)
         self.gate.reset()
+        self.tare = Tare(self.body.n_outputs)
         self._begin(jobs.new_estimator(self.settings, self.body))
         self._drain()
 
@@ -202,7 +214,7 @@ class Learner:
         self.settings = saved.settings
         self.company.dismiss(forget_hyperparameters=True)
         self.gate.reset()
-        self.tare.bias = saved.bias
+        self.tare = Tare(self.body.n_outputs, saved.bias)
         self._begin(saved.estimator, saved.chapter)
         self._drain()
 

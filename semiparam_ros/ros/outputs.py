@@ -40,17 +40,19 @@ class Outputs:
         self._errors = HorizonMessage(body.output_names, wrench)
 
     def publish(self, answer: Answer) -> None:
-        """One answer: the residual, which a replay waits for, goes last but for the horizon it completed."""
+        """One answer: the residual goes last, for a replay waits for it."""
         prediction = answer.prediction
         stamp, frame = prediction.sample.stamp, self.frame_id
         self._mean.publish(self._value.filled(stamp, frame, prediction.mean))
         self._std.publish(self._value.filled(stamp, frame, prediction.std))
         self._residual.publish(self._value.filled(stamp, frame, answer.residual))
-        if prediction.horizon is not None:
-            self._horizon.publish(self._errors.filled(prediction.horizon))
         if answer.contact != self._in_contact:
             self._in_contact = answer.contact
             self._contact.publish(Bool(data=answer.contact))
+
+    def publish_errors(self, errors: HorizonErrors) -> None:
+        """The horizon errors of the active model."""
+        self._horizon.publish(self._errors.filled(errors))
 
     def publish_shadow(self, variant: str, errors: HorizonErrors) -> None:
         """The horizon errors of a shadow variant, on ``~/shadow/sp2_ml/horizon_error``."""

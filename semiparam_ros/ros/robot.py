@@ -22,6 +22,7 @@ class Robot:
                  complain: Callable[[str], None]) -> None:
         self._settings, self._known, self._complain = settings, known, complain
         self._text: str | None = None
+        self._latest = ''
         self.name = ''
 
     @property
@@ -36,8 +37,9 @@ class Robot:
 
     def from_topic(self, text: str) -> None:
         """Use the first one that fits; a different one later is not followed, for the model belongs to the first."""
-        if self._settings.robot_description_file or self._settings.robot_description or text == self._text:
+        if self._settings.robot_description_file or self._settings.robot_description or text == self._latest:
             return
+        self._latest = text
         if self.is_known:
             self._complain('another robot description came on its topic; the first one stays in use.')
             return

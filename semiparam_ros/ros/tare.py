@@ -19,8 +19,8 @@ class Tare:
     and payload stay: the bias grows by the mean residual of the last second.
     """
 
-    def __init__(self, n_outputs: int) -> None:
-        self.bias: Array = np.zeros(n_outputs)
+    def __init__(self, n_outputs: int, bias: Array | None = None) -> None:
+        self.bias: Array = np.zeros(n_outputs) if bias is None else bias
         self._residuals: deque[tuple[int, Array]] = deque()
 
     @property

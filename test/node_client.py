@@ -1,0 +1,235 @@
+"""The live node as a process, and a peer that talks to it over DDS."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters, SetParametersAtomically
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+PATIENCE_S = 20.0
+KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=1)
+BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+TYPES = {'joint_states': JointState, 'wrench': WrenchStamped, 'joint_accelerations': JointTrajectory,
+         'robot_description': String, 'desired_trajectory': JointTrajectory}
+
+
+class NodeProcess:
+    """`semiparam run` with the parameters and ROS arguments given."""
+
+    def __init__(self, folder, params, *ros_arguments, domain=None):
+        self.log = folder / 'node.log'
+        self.stream = self.log.open('wb')
+        environment = {**os.environ, 'OMP_NUM_THREADS': '1', 'ROS_LOG_DIR': str(folder / 'ros_log')}
+        command = [sys.executable, '-m', 'semiparam_ros.cli.main', 'run', '--params', str(params)]
+        command += ['--ros-args', *ros_arguments] if ros_arguments else []
+        self.process = subprocess.Popen(command, stdout=self.stream, stderr=subprocess.STDOUT, env=environment)
+
+    def stop(self, number=signal.SIGINT):
+        """Send a signal; the exit code and how long the end took [s]."""
+        start = time.monotonic()
+        self.process.send_signal(number)
+        return self.process.wait(timeout=PATIENCE_S), time.monotonic() - start
+
+    @property
+    def output(self):
+        return self.log.read_text()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+        self.stream.close()
+
+
+class Client:
+    """Publishes inputs, keeps every answer, calls services and sets parameters of one estimator."""
+
+    def __init__(self, node='estimator', namespace=''):
+        self.context = Context()
+        rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node('client', context=self.context, namespace=namespace,
+                                      start_parameter_services=False)
+        self.executor = EventsExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.target, self.heard, self.outputs, self.clients = node, defaultdict(list), {}, {}
+        self.stopping = threading.Event()
+        self.thread = threading.Thread(target=self._spin, daemon=True)
+        self.thread.start()
+
+    def _spin(self):
+        while not self.stopping.is_set():
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def listen(self, kind, *topics, qos=KEEP_ALL):
+        for topic in topics:
+            name = topic if topic.startswith('/') else f'{self.target}/{topic}'
+            self.node.create_subscription(kind, name, self.heard[topic].append, qos)
+
+    def offer(self, *topics, qos=KEEP_ALL):
+        """Publish on these topics, as soon as the node listens."""
+        for topic in topics:
+            profile = LATCHED if topic == 'robot_description' else qos
+            self.outputs[topic] = self.node.create_publisher(TYPES[topic], topic, profile)
+        self.wait(lambda: all(output.get_subscription_count() for output in self.outputs.values()), 'the node listens')
+
+    def connect(self, outputs='wrench'):
+        """Hear every answer, and prove with one service call that the node knows it."""
+        kind = WrenchStamped if outputs == 'wrench' else JointState
+        self.listen(kind, f'predicted_{outputs}', f'predicted_{outputs}_std', 'residual')
+        self.listen(JointState, 'horizon_error')
+        self.listen(DiagnosticArray, '/diagnostics')
+        self.wait(lambda: self.node.count_publishers(f'{self.target}/residual'), 'the node appears')
+        self.get('variant')
+        time.sleep(0.3)
+
+    def wait(self, condition, what='', timeout_s=PATIENCE_S):
+        end = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < end, f'waited in vain: {what}'
+            time.sleep(0.005)
+
+    # Inputs
+
+    def state(self, sample, joints, **fields):
+        message = JointState(name=list(joints), position=sample.position.tolist(), velocity=sample.velocity.tolist())
+        set_stamp(message.header.stamp, sample.stamp)
+        for name, value in fields.items():
+            setattr(message, name, value)
+        self.outputs['joint_states'].publish(message)
+
+    def wrench(self, sample, frame='ft'):
+        message = WrenchStamped()
+        set_stamp(message.header.stamp, sample.stamp)
+        message.header.frame_id = frame
+        force, torque = message.wrench.force, message.wrench.torque
+        force.x, force.y, force.z, torque.x, torque.y, torque.z = sample.outputs.tolist()
+        self.outputs['wrench'].publish(message)
+
+    def accelerations(self, sample, joints):
+        point = JointTrajectoryPoint(accelerations=sample.acceleration.tolist())
+        message = JointTrajectory(joint_names=list(joints), points=[point])
+        set_stamp(message.header.stamp, sample.stamp)
+        self.outputs['joint_accelerations'].publish(message)
+
+    def play(self, samples, joints, ahead=200):
+        """Publish samples with their accelerations, never more than ``ahead`` before the answers."""
+        start = len(self.heard['residual'])
+        for index, sample in enumerate(samples):
+            self.state(sample, joints)
+            self.accelerations(sample, joints)
+            self.wrench(sample)
+            self.wait(lambda index=index: index - (len(self.heard['residual']) - start) < ahead, 'the node follows')
+        self.wait(lambda: len(self.heard['residual']) - start >= len(samples), 'every sample is answered')
+
+    # Services and parameters
+
+    def call(self, kind, name, request):
+        key = (kind, name)
+        if key not in self.clients:
+            self.clients[key] = self.node.create_client(kind, f'{self.target}/{name}')
+        self.wait(self.clients[key].service_is_ready, f'service {name}')
+        future = self.clients[key].call_async(request)
+        self.wait(future.done, f'answer of {name}')
+        return future.result()
+
+    def trigger(self, name):
+        return self.call(Trigger, name, Trigger.Request())
+
+    def pause(self, paused):
+        return self.call(SetBool, 'pause_learning', SetBool.Request(data=paused))
+
+    def get(self, *names):
+        return self.call(GetParameters, 'get_parameters', GetParameters.Request(names=list(names))).values
+
+    def describe(self, *names):
+        return self.call(DescribeParameters, 'describe_parameters',
+                         DescribeParameters.Request(names=list(names))).descriptors
+
+    def set(self, **values):
+        """One result for each parameter, set one after the other; double underscores stand for dots."""
+        return self.call(SetParameters, 'set_parameters', SetParameters.Request(parameters=messages(values))).results
+
+    def set_together(self, **values):
+        request = SetParametersAtomically.Request(parameters=messages(values))
+        return self.call(SetParametersAtomically, 'set_parameters_atomically', request).result
+
+    # Answers
+
+    def stamps(self, topic):
+        return [stamp_of(message) for message in self.heard[topic]]
+
+    def values(self, topic):
+        return [values_of(message) for message in self.heard[topic]]
+
+    def forget(self):
+        for messages_heard in self.heard.values():
+            messages_heard.clear()
+
+    def report(self, title):
+        """(level, message, values) of the latest report."""
+        self.wait(lambda: self.heard['/diagnostics'], 'diagnostics')
+        status = next(status for status in self.heard['/diagnostics'][-1].status if status.name.endswith(f': {title}'))
+        return status.level, status.message, {entry.key: entry.value for entry in status.values}
+
+    def wait_report(self, title, condition):
+        """The first report from now on that fulfils a condition."""
+        self.wait(lambda: self.heard['/diagnostics'] and condition(*self.report(title)), f'report {title}')
+        return self.report(title)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stopping.set()
+        self.thread.join()
+        self.executor.remove_node(self.node)
+        self.node.destroy_node()
+        try_shutdown(context=self.context)
+
+
+def messages(values):
+    return [item if isinstance(item, ParameterMessage) else
+            Parameter(name.replace('__', '.'), value=item).to_parameter_msg()
+            if not isinstance(item, ParameterValue) else ParameterMessage(name=name.replace('__', '.'), value=item)
+            for name, item in values.items()]
+
+
+def set_stamp(stamp, nanoseconds):
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, 10**9)
+
+
+def stamp_of(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def values_of(message):
+    if isinstance(message, JointState):
+        return list(message.effort or message.position)
+    force, torque = message.wrench.force, message.wrench.torque
+    return [force.x, force.y, force.z, torque.x, torque.y, torque.z]
