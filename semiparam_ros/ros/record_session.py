@@ -18,6 +18,7 @@ from semiparam_ros.ros.record_node import RecordNode
 from semiparam_ros.ros.record_options import RecordOptions
 from semiparam_ros.ros.record_progress import RecordProgress
 from semiparam_ros.ros.replay_discovery import Stopped, wait_until
+from semiparam_ros.ros.replay_handshake import handshake
 from semiparam_ros.ros.replay_process import RosProcess
 
 LOOK_S = 0.2
@@ -103,6 +104,8 @@ class RecordSession:
         if not wait_until(ready, self._options.wait_s, self._stopping):
             raise SemiparamError(f'{", ".join(missing) or "some publisher"} was not found within '
                                  f'{self._options.wait_s:g} s.')
+        for name in record_topics.sources(node, node.topics):
+            handshake(node, name, self._stopping)
         self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.')
         self._began = time.monotonic()
 

@@ -11,6 +11,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from semiparam_ros.bags import schemas
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.ros.record_options import RecordOptions
+from semiparam_ros.ros.replay_discovery import owner
 from semiparam_ros.ros.replay_qos import from_rclpy, subscription_qos, to_rclpy
 from semiparam_ros.ros.replay_types import is_installed
 
@@ -66,6 +67,11 @@ def obstacle(type_name: str) -> str:
 def offers(node: Node, topic: str) -> list[Qos]:
     """What the publishers of a topic offer."""
     return [from_rclpy(info.qos_profile) for info in node.get_publishers_info_by_topic(topic)]
+
+
+def sources(node: Node, topics: Iterable[str]) -> set[str]:
+    """The nodes that publish any of these topics."""
+    return {owner(info) for topic in topics for info in node.get_publishers_info_by_topic(topic)}
 
 
 def best_qos(node: Node, topic: str) -> QoSProfile:
