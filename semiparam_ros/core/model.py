@@ -7,21 +7,22 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from semiparam_ros.core.columns import CoupledColumns, Effect, Memory
 from semiparam_ros.core.horizon import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters import Hyperparameters, estimate
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
-from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
+from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.core.variants import VARIANTS, Variant
+from semiparam_ros.core.variant_model import Model, log_density
+from semiparam_ros.core.variants import VARIANTS, variant_named
 from semiparam_ros.core.window import LengthScales, Noise
 from semiparam_ros.errors import SemiparamError
 
-HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
+__all__ = ['Estimator', 'Model', 'ModelOptions', 'Prediction', 'Remembered', 'log_density', 'variant_named']
+
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
 
 
@@ -62,40 +63,6 @@ class Remembered(NamedTuple):
 
     sample: Sample
     columns: Array
-
-
-class Model:
-    """One variant with its hyperparameters: scaled outputs, features, a fixed mean where pi is fixed, the recursion."""
-
-    def __init__(self, variant: Variant, hyperparameters: Hyperparameters, features: RandomFeatures | None,
-                 prior_scale: Array, prior_mean: Array | None = None, forgetting: float = 1.0) -> None:
-        self.variant, self.hyperparameters, self.features = variant, hyperparameters, features
-        self.output_scale = np.asarray(hyperparameters.output_scale, dtype=float)
-        learnt = variant.pi == 'learnt'
-        self.pi = np.asarray(hyperparameters.pi, dtype=float) if variant.pi == 'fixed' else None
-        self.recursion = SemiParametricRecursion(
-            len(self.output_scale), features.count if features else 0,
-            hyperparameters.gamma * prior_scale if learnt else np.zeros(0), hyperparameters.rho,
-            hyperparameters.sigma, prior_mean if learnt else None, forgetting)
-
-    @property
-    def theta(self) -> Array:
-        """(p,) coefficients of the coupled columns, learnt or fixed; empty for a non-parametric model."""
-        return self.recursion.theta if self.pi is None else self.pi
-
-    def theta_std(self) -> Array:
-        """(p,) their posterior standard deviations; zero where pi is fixed."""
-        if self.pi is not None:
-            return np.zeros_like(self.pi)
-        return np.asarray(np.sqrt(np.diag(self.recursion.theta_covariance())))
-
-    def predict(self, x: Array, columns: Array) -> tuple[Prior, Array, Array]:
-        """The recursion's prior, its columns (n, p) and the fixed mean (n,), all in units of ``output_scale``."""
-        scaled = columns / self.output_scale[:, None]
-        fixed = np.zeros(len(self.output_scale)) if self.pi is None else scaled @ self.pi
-        learnt = scaled if self.variant.pi == 'learnt' else scaled[:, :0]
-        phi = self.features(x) if self.features else np.zeros(0)
-        return self.recursion.predict(phi, learnt), learnt, fixed
 
 
 class Estimator:
@@ -231,21 +198,7 @@ class Estimator:
         return HorizonIndex(self.options.horizon, recursion.n_outputs, recursion.n_features, recursion.n_columns)
 
 
-def variant_named(name: str) -> Variant:
-    """The variant of that name, or a SemiparamError that lists them."""
-    if name not in VARIANTS:
-        raise SemiparamError(f"variant '{name}' is unknown; expected one of {', '.join(VARIANTS)}.")
-    return VARIANTS[name]
-
-
 def require_finite(what: str, values: Array) -> None:
     """Raise SemiparamError when one of the values is NaN or infinite: the model must never take it in."""
     if not np.isfinite(values).all():
         raise SemiparamError(f'the {what} of a sample are {values.tolist()}; expected finite values.')
-
-
-def log_density(innovation: Array, covariance: Array) -> float:
-    """Log of N(innovation; 0, covariance), for (n,) and (n, n) [nat]."""
-    lower, _ = dpotrf(covariance, lower=1)
-    white, _ = dtrtrs(lower, innovation, lower=1)
-    return float(-0.5 * white @ white - np.log(lower.diagonal()).sum() - len(white) * HALF_LOG_2PI)

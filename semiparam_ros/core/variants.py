@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from semiparam_ros.errors import SemiparamError
+
 
 class Variant(NamedTuple):
     """Which terms a model has and how its hyperparameters are chosen.
@@ -26,3 +28,10 @@ VARIANTS: dict[str, Variant] = {
     'NP-VS': Variant(features=True, pi='absent', selection='vs'),
     'SP2-VS': Variant(features=True, pi='fixed', selection='vs'),
 }
+
+
+def variant_named(name: str) -> Variant:
+    """The variant of that name, or a SemiparamError that lists them."""
+    if name not in VARIANTS:
+        raise SemiparamError(f"variant '{name}' is unknown; expected one of {', '.join(VARIANTS)}.")
+    return VARIANTS[name]
