@@ -261,6 +261,17 @@ def test_a_signal_ends_it_with_an_account(tmp_path, number):
     assert tool.said('stopped after') and 'Traceback' not in tool.output
 
 
+def test_a_signal_to_a_lossless_playback_is_no_success(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 400)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH, refuses=lambda count: count > 150)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
+            peer.wait_for(lambda: len(peer.heard['/wrench']) > 150)
+            tool.interrupt()
+            assert tool.wait() == 130, tool.output
+    assert tool.said('stopped after') and tool.said('answered 150 of')
+
+
 def test_a_damaged_bag_plays_as_far_as_it_goes(tmp_path):
     bag = write_robot(tmp_path / 'a.mcap', 400, rate_hz=1000)
     bag.write_bytes(bag.read_bytes()[:bag.stat().st_size // 2])

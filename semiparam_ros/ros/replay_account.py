@@ -57,6 +57,7 @@ class ReplayAccount:
     :param ending: 'finished', 'stopped' or 'failed'
     :param failures: what makes the exit code 1, one sentence each
     :param losses: one sentence for each damaged bag
+    :param lossless: that every message is answered was promised
     """
 
     ending: str
@@ -66,6 +67,7 @@ class ReplayAccount:
     failures: tuple[str, ...] = ()
     losses: tuple[str, ...] = ()
     skipped: dict[str, str] = field(default_factory=dict)
+    lossless: bool = False
 
     @property
     def messages(self) -> int:
@@ -77,7 +79,7 @@ class ReplayAccount:
         """1 for any failure, 130 where a stop left the promise to followers unfulfilled, else 0."""
         if self.failures:
             return 1
-        return INTERRUPTED if self.ending == 'stopped' and self.answers else 0
+        return INTERRUPTED if self.ending == 'stopped' and self.lossless else 0
 
     def sentences(self) -> Sequence[str]:
         """The account for a reader, failures apart."""

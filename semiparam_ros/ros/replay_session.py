@@ -71,7 +71,8 @@ class ReplaySession:
                 self._failures.append(f'a callback failed: {ros.error}')
             answers = tuple(Answers.of(follower.answer_topic, follower.flow) for follower in self._followers)
             return ReplayAccount(ending, self._duration, dict(node.counts), answers, tuple(self._failures),
-                                 _losses(bag) if ending == 'finished' else (), skipped)
+                                 _losses(bag) if ending == 'finished' else (), skipped,
+                                 lossless=self._options.follow is not None)
 
     def _node(self, topics: Mapping[str, PlayedTopic]) -> ReplayNode:
         options = self._options
