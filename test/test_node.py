@@ -11,14 +11,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import _free_domain
+from geometry_msgs.msg import WrenchStamped
 from node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
 from node_helpers import JOINTS, SETTINGS, URDF, motion
 from rcl_interfaces.msg import ParameterType
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.ros.feedforward import Desired
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.table import PARAMETERS
@@ -192,7 +196,7 @@ def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
         lambda sample: client.wrench(sample._replace(stamp=5)),
         lambda sample: client.wrench(sample._replace(stamp=samples[0].stamp)),
         lambda sample: client.accelerations(sample._replace(acceleration=np.array([nan, 1.0])), JOINTS),
-        lambda sample: client.outputs['joint_accelerations'].publish(type_of_accelerations()),
+        lambda sample: client.outputs['joint_accelerations'].publish(JointTrajectory(joint_names=list(JOINTS))),
     ]
     client.play(samples[:1], JOINTS)
     for sample in samples[1:]:
@@ -209,11 +213,6 @@ def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
     _, _, values = client.wait_report('inputs', lambda level, message, values: 'refused: wrong_frame' in values)
     for reason in ('not_finite', 'missing_joint', 'wrong_length', 'backward_stamp', 'wrong_frame'):
         assert int(values[f'refused: {reason}']) > 10, reason
-
-
-def type_of_accelerations():
-    from trajectory_msgs.msg import JointTrajectory
-    return JointTrajectory(joint_names=list(JOINTS))
 
 
 def test_all_variants_and_back_while_data_flow(client):
@@ -306,6 +305,30 @@ def test_shadow_variants_publish_their_errors(client):
     assert client.set(shadow_variants=[''])[0].successful
 
 
+def test_feedforward_answers_a_desired_trajectory(client):
+    samples = fresh(100)
+    client.listen(WrenchStamped, 'feedforward')
+    client.listen(JointTrajectory, 'feedforward_trajectory')
+    client.play(samples, JOINTS)
+    client.offer('desired_trajectory')
+    client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+    estimator = build_estimator(LIVE)
+    for sample in samples:
+        estimator.step(sample)
+    wish = JointTrajectory(joint_names=['b', 'a'])
+    for sample in samples[:3]:
+        wish.points.append(JointTrajectoryPoint(**{f'{name}s'.replace('ys', 'ies'): value[::-1].tolist() for name, value
+                                                   in sample._asdict().items() if name.endswith(('tion', 'city'))}))
+    client.outputs['desired_trajectory'].publish(JointTrajectory(joint_names=['a']))
+    client.outputs['desired_trajectory'].publish(wish)
+    client.wait(lambda: client.heard['feedforward_trajectory'], 'the answer')
+    desired = [Desired(estimator, 0, *sample[1:4]) for sample in samples[:3]]
+    np.testing.assert_allclose(client.values('feedforward'), [each.outputs for each in desired], rtol=0, atol=1e-9)
+    efforts = [list(point.effort)[::-1] for point in client.heard['feedforward_trajectory'][0].points]
+    np.testing.assert_allclose(efforts, [each.efforts for each in desired], rtol=0, atol=1e-9)
+    assert client.stamps('residual') == [sample.stamp for sample in samples], 'wishes are not learnt'
+
+
 @pytest.fixture
 def quiet(tmp_path):
     """A node of the test's own that is not started yet: a function of settings and ROS arguments."""
@@ -338,7 +361,6 @@ def test_efforts_best_effort_publishers_and_a_late_description(quiet):
             time.sleep(0.005)
         client.wait_report('learning', lambda level, message, values: message == 'waiting for a robot description.')
         client.offer('robot_description')
-        from std_msgs.msg import String
         client.outputs['robot_description'].publish(String(data='<robot'))
         client.outputs['robot_description'].publish(String(data=URDF))
         for sample in efforts[20:]:

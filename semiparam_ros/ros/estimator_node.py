@@ -20,6 +20,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import diagnostics
 from semiparam_ros.ros.background import ProcessBackground
+from semiparam_ros.ros.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.estimates import payload
 from semiparam_ros.ros.inputs import Inputs, Sinks
 from semiparam_ros.ros.learner import Answer, Learner, Outlets
@@ -58,6 +59,7 @@ class EstimatorNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = self.create_publisher(InertiaStamped, '~/payload', 10)
         Services(self, self._live, self._the_learner)
+        DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id, self._guarded)
         self._watch_clock()
         self._robot.from_parameters()
         # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
