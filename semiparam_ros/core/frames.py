@@ -15,6 +15,10 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 
+LINKS_APART = 0.02
+MOST_LINKS = 6
+
+
 class FrameMotion(NamedTuple):
     """A link's frame over N samples, in the base."""
 
@@ -42,10 +46,15 @@ def loaded_links(body: RigidBody) -> dict[str, int]:
 
 
 def links_beside(body: RigidBody, link: str) -> list[str]:
-    """All links that are fixed to the same body as ``link``, itself included: other places for the same cause."""
+    """The links fixed to the same body as ``link``, itself first, that stand at clearly different places."""
     model = body.arm if body.distal is None else body.distal
-    joint = model.frames[_frame(model, link, body)].parentJoint
-    return [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == joint]
+    own = model.frames[_frame(model, link, body)]
+    chosen = [own]
+    for frame in model.frames:
+        apart = [float(np.linalg.norm(frame.placement.translation - other.placement.translation)) for other in chosen]
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == own.parentJoint and min(apart) > LINKS_APART:
+            chosen.append(frame)
+    return [frame.name for frame in chosen[:MOST_LINKS]]
 
 
 @lru_cache(maxsize=8)

@@ -96,11 +96,11 @@ def refined(state: Fit, trial: Trial) -> Trial:
 
 
 def _at_best_link(state: Fit, trial: Trial) -> Trial:
-    """The trial at whichever link of the same body explains most; a load is the same at all of them."""
+    """The trial at whichever link of the same body explains most, where the kind moves the outputs there."""
     where = trial.effect.where
-    if where is None or where in state.body.joints or trial.effect.kind == 'payload':
+    if where is None or where in state.body.joints or not trial.effect.refine_link:
         return trial
-    moved = [_linear_trial(state, replace(trial.effect, where=link)) for link in links_beside(state.body, where)]
+    moved = [_linear_trial(state, replace(trial.effect, where=link)) for link in links_beside(state.body, where)[1:]]
     return max([trial, *moved], key=lambda tried: _explained_share(state, tried))
 
 

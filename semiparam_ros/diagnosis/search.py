@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,12 +34,20 @@ MOST_ROUNDS = 12
 Progress = Callable[[str, float], None]
 
 
+class Rival(NamedTuple):
+    """An effect that explains the same about as well; ``odds`` are against the one chosen."""
+
+    kind: str
+    where: str | None
+    odds: float
+
+
 @dataclass(frozen=True)
 class Step:
-    """One round: the effects added, each with its rivals' odds, and the trials of the round by evidence."""
+    """One round: the effects added, the rivals of each, and the trials of the round by evidence."""
 
     added: tuple[Trial, ...]
-    rivals: tuple[tuple[tuple[str, str | None, float], ...], ...]
+    rivals: tuple[tuple[Rival, ...], ...]
     ranking: tuple[Trial, ...]
     before: Fit
     after: Fit
@@ -112,10 +121,10 @@ def _one_for_each_joint(state: Fit, ranking: list[Trial]) -> list[Trial]:
     return [trial for trial in best.values() if trial.effect.where in joints and not trial.effect.is_calibration]
 
 
-def rivals_of(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> tuple[tuple[str, str | None, float], ...]:
-    """(kind, where, odds against the chosen) of the trials that explain the same thing about as well."""
+def rivals_of(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> tuple[Rival, ...]:
+    """The trials that explain the same thing about as well as the chosen one."""
     tolerance = max(RIVAL_NATS, RIVAL_SHARE * chosen.evidence)
     close = [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < tolerance
              and overlap(state, chosen, trial) > RIVAL_OVERLAP]
-    return tuple((trial.effect.kind, trial.effect.where, float(np.exp(min(trial.evidence - chosen.evidence, 0.0))))
+    return tuple(Rival(trial.effect.kind, trial.effect.where, float(np.exp(min(trial.evidence - chosen.evidence, 0.0))))
                  for trial in close)

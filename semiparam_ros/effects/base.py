@@ -52,6 +52,8 @@ class Effect:
     separated_by: ClassVar[str] = ''
     may_start: ClassVar[bool] = False
     must_start: ClassVar[bool] = False
+    of_one_recording: ClassVar[bool] = False
+    refine_link: ClassVar[bool] = False
     calibrations: ClassVar[tuple[Coefficient, ...]] = ()
     shape_units: ClassVar[Mapping[str, str]] = {}
     coefficient_scale: ClassVar[float] = 100.0

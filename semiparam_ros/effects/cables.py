@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.frames import frame_motion, loaded_links
+from semiparam_ros.core.frames import frame_motion, links_beside, loaded_links
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -35,8 +35,11 @@ class CableSpring(_Cable):
     sentence: ClassVar[str] = 'a cable or hose pulls like a spring'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_hysteresis', 'external_force', 'gravity_tilt')
     separated_by: ClassVar[str] = 'slow motion over the whole workspace, where inertia plays no part'
-    links_are_tips: ClassVar[bool] = True
     coefficient_scale: ClassVar[float] = 1000.0
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return (*(link for tip in loaded_links(body) for link in links_beside(body, tip)), *body.joints)
 
     @property
     def n_columns(self) -> int:
@@ -69,6 +72,7 @@ class CableHysteresis(_Cable):
     """Dahl's model: the cable pulls back over ``slip`` of travel, then slips (z' = dx - |dx| z / slip)."""
 
     kind: ClassVar[str] = 'cable_hysteresis'
+    refine_link: ClassVar[bool] = True
     sentence: ClassVar[str] = 'a cable or hose drags with hysteresis: it pulls back, then slips'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_spring', 'viscous_drag')
     separated_by: ClassVar[str] = 'reversals after long and after short travels'

@@ -8,22 +8,14 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.frames import frame_motion, load_regressor, loaded_links
+from semiparam_ros.core.frames import frame_motion, links_beside, load_regressor, loaded_links
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Coefficient, Effect
 
 
-class _AtLink(Effect):
-    """Something that acts at a link."""
-
-    @classmethod
-    def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return tuple(loaded_links(body))
-
-
-class Payload(_AtLink):
+class Payload(Effect):
     """A body picked up: mass, first moment and inertia in the link's frame."""
 
     kind: ClassVar[str] = 'payload'
@@ -32,6 +24,10 @@ class Payload(_AtLink):
     separated_by: ClassVar[str] = 'fast motion that turns the load about every axis: weight alone is only a force'
     must_start: ClassVar[bool] = True
     coefficient_scale: ClassVar[float] = 10.0
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return tuple(loaded_links(body))
 
     @property
     def n_columns(self) -> int:
@@ -46,7 +42,15 @@ class Payload(_AtLink):
         return load_regressor(body, samples, str(self.where)), None
 
 
-class ExternalForce(_AtLink):
+class AtAnyLink(Effect):
+    """Something whose point of attack matters, so that every link of a body is a place of its own."""
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return [link for tip in loaded_links(body) for link in links_beside(body, tip)]
+
+
+class ExternalForce(AtAnyLink):
     """A constant force along the base's axes, at the origin of the link's frame."""
 
     kind: ClassVar[str] = 'external_force'
@@ -66,7 +70,7 @@ class ExternalForce(_AtLink):
         return frame_motion(body, samples, str(self.where)).force_map, None
 
 
-class _Drag(_AtLink):
+class _Drag(AtAnyLink):
     """A force against the velocity of a link's frame."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)

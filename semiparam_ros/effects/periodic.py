@@ -22,6 +22,8 @@ class PeriodicDisturbance(Effect):
     """A sine and a cosine: in the sensor's axes, as a force at a link along its own or the base's axes, or on a joint."""
 
     kind: ClassVar[str] = 'periodic_disturbance'
+    refine_link: ClassVar[bool] = True
+    of_one_recording: ClassVar[bool] = True
     sentence: ClassVar[str] = 'something shakes the arm at one frequency'
     mistaken_for: ClassVar[tuple[str, ...]] = ('transmission_ripple',)
     separated_by: ClassVar[str] = 'standing still: the disturbance goes on'

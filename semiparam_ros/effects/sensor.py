@@ -52,6 +52,7 @@ class SensorDrift(_ChannelEffect):
     """A bias that grows in proportion to time."""
 
     kind: ClassVar[str] = 'sensor_drift'
+    of_one_recording: ClassVar[bool] = True
     sentence: ClassVar[str] = "the sensor's bias drifts steadily with time"
     mistaken_for: ClassVar[tuple[str, ...]] = ('thermal_drift', 'sensor_offset')
     separated_by: ClassVar[str] = 'a longer recording: a thermal drift settles, a linear one goes on'
@@ -65,6 +66,7 @@ class ThermalDrift(_ChannelEffect):
     """A bias that settles as exp(-t / time constant)."""
 
     kind: ClassVar[str] = 'thermal_drift'
+    of_one_recording: ClassVar[bool] = True
     sentence: ClassVar[str] = 'the sensor warms up: its bias settles exponentially'
     mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_drift', 'sensor_offset')
     separated_by: ClassVar[str] = 'a recording of several time constants from a cold start'

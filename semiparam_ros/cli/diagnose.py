@@ -1,0 +1,153 @@
+"""`semiparam diagnose BAG`: what the model lacks, and what adding it brings."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from semiparam_ros.cli.options import (
+    add_json_option,
+    add_params_option,
+    console,
+    output,
+    progress_bar,
+    write_json,
+    write_text,
+)
+from semiparam_ros.errors import SemiparamError
+
+if TYPE_CHECKING:
+    from semiparam_ros.diagnosis.diagnose import Diagnosis
+    from semiparam_ros.settings import Settings
+
+HELP = 'Find what the model lacks in a recording, name the effect, add it, and show the error before and after.'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `semiparam diagnose`."""
+    parser.add_argument('bag', metavar='BAG', nargs='?', type=Path,
+                        help='recording (.mcap, rosbag2 directory, .db3, ROS 1 .bag)')
+    add_params_option(parser)
+    parser.add_argument('--judge', metavar='BAG', type=Path,
+                        help='judge before and after on this recording; otherwise on blocks left out of the fit')
+    parser.add_argument('--split', metavar='SHARE', type=float,
+                        help='fit the first SHARE of the recording and judge on the rest (0.2 to 0.9)')
+    parser.add_argument('--kinds', metavar='KIND', nargs='+', default=[], help='consider only these kinds of effects')
+    parser.add_argument('--output', '-o', metavar='FILE.yaml', type=Path,
+                        help='write the parameters with the effects added')
+    parser.add_argument('--html', metavar='FILE.html', type=Path, help='write a page with figures')
+    parser.add_argument('--variants', metavar='V', nargs='+', default=[],
+                        help='also learn these variants with and without the effects, and judge them')
+    add_json_option(parser)
+    scoreboard = parser.add_argument_group('scoreboard')
+    scoreboard.add_argument('--benchmark', action='store_true',
+                            help='diagnose simulated recordings with known hidden effects instead of a bag')
+    scoreboard.add_argument('--outputs', choices=('wrench', 'effort'), default='wrench', help='what is simulated')
+    scoreboard.add_argument('--sizes', metavar='S', type=float, nargs='+', default=[0.5, 1.0, 2.0])
+    scoreboard.add_argument('--seeds', metavar='N', type=int, default=10, help='recordings of each kind and size')
+    scoreboard.add_argument('--samples', metavar='N', type=int, default=4000)
+    scoreboard.add_argument('--jobs', metavar='N', type=int, default=2, help='diagnoses at a time (default: 2)')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose one recording, or the simulator's."""
+    if args.benchmark:
+        return _benchmark(args)
+    if args.bag is None:
+        raise SemiparamError('diagnose needs a BAG, or --benchmark.')
+    from semiparam_ros.settings import load_params
+
+    settings = load_params(args.params)
+    diagnosis = diagnose_bag(args, settings)
+    variants = _judge_variants(args, settings, diagnosis)
+    result = diagnosis.as_dict() | {'command': 'diagnose', 'bag': str(args.bag), 'variants': variants}
+    _show(diagnosis, variants)
+    if args.json:
+        write_json(args.json, result)
+    if args.output:
+        write_parameters(args.output, settings, diagnosis)
+    if args.html:
+        from semiparam_ros.report.diagnosis_page import diagnosis_page
+        write_text(args.html, diagnosis_page(diagnosis, result, str(args.bag)))
+    for path in filter(None, (args.json, args.output, args.html)):
+        output.print(f'written: {path}', highlight=False, markup=False, soft_wrap=True)
+    return 0
+
+
+def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
+    """Load what the options name and diagnose it, with progress on a terminal."""
+    from semiparam_ros.cli.evaluate import load_bags
+    from semiparam_ros.diagnosis.blocks import leading_split
+    from semiparam_ros.diagnosis.diagnose import diagnose
+    from semiparam_ros.settings.build import build_rigid_body, declared_effects
+
+    if args.split is not None and not 0.2 <= args.split <= 0.9:
+        raise SemiparamError(f'--split is {args.split}; expected a share from 0.2 to 0.9.')
+    if args.split is not None and args.judge:
+        raise SemiparamError('--split and --judge both say what judges; expected one of them.')
+    bag = load_bags([args.bag], settings)[0]
+    other = load_bags([args.judge], settings)[0].samples if args.judge else None
+    body = build_rigid_body(settings, bag.robot_description)
+    use = None if args.split is None else leading_split(len(bag.samples), args.split)
+    with progress_bar() as bar:
+        task = bar.add_task('reading', total=100)
+        return diagnose(body, bag.samples, declared_effects(settings, body), use,
+                        None if other is None else (str(args.judge), other), args.kinds,
+                        lambda words, share: bar.update(task, description=words, completed=int(100 * share)))
+
+
+def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> None:
+    """The parameter file with every effect of the final model declared."""
+    from semiparam_ros.effects import effect_to_text
+    from semiparam_ros.settings import dump_params
+
+    dump_params(replace(settings, effects=tuple(map(effect_to_text, diagnosis.final.effects))), path)
+
+
+def _judge_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, Any]:
+    if not args.variants:
+        return {}
+    from semiparam_ros.cli.evaluate import chosen_variants
+    from semiparam_ros.report.variants_with_effects import judge_variants
+
+    with progress_bar() as bar:
+        task = bar.add_task('variants', total=None)
+        return judge_variants(settings, diagnosis, chosen_variants(args.variants, settings),
+                              lambda words: bar.update(task, description=words))
+
+
+def _show(diagnosis: Diagnosis, variants: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    from semiparam_ros.diagnosis.words import in_words
+
+    for line in in_words(diagnosis):
+        output.print(line, highlight=False, markup=False, soft_wrap=True)
+    table = Table('output', 'nMSE before', 'after', 'RMSE before', 'after', 'noise floor')
+    rows = zip(diagnosis.first.body.output_names, diagnosis.first.body.output_units, diagnosis.before.nmse,
+               diagnosis.after.nmse, diagnosis.before.rmse, diagnosis.after.rmse, diagnosis.noise_floor_rmse,
+               strict=True)
+    for name, unit, *figures, floor in rows:
+        table.add_row(f'{name} [{unit}]'.replace('[', r'\['), *(f'{value:.4f}' for value in figures), f'{floor:.4f}')
+    output.print(table)
+    for name, entry in variants.items():
+        output.print(f'{name}: held-out nMSE {np.mean(entry["before"]["nmse"]):.4f} without the effects, '
+                     f'{np.mean(entry["after"]["nmse"]):.4f} with them.', highlight=False, markup=False)
+
+
+def _benchmark(args: argparse.Namespace) -> int:
+    from semiparam_ros.report.scoreboard import Plan, print_scoreboard, scoreboard
+
+    plan = Plan(args.outputs, tuple(args.kinds), tuple(args.sizes), args.seeds, args.samples)
+    with progress_bar() as bar:
+        task = bar.add_task('diagnoses', total=plan.count)
+        result = scoreboard(plan, args.jobs, lambda done: bar.update(task, completed=done))
+    print_scoreboard(output, result)
+    if args.json:
+        write_json(args.json, result)
+        console.print(f'written: {args.json}', highlight=False, markup=False)
+    return 0

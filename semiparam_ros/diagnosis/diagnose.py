@@ -1,0 +1,174 @@
+"""The whole diagnosis of one recording: is anything missing, what, where, since when, how large, and what it brings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.smoothing import smoothed
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.blocks import interleaved_split, ranges
+from semiparam_ros.diagnosis.cross_validation import fold_losses
+from semiparam_ros.diagnosis.findings import Finding, findings
+from semiparam_ros.diagnosis.judgement import Judgement, judge_here, judge_there
+from semiparam_ros.diagnosis.noise import noise_floor
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.search import Progress, Step, search, starting_fit
+from semiparam_ros.diagnosis.setup_checks import SetupProblem, excluded, setup_problems, unidentifiable
+from semiparam_ros.diagnosis.structure import Structure, remaining_structure
+from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.errors import SemiparamError
+
+LEAST_SAMPLES = 200
+LEAST_MOTION = 1e-3
+VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found, and everything needed to show it. ``before`` and ``after`` judge on ``held_out`` samples."""
+
+    verdict: str
+    findings: list[Finding]
+    steps: list[Step]
+    first: Fit
+    final: Fit
+    held_out: Array
+    before: Judgement
+    after: Judgement
+    kinematics: str
+    structure: Structure | None
+    setup: list[SetupProblem]
+    notes: list[str]
+    judged_by_step: list[Judgement] = field(default_factory=list)
+    judged_elsewhere: str | None = None
+    judged: Samples | None = None
+    judged_valid: Array | None = None
+
+    @property
+    def noise_floor_rmse(self) -> Array:
+        """(n,) standard deviation of what no model can predict, from the final residual of the held-out samples."""
+        parts = [self.after.residual[start:end] for start, end in self.after.parts if end - start > 3]
+        floors = np.array([noise_floor(part) for part in parts])
+        weights = np.array([len(part) for part in parts], dtype=float)
+        return np.asarray(np.sqrt((floors**2 * (weights / weights.sum())[:, None]).sum(axis=0)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The machine-readable report."""
+        found = {'verdict': self.verdict, 'effects': [finding.as_dict() for finding in self.findings],
+                 'before': self.before.as_dict(), 'after': self.after.as_dict(),
+                 'by_step': [judgement.as_dict() for judgement in self.judged_by_step],
+                 'noise_floor_rmse': self.noise_floor_rmse.tolist(), 'held_out': self._held_out(),
+                 'outputs': list(self.first.body.output_names), 'kinematics': self.kinematics,
+                 'setup': [problem._asdict() for problem in self.setup], 'notes': self.notes}
+        return found | {'unexplained': self.structure.as_dict() if self.structure else None}
+
+    def _held_out(self) -> dict[str, Any]:
+        if self.judged_elsewhere:
+            return {'recording': self.judged_elsewhere, 'ranges': [list(part) for part in self.after.parts]}
+        return {'recording': None, 'ranges': [list(part) for part in ranges(self.held_out)]}
+
+
+def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), use: Array | None = None,
+             other: tuple[str, Samples] | None = None, only: Sequence[str] = (),
+             progress: Progress = lambda words, share: None) -> Diagnosis:
+    """Find what the model lacks in one recording.
+
+    :param effects: those declared already.
+    :param use: (N,) true for the samples that may fit; others are held out. Interleaved blocks unless given.
+    :param other: name and samples of another recording that judges instead; then all samples of this one fit.
+    :param only: kinds to consider; all unless given.
+    :param progress: called with a few words and the share of the round that is done.
+    Raises SemiparamError when the recording is too short or nothing moves in it.
+    """
+    check(samples, body)
+    setup = setup_problems(body, samples)
+    valid = ~excluded(samples)
+    fitting = valid & _fitting(samples, use, other is not None)
+    chosen, name = best_kinematics(body, samples, effects, fitting)
+    first = starting_fit(body, chosen, effects, fitting)
+    steps = [] if setup else search(first, considered(body, only), progress)
+    final = steps[-1].after if steps else first
+    progress('what is left', 0.0)
+    structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale)
+    held_out = valid & ~fitting
+    judged = None if other is None else _same_kinematics(other[1], name)
+    judged_valid = None if judged is None else ~excluded(judged)
+
+    def judge(state: Fit) -> Judgement:
+        if judged is None or judged_valid is None:
+            return judge_here(state, held_out)
+        return judge_there(state, judged, judged_valid)
+
+    by_step = [judge(step.after) for step in steps]
+    before = judge(first)
+    after = by_step[-1] if by_step else before
+    notes = unidentifiable(body, samples) + _left_out(valid)
+    return Diagnosis(verdict(first, final, steps, structure, setup), findings(final, steps), steps, first, final,
+                     held_out, before, after, name, structure, setup, notes, by_step,
+                     other[0] if other else None, judged, judged_valid)
+
+
+def check(samples: Samples, body: RigidBody) -> None:
+    """Refuse a recording from which nothing can be told."""
+    if len(samples) < LEAST_SAMPLES:
+        raise SemiparamError(f'the recording holds {len(samples)} complete samples; a diagnosis needs at least '
+                             f'{LEAST_SAMPLES}.')
+    if np.all(np.ptp(samples.position, axis=0) < LEAST_MOTION):
+        raise SemiparamError(f'no joint moves by more than {LEAST_MOTION} rad in the recording; a diagnosis needs '
+                             f'motion of {", ".join(body.joints)}.')
+
+
+def considered(body: RigidBody, only: Sequence[str] = ()) -> dict[str, type[Effect]]:
+    """The kinds for these outputs, or those of them that are named."""
+    known = kinds(body.outputs)
+    unknown = [name for name in only if name not in known]
+    if unknown:
+        raise SemiparamError(f"effect kind '{unknown[0]}' does not act on {body.outputs}; expected some of "
+                             f'{", ".join(known)}.')
+    return {name: kind for name, kind in known.items() if not only or name in only}
+
+
+def best_kinematics(body: RigidBody, samples: Samples, effects: Sequence[Effect],
+                    use: Array) -> tuple[Samples, str]:
+    """The joint motion as recorded or as smoothed, whichever lets the declared model predict unseen blocks better."""
+    options = {'smoothed': smoothed(samples), 'smoothed from positions': smoothed(samples, False),
+               'recorded': samples}
+    scale = starting_fit(body, samples, effects, use).scale
+    losses = {name: float(fold_losses(starting_fit(body, option, effects, use), scale).sum())
+              for name, option in options.items()}
+    best = min(losses, key=lambda name: losses[name])
+    return options[best], best
+
+
+def _same_kinematics(samples: Samples, name: str) -> Samples:
+    return samples if name == 'recorded' else smoothed(samples, name == 'smoothed')
+
+
+def _fitting(samples: Samples, use: Array | None, judged_elsewhere: bool) -> Array:
+    if use is not None:
+        return use
+    return np.ones(len(samples), dtype=bool) if judged_elsewhere else interleaved_split(len(samples))
+
+
+def verdict(first: Fit, final: Fit, steps: list[Step], structure: Structure | None, setup: list[SetupProblem]) -> str:
+    """One of VERDICTS: an effect counts as found only when it explains more than what stays unexplained."""
+    if setup:
+        return 'unexplained'
+    left = 0.0
+    if structure is not None and structure.significant:
+        left = structure.share * float((final.squares / final.scale**2).sum())
+    removed = float(((first.squares - final.squares) / final.scale**2).sum())
+    if left > removed:
+        return 'unexplained'
+    return 'effect_found' if steps else 'nothing_missing'
+
+
+def _left_out(valid: Array) -> list[str]:
+    count = int((~valid).sum())
+    return [f'{count} of {len(valid)} samples next to gaps and shocks took no part.'] if count else []

@@ -1,0 +1,96 @@
+"""What a diagnosis says of each effect: how large, how sure, and what else it could be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.candidates import added_columns
+from semiparam_ros.diagnosis.noise import correlation_times
+from semiparam_ros.diagnosis.ranking import FLAGS
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.search import Rival, Step
+from semiparam_ros.effects import Effect, kinds
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A fitted number; ``std`` is None where it was searched rather than estimated."""
+
+    value: float
+    std: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect found. ``round_number`` counts from 1; rivals cannot be told from it on this motion."""
+
+    effect: Effect
+    round_number: int
+    log_evidence_gain: float
+    parameters: dict[str, Quantity]
+    rivals: tuple[Rival, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of ``effects`` in the machine-readable report."""
+        return {'kind': self.effect.kind, 'where': self.effect.where, 'start_s': self.effect.start_s,
+                'sentence': self.effect.sentence, 'log_evidence_gain': self.log_evidence_gain,
+                'parameters': {name: vars(quantity) for name, quantity in self.parameters.items()},
+                'indistinguishable_from': [
+                    {'kind': rival.kind, 'where': rival.where, 'odds': rival.odds,
+                     'separated_by': kinds()[rival.kind].separated_by} for rival in self.rivals]}
+
+
+def findings(state: Fit, steps: list[Step]) -> list[Finding]:
+    """Every effect of the final model that a step added, in that order, with its final values."""
+    deviations = coefficient_deviations(state)
+    found = []
+    for number, step in enumerate(steps, start=1):
+        for trial, rivals in zip(step.added, step.rivals, strict=True):
+            index = _index_in(state, trial.effect, [finding.effect for finding in found])
+            if index is not None:
+                effect = state.effects[index]
+                found.append(Finding(effect, number, trial.evidence, _parameters(state, index, deviations), rivals))
+    return found
+
+
+def _index_in(state: Fit, effect: Effect, taken: list[Effect]) -> int | None:
+    same = [index for index, known in enumerate(state.effects)
+            if (known.kind, known.where) == (effect.kind, effect.where) and known not in taken]
+    return same[0] if same else None
+
+
+def coefficient_deviations(state: Fit) -> Array:
+    """(p,) standard deviations of theta, widened for the residual's autocorrelation."""
+    inflation = float(np.mean(correlation_times(state.residual[state.use])))
+    return np.asarray(np.sqrt(np.diag(state.theta_covariance()) * inflation))
+
+
+def _parameters(state: Fit, index: int, deviations: Array) -> dict[str, Quantity]:
+    effect = state.effects[index]
+    block = CoupledColumns(state.body, state.effects).blocks[str(index)]
+    learnt = {coefficient.name: Quantity(float(value), float(std), coefficient.unit)
+              for coefficient, value, std in zip(effect.coefficients(state.body), state.theta[block],
+                                                 deviations[block], strict=True)}
+    return learnt | _calibrations(state, effect) | _searched(effect)
+
+
+def _calibrations(state: Fit, effect: Effect) -> dict[str, Quantity]:
+    if not effect.is_calibration:
+        return {}
+    covariance = state.explain(added_columns(state, effect)).covariance
+    inflation = float(np.mean(correlation_times(state.residual[state.use])))
+    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0) * inflation)
+    return {coefficient.name: Quantity(effect.value(coefficient.name), float(std), coefficient.unit)
+            for coefficient, std in zip(effect.calibrations, stds, strict=True)}
+
+
+def _searched(effect: Effect) -> dict[str, Quantity]:
+    calibrated = {coefficient.name for coefficient in effect.calibrations}
+    return {name: Quantity(float(value), None, effect.unit_of(name)) for name, value in effect.shape.items()
+            if name not in calibrated and name not in FLAGS and name != 'start_s'}
