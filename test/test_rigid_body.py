@@ -19,6 +19,7 @@ from arms import (
     smooth_motion,
 )
 
+from semiparam_ros.core import rigid_body
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
@@ -164,6 +165,23 @@ def test_base_parameters_span_all_that_motion_can_show(outputs, frame):
     assert body.n_parameters == np.linalg.matrix_rank(full, tol=1e-8 * np.linalg.norm(full, 2))
     np.testing.assert_allclose(body.basis.T @ body.basis, np.eye(body.n_parameters), atol=1e-12)
     np.testing.assert_allclose(full @ body.basis @ body.basis.T, full, atol=1e-8 * np.abs(full).max())
+
+
+@pytest.mark.parametrize('probes', [50, 400, 1000])
+def test_base_parameters_do_not_depend_on_how_they_were_found(monkeypatch, probes):
+    reference = icub()
+    monkeypatch.setattr(rigid_body, 'PROBES', probes)
+    monkeypatch.setattr(np.linalg, 'svd', mirrored(np.linalg.svd))
+    np.testing.assert_allclose(icub().base_parameters, reference.base_parameters, atol=1e-9)
+    np.testing.assert_allclose(icub().basis, reference.basis, atol=1e-9)
+
+
+def mirrored(svd):
+    """As another library might: singular vectors of the opposite sign."""
+    def wrapped(matrix, **options):
+        left, singular, right = svd(matrix, **options)
+        return -left, singular, -right
+    return wrapped
 
 
 def test_identifying_from_motion_returns_the_base_parameters():

@@ -4,6 +4,8 @@ A wrench sensor sees the bodies that hang on it. They are a tree of their own wh
 wrench is the first six rows of that tree's joint-torque regressor with a free-flying root (Atkeson et al. 1986).
 Joint efforts take the regressor of the whole arm. Columns are reduced to the identifiable combinations, an orthonormal
 basis of the row space: a prior gamma^2 I on all inertial parameters stays gamma^2 I on the base parameters.
+
+A mimic joint is a joint like any other: it stays where ``locked`` puts it.
 """
 
 from __future__ import annotations
@@ -11,11 +13,12 @@ from __future__ import annotations
 import copy
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core import arm_models
 from semiparam_ros.core import urdf as urdf_tree
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -23,8 +26,9 @@ from semiparam_ros.errors import SemiparamError
 
 OUTPUTS = ('wrench', 'effort')
 CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
-GRAVITY = np.array([0.0, 0.0, -9.81])
+GRAVITY = arm_models.GRAVITY
 RANK_TOLERANCE = 1e-8
+INDEPENDENT = 1e-6
 PROBES = 400
 
 
@@ -46,7 +50,7 @@ class RigidBody:
         self._arm_data = arm.createData()
         self.arm_columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
         if distal is not None:
-            self.sensor_index = arm.getFrameId('semiparam_sensor')
+            self.sensor_index = arm.getFrameId(arm_models.SENSOR)
             self._distal_data = distal.createData()
             shared = [name for name in list(distal.names)[2:] if name in joints]
             self._distal_from = np.array([list(joints).index(name) for name in shared], dtype=int)
@@ -69,18 +73,18 @@ class RigidBody:
         robot = urdf_tree.parse(urdf)
         urdf_tree.check_joints(robot, joints)
         locked = dict(locked or {})
-        _check_locked(joints, locked)
-        arm = _reduced(_build(robot), joints, locked)
+        arm_models.check_locked(joints, locked)
+        arm = arm_models.reduced(arm_models.build(robot), joints, locked)
         if outputs == 'effort':
             return cls(arm, None, None, joints, 1.0)
         if not sensor_frame:
             raise SemiparamError('sensor_frame is empty; a wrench needs the link or joint that carries the sensor.')
         link = urdf_tree.sensor_link(robot, sensor_frame)
-        _mark_sensor(arm, _build(robot), joints, locked, link)
+        arm_models.mark_sensor(arm, arm_models.build(robot), joints, locked, link)
         subtree = ElementTree.fromstring(urdf_tree.distal_subtree(robot, link))
         inside = set(urdf_tree.joint_types(subtree))
-        distal = _reduced(_build(subtree, pin.JointModelFreeFlyer()), [name for name in joints if name in inside],
-                          {name: value for name, value in locked.items() if name in inside}, keep_root=True)
+        distal = arm_models.reduced(arm_models.build(subtree, pin.JointModelFreeFlyer()), inside & set(joints),
+                                    {name: value for name, value in locked.items() if name in inside}, keep_root=True)
         return cls(arm, distal, sensor_frame, joints, CONVENTIONS[convention])
 
     @property
@@ -132,12 +136,11 @@ class RigidBody:
 
     def regressors(self, samples: Samples) -> Array:
         """(N, n, p) one regressor for each sample."""
-        if samples.position.shape[1] != self.n_joints:
-            raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is '
-                                 f'used with {self.n_joints} joints: {", ".join(self.joints)}.')
-        full = [self.full_regressor(*row)
-                for row in zip(samples.position, samples.velocity, samples.acceleration, strict=True)]
-        return np.asarray(np.array(full).reshape(len(samples), self.n_outputs, len(self.basis)) @ self.basis)
+        return np.asarray(self.full_regressors(samples) @ self.basis)
+
+    def full_regressors(self, samples: Samples) -> Array:
+        """(N, n, 10 n_bodies) before the reduction to base parameters; the latest few are remembered."""
+        return _full_regressors(self, samples)
 
     def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(n, 10 n_bodies) matrix before the reduction to base parameters."""
@@ -168,9 +171,9 @@ class RigidBody:
     def with_gravity(self, gravity: Array) -> RigidBody:
         """The same body and base parameters under another gravity (3,) [m/s^2], in the base's axes."""
         other = copy.copy(self)
-        other.arm, other._arm_data = _with_gravity(self.arm, gravity)
+        other.arm, other._arm_data = arm_models.with_gravity(self.arm, gravity)
         if self.distal is not None:
-            other.distal, other._distal_data = _with_gravity(self.distal, gravity)
+            other.distal, other._distal_data = arm_models.with_gravity(self.distal, gravity)
         return other
 
     def arm_vector(self, values: Array) -> Array:
@@ -187,61 +190,29 @@ class RigidBody:
         scale = 1.0 / np.sqrt(len(stacked))
         _, singular, directions = np.linalg.svd(stacked * scale, full_matrices=False)
         rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
-        return np.ascontiguousarray(directions[:rank].T)
+        return _canonical(directions[:rank].T)
 
 
-def _build(robot: ElementTree.Element, root: pin.JointModel | None = None) -> pin.Model:
-    text = ElementTree.tostring(robot, encoding='unicode')
-    try:
-        model = pin.buildModelFromXML(text) if root is None else pin.buildModelFromXML(text, root, 'semiparam_root')
-    except Exception as error:
-        reason = ' '.join(str(error).split())
-        raise SemiparamError(f'the robot description cannot be read as a robot: {reason}') from error
-    model.gravity.linear = GRAVITY
-    return model
+def _canonical(basis: Array) -> Array:
+    """The orthonormal basis (q, p) of the same span that does not depend on the machine or on the probes.
+
+    The span's projector is unique, and so is Gram-Schmidt on its columns in their order; the singular vectors are
+    not, and coefficients written to a file on one machine would mean other parameters on the next.
+    """
+    chosen = np.zeros((len(basis), 0))
+    for column in basis @ basis.T:
+        rest = column - chosen @ (chosen.T @ column)
+        rest -= chosen @ (chosen.T @ rest)  # once more, for orthogonality to the last digit
+        if np.linalg.norm(rest) > INDEPENDENT:
+            chosen = np.column_stack([chosen, rest / np.linalg.norm(rest)])
+    return np.ascontiguousarray(chosen if chosen.shape == basis.shape else basis)
 
 
-def _check_locked(joints: Sequence[str], locked: Mapping[str, float]) -> None:
-    for name in joints:
-        if name in locked:
-            raise SemiparamError(f"joint '{name}' is named both among the moving and the locked joints.")
-
-
-def _with_gravity(model: pin.Model, gravity: Array) -> tuple[pin.Model, pin.Data]:
-    model = model.copy()
-    model.gravity.linear = gravity
-    return model, model.createData()
-
-
-def _posture(model: pin.Model, locked: Mapping[str, float]) -> Array:
-    posture = pin.neutral(model)
-    for name, value in locked.items():
-        if not model.existJointName(name):
-            raise SemiparamError(f"locked joint '{name}' is not a moving joint of the robot description.")
-        joint = model.joints[model.getJointId(name)]
-        if joint.nq != 1 or not np.isfinite(value):
-            raise SemiparamError(f"locked joint '{name}' is held at {value}; expected one finite number for a joint "
-                                 'that is revolute, continuous or prismatic.')
-        posture[joint.idx_q] = value
-    return np.asarray(posture)
-
-
-def _reduced(model: pin.Model, joints: Sequence[str], locked: Mapping[str, float],
-             keep_root: bool = False) -> pin.Model:
-    moving = set(joints) | ({model.names[1]} if keep_root else set())
-    frozen = [model.getJointId(name) for name in list(model.names)[1:] if name not in moving]
-    return pin.buildReducedModel(model, frozen, _posture(model, locked))
-
-
-def _mark_sensor(arm: pin.Model, full: pin.Model, joints: Sequence[str], locked: Mapping[str, float],
-                 link: str) -> None:
-    """Add a frame ``semiparam_sensor`` to the arm, where the sensor's link is (fixed to its nearest moving joint)."""
-    posture = _posture(full, locked)
-    data = full.createData()
-    pin.framesForwardKinematics(full, data, posture)
-    placement = data.oMf[full.getFrameId(link, pin.FrameType.BODY)]
-    joint = full.frames[full.getFrameId(link, pin.FrameType.BODY)].parentJoint
-    while joint and full.names[joint] not in joints:
-        joint = full.parents[joint]
-    carrier = arm.getJointId(full.names[joint]) if joint else 0
-    arm.addFrame(pin.Frame('semiparam_sensor', carrier, 0, data.oMi[joint].actInv(placement), pin.FrameType.OP_FRAME))
+@lru_cache(maxsize=4)
+def _full_regressors(body: RigidBody, samples: Samples) -> Array:
+    if samples.position.shape[1] != body.n_joints:
+        raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is used with '
+                             f'{body.n_joints} joints: {", ".join(body.joints)}.')
+    rows = zip(samples.position, samples.velocity, samples.acceleration, strict=True)
+    full = np.array([body.full_regressor(*row) for row in rows])
+    return full.reshape(len(samples), body.n_outputs, len(body.basis))
