@@ -1,0 +1,65 @@
+"""Runs many calls at a time: in processes of this machine, or on a Dask cluster through joblib's own backend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from joblib import Parallel, delayed, parallel_config
+
+from semiparam_ros.errors import SemiparamError
+
+Result = TypeVar('Result')
+ANSWER_S = 10.0
+"""How long a cluster may take to answer."""
+
+
+@contextmanager
+def workers(jobs: int, scheduler: str | None = None) -> Iterator[int]:
+    """Where :func:`run_all` works within this block; yields how many calls run at a time.
+
+    :param scheduler: address of a Dask scheduler, whose workers then do everything.
+    :raises SemiparamError: the cluster does not answer, has no worker, or dask is not installed.
+    """
+    if scheduler is None:
+        # one linear algebra thread for each process: two on a core only fight
+        with parallel_config(backend='loky', n_jobs=jobs, inner_max_num_threads=1):
+            yield jobs
+        return
+    client = _client(scheduler)
+    try:
+        count = sum(client.nthreads().values())
+        if not count:
+            raise SemiparamError(f'the cluster at {scheduler} has no worker; expected at least one.')
+        with parallel_config(backend='dask', n_jobs=count):
+            yield count
+    finally:
+        client.close()
+
+
+def run_all(function: Callable[..., Result], arguments: Sequence[tuple[Any, ...]],
+            done: Callable[[], None] = lambda: None) -> list[Result]:
+    """``function(*arguments[i])`` for every i, in any order; the results in the order of the arguments."""
+    results: list[Any] = [None] * len(arguments)
+    calls = (delayed(_numbered)(index, function, call) for index, call in enumerate(arguments))
+    for index, result in Parallel(return_as='generator_unordered')(calls):
+        results[index] = result
+        done()
+    return results
+
+
+def _numbered(index: int, function: Callable[..., Result], call: tuple[Any, ...]) -> tuple[int, Result]:
+    return index, function(*call)
+
+
+def _client(address: str) -> Any:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise SemiparamError("--scheduler needs Dask: pip install 'semiparam_ros[dask]'.") from error
+    try:
+        return Client(address, timeout=ANSWER_S)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise SemiparamError(f"no Dask scheduler answers at '{address}'; expected an address such as "
+                             'tcp://host:8786.') from error
