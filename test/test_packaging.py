@@ -254,3 +254,13 @@ def test_launch_files_describe_something_to_the_real_launch(path):
     namespace: dict = {}
     exec(compile(path.read_text(), str(path), 'exec'), namespace)
     assert namespace['generate_launch_description']().entities
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group('colcon')
+def test_colcon_test_runs_the_tests(workspace):
+    """One test of the suite, found and run by colcon in the workspace's own copy."""
+    colcon = Path(sys.executable).with_name('colcon')
+    run(colcon, 'test', '--pytest-args', '-k', 'test_versions_and_licence_agree', cwd=workspace, env=environment())
+    assert 'Summary: 1 test, 0 errors, 0 failures, 0 skipped' in run(
+        colcon, 'test-result', '--all', cwd=workspace, env=environment())
