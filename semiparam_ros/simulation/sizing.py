@@ -22,6 +22,13 @@ def share(change: Array, scale: Array) -> float:
     return float(np.mean(np.sqrt(np.mean(change**2, axis=0)) / scale))
 
 
+def scaled_magnitude(reached: float, target: float, typical: float, name: str) -> float:
+    """Magnitude of a cause in proportion, from the share ``reached`` at ``typical``."""
+    if not reached > 0.0:
+        raise SemiparamError(f"effect '{name}' changes nothing on this motion; ask for another place or motion.")
+    return typical * target / reached
+
+
 def solve_magnitude(share_at: Callable[[float], float], target: float, typical: float, name: str) -> float:
     """Magnitude at which the share is ``target``: bracketed from ``typical`` on, then root finding.
 

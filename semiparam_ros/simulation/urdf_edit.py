@@ -42,6 +42,12 @@ def single_turn(robot: Element) -> Element:
     return robot
 
 
+def turning_joints(robot: Element) -> tuple[str, ...]:
+    """The joints that turn of their own accord, in the order of the URDF."""
+    return tuple(joint.get('name', '') for joint in robot.findall('joint')
+                 if joint.get('type') in ('revolute', 'continuous') and joint.find('mimic') is None)
+
+
 def check_joints(robot: Element, joints: Sequence[str]) -> None:
     """Every name must be a moving joint of the URDF, and none twice."""
     moving = {joint.get('name', '') for joint in robot.findall('joint') if joint.get('type') in MOVING}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, TypeAlias
+from functools import cached_property
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +31,8 @@ class World:
     """One recording before noise. ``times`` (N,) [s] are the sampling instants.
 
     ``joint_shift`` (n_joints,) [rad] is the true position minus the reported one; ``delay_s`` is how late the outputs
-    are. ``mechanical`` changes are forces on the arm, ``sensing`` ones belong to the sensor; each in order.
+    are. ``mechanical`` changes are forces on the arm, ``sensing`` ones belong to the sensor; each in order. ``before``
+    is the world with fewer of them, whose outputs need not be computed again.
     """
 
     arm: Arm
@@ -41,6 +43,7 @@ class World:
     bodies: tuple[Body, ...] = ()
     mechanical: tuple[Change, ...] = field(default=())
     sensing: tuple[Change, ...] = field(default=())
+    before: World | None = field(default=None, repr=False, compare=False)
 
     @property
     def duration(self) -> float:
@@ -64,18 +67,47 @@ class World:
             outputs[rows] = arm.evaluate(*(values[rows] for values in motion[1:]))
         return outputs
 
+    @cached_property
+    def now(self) -> Instants:
+        """The motion at which the samples' outputs arise."""
+        return self.motion()
+
+    @cached_property
+    def loaded(self) -> Array:
+        """Outputs (N, n) of arm and forces, before the sensor."""
+        known = self.before
+        values = self.rigid(self.now) if known is None else known.loaded
+        for change in self.mechanical[0 if known is None else len(known.mechanical):]:
+            values = change(self, self.now, values)
+        return values
+
+    @cached_property
     def outputs(self) -> Array:
         """What a perfect sensor reports at ``times``, (N, n) [N, N m]."""
-        motion = self.motion()
-        values = self.rigid(motion)
-        for change in (*self.mechanical, *self.sensing):
-            values = change(self, motion, values)
+        values = self.loaded
+        for change in self.sensing:
+            values = change(self, self.now, values)
         return values
+
+    def rigid_on_grid(self, step: float) -> tuple[Array, Array]:
+        """A grid of ``step`` [s] over the whole motion, and the rigid body's outputs on it; kept for the next call."""
+        if step not in self._grids:
+            fine = self.motion(np.arange(self.trajectory.start, self.trajectory.end, step))
+            self._grids[step] = fine.time, self.rigid(fine)
+        return self._grids[step]
+
+    @cached_property
+    def _grids(self) -> dict[float, tuple[Array, Array]]:
+        return {}
+
+    def changed(self, **values: Any) -> World:
+        """Another arm, joint zero, delay or load."""
+        return replace(self, before=None, **values)
 
     def with_mechanical(self, change: Change) -> World:
         """One more force on the arm."""
-        return replace(self, mechanical=(*self.mechanical, change))
+        return replace(self, mechanical=(*self.mechanical, change), before=self)
 
     def with_sensing(self, change: Change) -> World:
         """One more fault of the sensor, behind the others."""
-        return replace(self, sensing=(*self.sensing, change))
+        return replace(self, sensing=(*self.sensing, change), before=self)

@@ -78,7 +78,8 @@ class Cause:
     """A hidden cause with all that is random about it settled; only its magnitude is open.
 
     ``apply`` gives the world with it at a magnitude (in the unit of ``typical``, a first guess), ``parameters`` what a
-    perfect diagnosis would find. ``start_s`` is None where the cause is there from the beginning.
+    perfect diagnosis would find. ``start_s`` is None where the cause is there from the beginning. What a ``linear``
+    cause changes is proportional to its magnitude.
     """
 
     where: str | None
@@ -89,6 +90,7 @@ class Cause:
     takes_place: ClassVar[bool] = True
     can_start: ClassVar[bool] = False
     typical: ClassVar[float] = 1.0
+    linear: ClassVar[bool] = False
 
     @classmethod
     def draw(cls, site: Site) -> Cause:

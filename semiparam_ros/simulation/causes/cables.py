@@ -72,7 +72,7 @@ class CableHysteresis(FrameForce):
 
 def drawn_anchor(site: Site, frame: str) -> tuple[Array, Array]:
     """A point [m] some decimetres off the frame's path, and the distances (N,) to it along the motion."""
-    path = site.world.arm.pose(frame, site.world.motion().position).place
+    path = site.world.arm.pose(frame, site.world.now.position).place
     spread = float(np.linalg.norm(path.std(axis=0)))
     anchor = path.mean(axis=0) + (2.0 * spread + site.rng.uniform(0.2, 0.4)) * unit_vector(site.rng)
     return anchor, np.asarray(np.linalg.norm(anchor - path, axis=1))

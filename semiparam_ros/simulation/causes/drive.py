@@ -13,7 +13,8 @@ from semiparam_ros.simulation.fine_states import fine_motion, play, sampled
 from semiparam_ros.simulation.trajectory import Instants
 from semiparam_ros.simulation.world import World
 
-CONTACT_SHARE = 0.2
+# The teeth give: contact builds up over this share of the gap.
+CONTACT_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class JointSpring(JointTorque):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         joint, world = site.joint(), site.world
-        angle = world.motion().position[:, joint]
+        angle = world.now.position[:, joint]
         rest = float(angle.mean() + site.rng.uniform(-1.5, 1.5) * angle.std())
         return cls(world.arm.joints[joint], known_start(site.from_beginning()), joint, rest)
 
@@ -116,28 +117,24 @@ class TransmissionRipple(JointTorque):
 
 @dataclass(frozen=True)
 class Backlash(JointTorque):
-    """Play in a gear: after each reversal the motor crosses a gap, and carries nothing until the teeth meet again.
-
-    Friction of the link holds it meanwhile. The magnitude is the width of the gap [rad].
-    """
+    """Play in a gear whose output rubs: after each reversal the motor crosses the gap and feels no friction of the
+    output until the teeth meet again on the other flank."""
 
     kind = 'backlash'
-    can_start = False
-    typical = 1e-3
+    gap: float
 
-    def apply(self, world: World, magnitude: float) -> World:
-        def loosened(world: World, motion: Instants, outputs: Array) -> Array:
-            carried = outputs.copy()
-            carried[:, self.joint] *= self.contact(world, motion, magnitude)
-            return carried
-        return world.with_mechanical(loosened)
+    @classmethod
+    def draw(cls, site: Site) -> Cause:
+        joint, world = site.joint(), site.world
+        gap = float(site.rng.uniform(0.03, 0.15) * np.ptp(world.now.position[:, joint]))
+        return cls(world.arm.joints[joint], known_start(site.from_beginning()), joint, gap)
 
-    def contact(self, world: World, motion: Instants, gap: float) -> Array:
-        """Share of the torque (N,) that the teeth transmit: 1 on either flank, 0 inside the gap."""
+    def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         fine = fine_motion(world.trajectory)
-        inside = play(fine.position[:, self.joint], gap)
-        to_flank = sampled(fine.time, np.minimum(inside, gap - inside), motion.time)
-        return np.asarray(np.maximum(1.0 - to_flank / (CONTACT_SHARE * gap), 0.0))
+        inside = play(fine.position[:, self.joint], self.gap)
+        width = CONTACT_SHARE * self.gap
+        upper, lower = np.maximum(1 - (self.gap - inside) / width, 0.0), np.maximum(1 - inside / width, 0.0)
+        return sampled(fine.time, upper - lower, motion.time)
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'gap': Quantity(magnitude, 'rad')}
+        return {'torque': Quantity(magnitude, 'N m'), 'gap': Quantity(self.gap, 'rad')}

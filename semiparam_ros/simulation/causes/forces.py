@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +22,7 @@ class Payload(Cause):
 
     kind = 'payload'
     can_start = True
+    linear = True
     typical = 0.1
     centre: Array
 
@@ -32,7 +33,7 @@ class Payload(Cause):
     def apply(self, world: World, magnitude: float) -> World:
         ball = pin.Inertia.FromSphere(magnitude, PAYLOAD_RADIUS_M)
         inertia = pin.Inertia(ball.mass, self.centre, ball.inertia)
-        return replace(world, bodies=(*world.bodies, Body(str(self.where), inertia, float(self.start_s or 0.0))))
+        return world.changed(bodies=(*world.bodies, Body(str(self.where), inertia, float(self.start_s or 0.0))))
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
         return {'mass': Quantity(magnitude, 'kg'), 'centre': Quantity(self.centre, 'm')}
@@ -43,6 +44,7 @@ class FrameForce(Cause):
     """A force on the origin of a frame."""
 
     can_start = True
+    linear = True
 
     def force(self, world: World, motion: Instants) -> Array:
         """(N, 3) at magnitude 1, in base axes."""

@@ -21,6 +21,7 @@ class JointTorque(Cause):
 
     acts_on = ('effort',)
     can_start = True
+    linear = True
     joint: int
 
     @classmethod
@@ -82,7 +83,7 @@ class StribeckFriction(JointTorque):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         joint, world = site.joint(), site.world
-        speed = float(world.motion().velocity[:, joint].std())
+        speed = float(world.now.velocity[:, joint].std())
         return cls(world.arm.joints[joint], known_start(site.from_beginning()), joint,
                    float(site.rng.uniform(1.0, 2.0)), float(site.rng.uniform(0.1, 0.4)) * speed)
 
@@ -108,7 +109,7 @@ class AsymmetricFriction(JointTorque):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         joint, world = site.joint(), site.world
-        speed = float(world.motion().velocity[:, joint].std())
+        speed = float(world.now.velocity[:, joint].std())
         forward, ratio = site.rng.uniform(0.3, 1.0) / speed, float(site.rng.uniform(0.2, 0.6))
         viscous = (float(forward), float(forward * site.rng.uniform(0.2, 0.6)))
         return cls(world.arm.joints[joint], known_start(site.from_beginning()), joint, ratio, viscous)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,7 +29,7 @@ class JointOffset(Cause):
     def apply(self, world: World, magnitude: float) -> World:
         shift = world.joint_shift.copy()
         shift[self.joint] += self.sign * magnitude
-        return replace(world, joint_shift=shift)
+        return world.changed(joint_shift=shift)
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
         return {'offset': Quantity(self.sign * magnitude, 'rad')}
@@ -51,7 +51,7 @@ class GravityTilt(Cause):
 
     def apply(self, world: World, magnitude: float) -> World:
         gravity = Rotation.from_rotvec(magnitude * self.axis).inv().apply(world.arm.model.gravity.linear)
-        return replace(world, arm=world.arm.with_gravity(gravity))
+        return world.changed(arm=world.arm.with_gravity(gravity))
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
         tilt = magnitude * self.axis
@@ -71,7 +71,7 @@ class TimeDelay(Cause):
         return cls(None, None)
 
     def apply(self, world: World, magnitude: float) -> World:
-        return replace(world, delay_s=world.delay_s + magnitude)
+        return world.changed(delay_s=world.delay_s + magnitude)
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
         return {'delay_s': Quantity(magnitude, 's')}

@@ -21,6 +21,7 @@ class Bias(Cause):
     acts_on = ('wrench',)
     takes_place = False
     can_start = True
+    linear = True
     typical = 0.1
     direction: Array
 
@@ -102,6 +103,7 @@ class ReadingMatrix(Cause):
 
     acts_on = ('wrench',)
     typical = 0.05
+    linear = True
 
     def matrix(self, magnitude: float) -> Array:
         """(6, 6)."""
@@ -162,6 +164,7 @@ class SensorMisalignment(ReadingMatrix):
 
     kind = 'sensor_misalignment'
     takes_place = False
+    linear = False
     axis: Array
 
     @classmethod

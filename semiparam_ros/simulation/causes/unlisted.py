@@ -31,7 +31,7 @@ class Bump(FrameForce):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         frame = site.hand()
-        path = site.world.arm.pose(frame, site.world.motion().position).place
+        path = site.world.arm.pose(frame, site.world.now.position).place
         width = float(site.rng.uniform(0.25, 0.5) * np.linalg.norm(path.std(axis=0)))
         centre = path[site.rng.integers(len(path))]
         return cls(frame, known_start(site.from_beginning()), unit_vector(site.rng), centre, width)
@@ -85,13 +85,11 @@ class TwoMassFlexibility(Cause):
         return cls(None, None, float(site.rng.uniform(0.1, 0.3)))
 
     def apply(self, world: World, magnitude: float) -> World:
-        fine = world.trajectory.at(np.arange(world.trajectory.start, world.trajectory.end, RINGING_STEP_S))
-        fine = fine._replace(position=fine.position + world.joint_shift)
-        rigid = world.rigid(fine)
+        time, rigid = world.rigid_on_grid(RINGING_STEP_S)
         rung = np.stack([second_order(column, magnitude**-0.5, self.damping, RINGING_STEP_S) for column in rigid.T], 1)
 
         def ringing(world: World, motion: Instants, outputs: Array) -> Array:
-            extra = [sampled(fine.time, column, motion.time) for column in (rung - rigid).T]
+            extra = [sampled(time, column, motion.time) for column in (rung - rigid).T]
             return outputs + np.stack(extra, axis=1)
         return world.with_mechanical(ringing)
 
