@@ -21,6 +21,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import diagnostics
 from semiparam_ros.ros.background import ProcessBackground
 from semiparam_ros.ros.desired_trajectory import DesiredTrajectory
+from semiparam_ros.ros.diagnosing import Diagnosing
 from semiparam_ros.ros.estimates import payload
 from semiparam_ros.ros.inputs import Inputs, Sinks
 from semiparam_ros.ros.learner import Answer, Learner, Outlets
@@ -51,7 +52,11 @@ class EstimatorNode(Node):
                                       self._accept, self._change)
         settings = self._live.settings
         self._outputs = Outputs(self, settings.outputs)
-        self._background = ProcessBackground(lambda function: later(lambda: self._guarded(function)))
+
+        def in_executor(function: Callable[[], None]) -> None:
+            later(lambda: self._guarded(function))
+
+        self._background = ProcessBackground(in_executor)
         self._robot = Robot(settings, self._begin, self._say)
         self._inputs = Inputs(self, settings, Sinks(self._guarded_offer, self._set_frame, self._robot.from_topic,
                                                     self._clear_pending))
@@ -59,6 +64,7 @@ class EstimatorNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = self.create_publisher(InertiaStamped, '~/payload', 10)
         Services(self, self._live, self._the_learner)
+        self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor)
         DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id, self._guarded)
         self._watch_clock()
         self._robot.from_parameters()
@@ -67,7 +73,8 @@ class EstimatorNode(Node):
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
-        """End the background process and leave the graph."""
+        """End the background processes and leave the graph."""
+        self._diagnosing.close()
         self._background.close()
         self.destroy_node()
 

@@ -28,7 +28,7 @@ class Chapter(NamedTuple):
 class History:
     """The first ``first`` samples learnt (and what came between them), and the latest ``latest`` of those after them.
 
-    Rows are written into arrays made once, so memory stays flat.
+    Rows are written into arrays made once, so memory stays flat. Time counts from the very first sample.
     """
 
     def __init__(self, first: int, latest: int, n_joints: int, n_outputs: int) -> None:
@@ -36,12 +36,15 @@ class History:
         self._window = _Ring(2 * first, 3 * n_joints + n_outputs)
         self._recent = _Ring(max(latest, 1), 3 * n_joints + n_outputs)
         self._first, self._learnt = first, 0
+        self._origin = 0
 
     def __len__(self) -> int:
         return len(self._window) + len(self._recent)
 
     def append(self, sample: Sample, learnt: bool) -> None:
         """Keep one sample."""
+        if not len(self):
+            self._origin = sample.stamp
         ring = self._window if self._learnt < self._first and not self._window.full else self._recent
         ring.append(sample, learnt)
         self._learnt += learnt
@@ -50,7 +53,7 @@ class History:
         """The last sample, None before the first."""
         ring = self._recent if len(self._recent) else self._window
         row = ring.last()
-        samples = None if row is None else _samples(*row, self._n_joints)
+        samples = None if row is None else _samples(*row, self._n_joints, self._origin)
         return None if samples is None else next(iter(samples))
 
     def chapter(self, since: int | None = None) -> Chapter:
@@ -60,7 +63,12 @@ class History:
         if since is not None:
             late = stamps >= since
             stamps, rows, learnt = stamps[late], rows[late], learnt[late]
-        return Chapter(_samples(stamps, rows, self._n_joints), learnt)
+        return Chapter(_samples(stamps, rows, self._n_joints, self._origin), learnt)
+
+    def span(self, seconds: float) -> Samples | None:
+        """The latest samples of so many seconds, learnt or not; None where there is none."""
+        latest = self.latest()
+        return None if latest is None else self.chapter(latest.stamp - round(seconds * 1e9)).samples
 
 
 def chapter_of(pairs: list[tuple[Sample, bool]]) -> Chapter:
@@ -83,7 +91,8 @@ def chapter_from(arrays: Mapping[str, Array], n_joints: int) -> Chapter:
     if not len(learnt):
         return Chapter(None, learnt)
     rows = np.hstack([arrays['inputs'], arrays['outputs']])
-    return Chapter(_samples(arrays['stamps'].astype(np.int64), rows, n_joints), learnt)
+    stamps = arrays['stamps'].astype(np.int64)
+    return Chapter(_samples(stamps, rows, n_joints, int(stamps[0])), learnt)
 
 
 class _Ring:
@@ -121,7 +130,7 @@ class _Ring:
         return self._stamps[order], self._rows[order], self._learnt[order]
 
 
-def _samples(stamps: Stamps, rows: Array, n: int) -> Samples | None:
+def _samples(stamps: Stamps, rows: Array, n: int, origin: int) -> Samples | None:
     if not len(stamps):
         return None
-    return Samples(stamps, rows[:, :n], rows[:, n:2 * n], rows[:, 2 * n:3 * n], rows[:, 3 * n:], int(stamps[0]))
+    return Samples(stamps, rows[:, :n], rows[:, n:2 * n], rows[:, 2 * n:3 * n], rows[:, 3 * n:], origin)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -26,7 +25,7 @@ class Services:
         self._node, self._parameters, self._learner = node, parameters, learner
         for name, action in (('reset', self.reset), ('tare', self.tare), ('save_state', self.save_state),
                              ('load_state', self.load_state)):
-            node.create_service(Trigger, f'~/{name}', answering(action))
+            create_trigger(node, f'~/{name}', action)
         node.create_service(SetBool, '~/pause_learning', self._pause)
 
     def reset(self) -> str:
@@ -65,12 +64,13 @@ class Services:
         return response
 
 
-def answering(action: Callable[[], str]) -> Callable[[Any, Any], Any]:
-    """A Trigger callback from a function that returns a sentence or raises SemiparamError."""
+def create_trigger(node: Node, name: str, action: Callable[[], str]) -> None:
+    """A std_srvs/Trigger service from a function that returns a sentence or raises SemiparamError."""
     def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             response.message, response.success = action(), True
         except SemiparamError as error:
             response.message, response.success = str(error), False
         return response
-    return callback
+
+    node.create_service(Trigger, name, callback)

@@ -133,8 +133,11 @@ class Table:
         'reliability', 'auto', 'Reliability asked of the input topics; auto: reliable, until a publisher offers only '
         'best_effort.', choices=('auto', 'reliable', 'best_effort'))
     retained_samples: int = declare(
-        'retained.samples', 20000, 'Latest samples kept, beside the initial window, to build another variant or to '
+        'retained.samples', 60000, 'Latest samples kept, beside the initial window, to build another variant or to '
         'diagnose.', minimum=0, maximum=10000000)
+    diagnosis_window: float = declare(
+        'diagnosis.window', 300.0, 'Span of the latest samples that ~/diagnose looks at, as far as they are retained.',
+        unit='s', minimum=1.0, live=True)
     state_file: str = declare(
         'state_file', 'semiparam_state.npz', 'File of save_state and load_state.', live=True)
 
