@@ -84,11 +84,12 @@ class RecordSession:
             ros.spin(node)
             try:
                 self._find(node)
-                self._wait_for_the_end(node)
+                self._wait_for_the_end(node, writer)
             except Stopped:
                 self._let_the_last_arrive(node)
+            node.write_arrived()
             _check(ros, node, writer)
-            node.finish()
+            writer.close()
             return RecordAccount(str(self._options.path), time.monotonic() - self._began, dict(node.counts),
                                  tuple(self._skipped.values()))
 
@@ -121,14 +122,15 @@ class RecordSession:
                 self._say(self._skipped[topic])
         return found.missing
 
-    def _wait_for_the_end(self, node: RecordNode) -> None:
-        """Until a limit is reached, doing what is due meanwhile; raises Stopped on a signal."""
+    def _wait_for_the_end(self, node: RecordNode, writer: BagWriter) -> None:
+        """Write until a limit is reached, doing what is due meanwhile; raises Stopped on a signal."""
         with RecordProgress(node, self._console, self._options.progress) as progress:
-            due = [(LOOK_S, lambda: self._look(node)), (LOOK_S, progress.update), (FLUSH_S, node.flush)]
+            due = [(LOOK_S, lambda: self._look(node)), (LOOK_S, progress.update), (FLUSH_S, writer.flush)]
             last = [time.monotonic()] * len(due)
             while not self._is_over(node):
                 if self._stopping.wait(POLL_S):
                     raise Stopped
+                node.write_arrived()
                 for index, (period, action) in enumerate(due):
                     if time.monotonic() - last[index] > period:
                         last[index] = time.monotonic()

@@ -11,7 +11,8 @@ import tty
 from collections.abc import Callable, Mapping
 from typing import Any
 
-HELP = 'space: pause or go on, right arrow: next message, up and down arrow: 10 % faster or slower'
+HELP = 'space: pause or go on, right arrow: next message'
+RATE_HELP = ', up and down arrow: 10 % faster or slower'
 KEYS = {b' ': 'pause', b'\x1b[C': 'next', b'\x1bOC': 'next', b'\x1b[A': 'faster', b'\x1bOA': 'faster',
         b'\x1b[B': 'slower', b'\x1bOB': 'slower'}
 

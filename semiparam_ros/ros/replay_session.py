@@ -21,7 +21,7 @@ from semiparam_ros.ros.replay_discovery import Stopped, subscribers, wait_for_su
 from semiparam_ros.ros.replay_flow import Followers, FollowerSilent
 from semiparam_ros.ros.replay_follower import Follower
 from semiparam_ros.ros.replay_handshake import handshake
-from semiparam_ros.ros.replay_keyboard import HELP, Keyboard
+from semiparam_ros.ros.replay_keyboard import HELP, RATE_HELP, Keyboard
 from semiparam_ros.ros.replay_node import ReplayNode
 from semiparam_ros.ros.replay_options import ReplayOptions
 from semiparam_ros.ros.replay_player import Ending, Player
@@ -157,7 +157,7 @@ class ReplaySession:
             raise Stopped
         with Keyboard(controls.keys(), options.keyboard) as keyboard:
             if keyboard.active:
-                self._say([HELP])
+                self._say([HELP + (RATE_HELP if player.rate else '')])
             with ReplayProgress(player, timeline.start_ns, timeline.end_ns, self._console, gate.answers,
                                 quiet=not options.progress):
                 return self._play_out(node, player, gate)
