@@ -1,0 +1,33 @@
+"""What goes wrong most in practice, checked before any effect: units, signs, orders, axes, and too little motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.excitation import unidentifiable
+from semiparam_ros.diagnosis.exclusion import excluded
+from semiparam_ros.diagnosis.layout_checks import layout_problems
+from semiparam_ros.diagnosis.motion_checks import motion_problems
+from semiparam_ros.diagnosis.setup_problem import SetupProblem
+
+__all__ = ['SetupProblem', 'excluded', 'setup_problems', 'unidentifiable']
+
+MOST_SAMPLES = 250
+LEAST_SAMPLES = 50
+
+
+def setup_problems(body: RigidBody, samples: Samples) -> list[SetupProblem]:
+    """What is wrong with the recording or with its declaration, each with its remedy; empty when nothing is.
+
+    :param samples: as recorded. A quarter of a thousand of them, spread over the recording, are looked at.
+    """
+    if len(samples) < LEAST_SAMPLES:
+        return []
+    found, right = motion_problems(body.joints, samples)
+    if any(problem.what in ('clock', 'velocity_order') for problem in found):
+        return found
+    usable = np.flatnonzero(~excluded(samples))
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, MOST_SAMPLES).astype(int))]
+    return found + layout_problems(body, right[chosen])
