@@ -1,0 +1,135 @@
+"""`semiparam compare TRAIN TEST`: the paper's experiment on any pair of recordings, as one HTML page."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from semiparam_ros.cli.fit import add_estimation_options, estimation_of
+from semiparam_ros.cli.options import (
+    add_json_option,
+    add_params_option,
+    console,
+    output,
+    progress_bar,
+    write_json,
+    write_text,
+)
+from semiparam_ros.errors import SemiparamError
+
+if TYPE_CHECKING:
+    from semiparam_ros.report.comparison.experiment import Comparison
+    from semiparam_ros.report.comparison.scenario import Scenario
+
+SHORT = {'first 60 s': '< 60 s', 'after 30 s': '> 30 s', 'learning': 'learn', 'frozen': 'frozen'}
+"""Details of columns as a terminal has room for them; the others are on the page."""
+
+HELP = 'Compare all models on a pair of recordings and write one HTML page with the figures and a verdict.'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `semiparam compare`."""
+    parser.add_argument('train', metavar='TRAIN', type=Path,
+                        help='recording whose start gives the hyperparameters and whose rest is learnt')
+    parser.add_argument('test', metavar='TEST', type=Path, help='recording that is then predicted, in subsets')
+    add_params_option(parser)
+    parser.add_argument('--variant', metavar='V', action='append', dest='variants',
+                        help='compare only this one; may be repeated (default: all seven)')
+    parser.add_argument('--output', '-o', metavar='FILE.html', type=Path, default=Path('comparison.html'),
+                        help='page to write (default: comparison.html)')
+    add_json_option(parser)
+    split = parser.add_argument_group('scenario')
+    split.add_argument('--subsets', metavar='N', type=int, default=5,
+                       help='parts of TEST, each started from the model that TRAIN left (default: 5)')
+    split.add_argument('--subset-samples', metavar='N', type=int, help='length of each part (default: all of TEST)')
+    split.add_argument('--train-samples', metavar='N', type=int, help='how much of TRAIN to use (default: all)')
+    split.add_argument('--seeds', metavar='N', type=int, default=3,
+                       help='feature draws, from features.seed on: a single one proves nothing (default: 3)')
+    add_estimation_options(parser)
+    work = parser.add_argument_group('work')
+    work.add_argument('--jobs', metavar='N', type=int, default=2, help='processes at a time (default: 2)')
+    work.add_argument('--scheduler', metavar='ADDRESS', help='Dask scheduler whose workers do it all (tcp://host:8786)')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare, write the page, and show the table and the verdict."""
+    from semiparam_ros.report.comparison.experiment import compare, steps
+    from semiparam_ros.report.comparison.page import page
+    from semiparam_ros.report.comparison.parallel import workers
+    from semiparam_ros.report.comparison.tables import as_dictionary
+
+    for path in (args.output, args.json):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise SemiparamError(f'cannot write {path}: there is no folder {path.absolute().parent}.')
+    scenario = scenario_of(args)
+    with workers(args.jobs, args.scheduler), progress_bar() as bar:
+        task = bar.add_task('comparing', total=steps(scenario))
+        comparison = compare(scenario, lambda: bar.advance(task))
+    command = shlex.join(['semiparam', 'compare', *command_line(args)])
+    write_text(args.output, page(comparison, args.train.name, args.test.name, command))
+    if args.json:
+        write_json(args.json, {'train': str(args.train), 'test': str(args.test), **as_dictionary(comparison)})
+    show(comparison)
+    output.print(f'page: {args.output}', highlight=False, markup=False, soft_wrap=True)
+    return 0
+
+
+def scenario_of(args: argparse.Namespace) -> Scenario:
+    """The checked scenario of the command line."""
+    from semiparam_ros.cli.evaluate import chosen_variants, load_bags
+    from semiparam_ros.report.comparison.scenario import scenario_from
+    from semiparam_ros.settings import load_params
+
+    if args.seeds < 1:
+        raise SemiparamError(f'--seeds is {args.seeds}; expected at least 1.')
+    settings = load_params(args.params)
+    estimation = estimation_of(args)
+    variants = chosen_variants(args.variants or ['all'], settings)
+    train, test = load_bags([args.train, args.test], settings)
+    seeds = range(settings.features_seed, settings.features_seed + args.seeds)
+    return scenario_from(settings, train, test, subsets=args.subsets, subset_samples=args.subset_samples,
+                         train_samples=args.train_samples, variants=variants, seeds=seeds, estimation=estimation)
+
+
+def command_line(args: argparse.Namespace) -> list[str]:
+    """What to type to get the same page again; the number of processes changes nothing."""
+    words = [str(args.train), str(args.test)]
+    for option, value in (('--params', args.params), ('--subset-samples', args.subset_samples),
+                          ('--train-samples', args.train_samples)):
+        words += [option, str(value)] if value is not None else []
+    for variant in args.variants or []:
+        words += ['--variant', variant]
+    words += ['--subsets', str(args.subsets), '--seeds', str(args.seeds)]
+    words += ['--method', args.method] if args.method != 'quasi-newton' else []
+    words += ['--starts', str(args.starts)] if args.starts != 4 else []
+    words += ['--white-noise'] if args.white_noise else []
+    for option, values in (('--grid-tau', args.grid_tau), ('--grid-ratio', args.grid_ratio)):
+        words += [option, *map(str, values)] if values else []
+    return words
+
+
+def show(comparison: Comparison) -> None:
+    """The main columns of the table, the findings and the verdict, for a terminal of 80 columns."""
+    from rich import box
+    from rich.table import Table
+
+    from semiparam_ros.report.comparison.findings import verdict
+    from semiparam_ros.report.comparison.tables import cells, columns
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column('\nvariant', no_wrap=True)
+    chosen = [column for column in columns(comparison)
+              if column.detail in SHORT and column.heading != 'log density']
+    for column in chosen:
+        table.add_column(f'{column.heading}\n{SHORT[column.detail]}', justify='right', no_wrap=True)
+    for variant in comparison.figures:
+        table.add_row(variant, *(cells(comparison, column)[variant].text for column in chosen))
+    output.print(table)
+    for finding in comparison.findings:
+        word = 'open' if finding.holds is None else 'holds' if finding.holds else 'does not hold'
+        output.print(f'{word}: {finding.statement} {finding.evidence}', highlight=False, markup=False)
+    output.print(verdict(comparison.figures, comparison.findings), highlight=False, markup=False)
+    if len(comparison.scenario.seeds) == 1:
+        console.print('One feature draw proves little: --seeds 3 shows the spread.', highlight=False, markup=False)
