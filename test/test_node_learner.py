@@ -31,7 +31,7 @@ class Stage:
         self.background = background or DelayedBackground()
         self.learner = Learner(settings, body, self.background, Outlets(
             self.answers.append, self.errors.append, lambda variant, errors: self.horizons.append((variant, errors)),
-            self.news.append, self.reverted.append))
+            self.news.append, lambda success, sentence: self.news.append(sentence), self.reverted.append))
 
     def offer(self, samples):
         for sample in samples:

@@ -23,6 +23,7 @@ from semiparam_ros.ros.background import ProcessBackground
 from semiparam_ros.ros.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.diagnosing import Diagnosing
 from semiparam_ros.ros.estimates import payload
+from semiparam_ros.ros.held_replies import HeldReplies
 from semiparam_ros.ros.inputs import Inputs, Sinks
 from semiparam_ros.ros.learner import Answer, Learner, Outlets
 from semiparam_ros.ros.messages import inertia_message
@@ -63,6 +64,7 @@ class EstimatorNode(Node):
         self._input_report = diagnostics.InputReport(self._inputs)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = self.create_publisher(InertiaStamped, '~/payload', 10)
+        self._held_replies = HeldReplies(self, self._announcement)
         Services(self, self._live, self._the_learner)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor)
         DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id, self._guarded)
@@ -99,7 +101,8 @@ class EstimatorNode(Node):
         self._outputs.open(body)
         self._tally = diagnostics.Tally(body.joints)
         self.learner = Learner(self._live.settings, body, self._background, Outlets(
-            self._answer, self._complete, self._outputs.publish_shadow, self._say, self._live.write))
+            self._answer, self._complete, self._outputs.publish_shadow, self._say, self._switched,
+            self._live.write))
         self._inputs.open(body.joints)
 
     def _the_learner(self) -> Learner:
@@ -120,6 +123,10 @@ class EstimatorNode(Node):
     def _complete(self, errors: HorizonErrors) -> None:
         self._outputs.publish_errors(errors)
         self._tally.errors = errors
+
+    def _switched(self, success: bool, sentence: str) -> None:
+        self._say(sentence)
+        self._held_replies.settle(success, sentence)
 
     def _set_frame(self, frame_id: str) -> None:
         self._outputs.frame_id = frame_id
@@ -146,6 +153,11 @@ class EstimatorNode(Node):
         except SemiparamError as error:
             return str(error)
         return None
+
+    def _announcement(self) -> str:
+        """What the parameters said last, while a model is being built."""
+        building = self.learner is not None and self.learner.company.successor is not None
+        return self._live.news if building else ''
 
     def _change(self, settings: Settings) -> str:
         return '' if self.learner is None else self.learner.change(settings)

@@ -47,14 +47,15 @@ class Outlets(NamedTuple):
     """Where a learner's results go.
 
     ``answer`` receives each answer, ``errors`` the horizon errors that it completed, ``shadow`` a shadow variant and
-    those it completed, ``news`` a sentence whenever the model changes or cannot, ``reverted`` the settings that stay
-    after a change failed.
+    those it completed, ``news`` a sentence for the log, ``switched`` whether a change of the model came about, and a
+    sentence, ``reverted`` the settings that stay after a change failed.
     """
 
     answer: Callable[[Answer], None]
     errors: Callable[[HorizonErrors], None] = lambda errors: None
     shadow: Callable[[str, HorizonErrors], None] = lambda variant, errors: None
     news: Callable[[str], None] = lambda sentence: None
+    switched: Callable[[bool, str], None] = lambda success, sentence: None
     reverted: Callable[[Settings], None] = lambda settings: None
 
 
@@ -230,7 +231,8 @@ class Learner:
         before, self.built, self.estimator = self.built, successor.settings, successor.estimator
         self._window_job = None
         self.company.remember(self.built, self.estimator)
-        self._outlets.news(f'{self.built.variant} takes over from {before.variant} after {self.answered} samples.')
+        self._outlets.switched(True, f'{self.built.variant} takes over{_from(before, self.built)} after '
+                                     f'{self.answered} samples.')
         self._follow_wishes()
         self._drain()
 
@@ -242,9 +244,16 @@ class Learner:
             self.company.appoint(self.settings, self.history)
 
     def _cannot_build(self, settings: Settings, sentence: str) -> None:
-        self._outlets.news(f'{settings.variant} could not be built ({sentence}); {self.built.variant} goes on.')
-        if same_model(settings, self.settings):
+        sentence = f'{settings.variant} could not be built ({sentence}); {self.built.variant} goes on.'
+        if not same_model(settings, self.settings):
+            self._outlets.news(sentence)
+        else:
+            self._outlets.switched(False, sentence)
             kept = {name: getattr(self.built, name) for name in MODEL_PARAMETERS}
             self.settings = replace(self.settings, **kept)
             self._outlets.reverted(self.settings)
         self._follow_wishes()
+
+
+def _from(before: Settings, after: Settings) -> str:
+    return f' from {before.variant}' if before.variant != after.variant else ', changed,'
