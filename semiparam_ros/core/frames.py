@@ -15,7 +15,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 
-LINKS_APART = 0.02
+LINKS_APART = 0.005
 MOST_LINKS = 6
 
 

@@ -15,7 +15,7 @@ from semiparam_ros.effects import Effect
 
 DERIVATIVE_STEP = 1e-5
 START_GRID = 60
-START_MARGIN = 0.04
+START_MARGIN = 0.1
 START_RIDGE = 1e-6
 
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.smoothing import smoothed
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.blocks import interleaved_split, ranges
-from semiparam_ros.diagnosis.cross_validation import fold_losses
 from semiparam_ros.diagnosis.findings import Finding, findings
+from semiparam_ros.diagnosis.inputs import Inputs, best_inputs, resting
 from semiparam_ros.diagnosis.judgement import Judgement, judge_here, judge_there
 from semiparam_ros.diagnosis.noise import noise_floor
 from semiparam_ros.diagnosis.regression import Fit
@@ -41,7 +40,7 @@ class Diagnosis:
     held_out: Array
     before: Judgement
     after: Judgement
-    kinematics: str
+    inputs: Inputs
     structure: Structure | None
     setup: list[SetupProblem]
     notes: list[str]
@@ -64,14 +63,15 @@ class Diagnosis:
                  'before': self.before.as_dict(), 'after': self.after.as_dict(),
                  'by_step': [judgement.as_dict() for judgement in self.judged_by_step],
                  'noise_floor_rmse': self.noise_floor_rmse.tolist(), 'held_out': self._held_out(),
-                 'outputs': list(self.first.body.output_names), 'kinematics': self.kinematics,
+                 'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion, 'samples_averaged': self.inputs.factor,
                  'setup': [problem._asdict() for problem in self.setup], 'notes': self.notes}
         return found | {'unexplained': self.structure.as_dict() if self.structure else None}
 
     def _held_out(self) -> dict[str, Any]:
-        if self.judged_elsewhere:
-            return {'recording': self.judged_elsewhere, 'ranges': [list(part) for part in self.after.parts]}
-        return {'recording': None, 'ranges': [list(part) for part in ranges(self.held_out)]}
+        """Sample numbers of the recording that judged, half-open."""
+        mask = self.held_out if self.judged_valid is None else self.judged_valid
+        parts = [[self.inputs.factor * edge for edge in part] for part in ranges(mask)]
+        return {'recording': self.judged_elsewhere, 'ranges': parts}
 
 
 def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), use: Array | None = None,
@@ -88,17 +88,20 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     """
     check(samples, body)
     setup = setup_problems(body, samples)
-    valid = ~excluded(samples)
-    fitting = valid & _fitting(samples, use, other is not None)
-    chosen, name = best_kinematics(body, samples, effects, fitting)
+    clean = ~excluded(samples)
+    inputs = best_inputs(body, samples, effects, clean & _fitting(samples, use, other is not None))
+    chosen, valid = inputs.prepare(samples), inputs.mask(clean)
+    fitting = valid & inputs.mask(_fitting(samples, use, other is not None))
+    if body.outputs == 'effort':
+        fitting &= ~resting(chosen)
     first = starting_fit(body, chosen, effects, fitting)
     steps = [] if setup else search(first, considered(body, only), progress)
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
     structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale)
-    held_out = valid & ~fitting
-    judged = None if other is None else _same_kinematics(other[1], name)
-    judged_valid = None if judged is None else ~excluded(judged)
+    held_out = valid & ~inputs.mask(_fitting(samples, use, other is not None))
+    judged = None if other is None else inputs.prepare(other[1])
+    judged_valid = None if other is None else inputs.mask(~excluded(other[1]))
 
     def judge(state: Fit) -> Judgement:
         if judged is None or judged_valid is None:
@@ -108,9 +111,9 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     by_step = [judge(step.after) for step in steps]
     before = judge(first)
     after = by_step[-1] if by_step else before
-    notes = unidentifiable(body, samples) + _left_out(valid)
+    notes = unidentifiable(body, samples) + _left_out(clean)
     return Diagnosis(verdict(first, final, steps, structure, setup), findings(final, steps), steps, first, final,
-                     held_out, before, after, name, structure, setup, notes, by_step,
+                     held_out, before, after, inputs, structure, setup, notes, by_step,
                      other[0] if other else None, judged, judged_valid)
 
 
@@ -132,22 +135,6 @@ def considered(body: RigidBody, only: Sequence[str] = ()) -> dict[str, type[Effe
         raise SemiparamError(f"effect kind '{unknown[0]}' does not act on {body.outputs}; expected some of "
                              f'{", ".join(known)}.')
     return {name: kind for name, kind in known.items() if not only or name in only}
-
-
-def best_kinematics(body: RigidBody, samples: Samples, effects: Sequence[Effect],
-                    use: Array) -> tuple[Samples, str]:
-    """The joint motion as recorded or as smoothed, whichever lets the declared model predict unseen blocks better."""
-    options = {'smoothed': smoothed(samples), 'smoothed from positions': smoothed(samples, False),
-               'recorded': samples}
-    scale = starting_fit(body, samples, effects, use).scale
-    losses = {name: float(fold_losses(starting_fit(body, option, effects, use), scale).sum())
-              for name, option in options.items()}
-    best = min(losses, key=lambda name: losses[name])
-    return options[best], best
-
-
-def _same_kinematics(samples: Samples, name: str) -> Samples:
-    return samples if name == 'recorded' else smoothed(samples, name == 'smoothed')
 
 
 def _fitting(samples: Samples, use: Array | None, judged_elsewhere: bool) -> Array:

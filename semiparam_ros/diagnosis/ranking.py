@@ -26,7 +26,7 @@ REFINE_EVALUATIONS = 14
 START_WORTH = 1.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
     """An effect tried on a declared model. ``residual``: (N, n) left; ``free``: parameters it spends."""
 
@@ -102,6 +102,12 @@ def _at_best_link(state: Fit, trial: Trial) -> Trial:
         return trial
     moved = [_linear_trial(state, replace(trial.effect, where=link)) for link in links_beside(state.body, where)[1:]]
     return max([trial, *moved], key=lambda tried: _explained_share(state, tried))
+
+
+def retried(state: Fit, trial: Trial) -> Trial:
+    """The trial's effect, its shape kept, tried and scored on another declared model."""
+    again = _linear_trial(state, trial.effect)
+    return score(state, again, correlation_of(state, [again]))
 
 
 def _line_search(state: Fit, effect: Effect, name: str) -> Effect:

@@ -20,16 +20,19 @@ from semiparam_ros.diagnosis.ranking import (
     declare,
     overlap,
     refined,
+    retried,
     score,
 )
 from semiparam_ros.diagnosis.regression import Fit, fit, refit_weights, residual_scale
 from semiparam_ros.effects import Effect
 
 REFINED = 8
+REFINED_AT_JOINT = 3
 LEAST_EVIDENCE = 12.0
 RIVAL_NATS = 6.0
 RIVAL_SHARE = 0.02
 RIVAL_OVERLAP = 0.7
+KEPT_SHARE = 0.5
 MOST_ROUNDS = 12
 Progress = Callable[[str, float], None]
 
@@ -84,8 +87,18 @@ def ranked(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> li
     if not trials:
         return []
     trials = _by_evidence(state, trials)
-    foremost = [refined(state, trial) for trial in trials[:REFINED]]
-    return _by_evidence(state, foremost + trials[REFINED:])
+    foremost = _foremost(state, trials)
+    rest = [trial for trial in trials if trial not in foremost]
+    return _by_evidence(state, [refined(state, trial) for trial in foremost] + rest)
+
+
+def _foremost(state: Fit, trials: list[Trial]) -> list[Trial]:
+    """Those worth refining: the best of all, and of efforts the best of each joint."""
+    chosen = trials[:REFINED]
+    for joint in state.body.joints if state.body.outputs == 'effort' else ():
+        at_joint = [trial for trial in trials if trial.effect.where == joint]
+        chosen += [trial for trial in at_joint[:REFINED_AT_JOINT] if trial not in chosen and trial.evidence > 0.0]
+    return chosen
 
 
 def _by_evidence(state: Fit, trials: list[Trial]) -> list[Trial]:
@@ -96,35 +109,51 @@ def _by_evidence(state: Fit, trials: list[Trial]) -> list[Trial]:
 def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> Step | None:
     """The most credible effect (of efforts: the most credible of each joint), or None when nothing is left."""
     ranking = ranked(state, kinds, progress)
-    chosen = _one_for_each_joint(state, ranking) if state.body.outputs == 'effort' else ranking[:1]
-    chosen = [trial for trial in chosen if trial.evidence > LEAST_EVIDENCE]
-    if not chosen:
+    if not ranking or ranking[0].evidence < LEAST_EVIDENCE:
         return None
-    after = declare(state, [trial.effect for trial in chosen])
+    chosen = [simplest(state, ranking)]
+    after = declare(state, [chosen[0].effect])
     if not carries_over(state, after):
-        chosen = chosen[:1]
-        after = declare(state, [chosen[0].effect])
-        if not carries_over(state, after):
-            return None
+        return None
+    for trial in _other_joints(state, chosen[0], ranking):
+        again = retried(after, trial)
+        if again.evidence > max(LEAST_EVIDENCE, KEPT_SHARE * trial.evidence):
+            further = declare(after, [again.effect])
+            if carries_over(after, further):
+                chosen, after = [*chosen, again], further
     rivals = tuple(rivals_of(state, trial, ranking) for trial in chosen)
     return Step(tuple(chosen), rivals, tuple(ranking), state, after)
 
 
-def _one_for_each_joint(state: Fit, ranking: list[Trial]) -> list[Trial]:
-    """The best trial, and with it the best of every other joint, as long as they act on single joints."""
+def simplest(state: Fit, ranking: list[Trial]) -> Trial:
+    """Of the trials that explain what the best does about as well, the one that spends the fewest parameters."""
+    return min([ranking[0], *as_good(state, ranking[0], ranking)], key=lambda trial: (trial.free, -trial.evidence))
+
+
+def _other_joints(state: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]:
+    """The best trial of every joint but the first one's, where all act on the efforts of single joints.
+
+    Each has a channel of its own, so one round can take them all; but what one joint lacks also bends the rigid
+    body's fit of the others, so each must show again what it is worth once the first is declared.
+    """
     joints = state.body.joints
-    if not ranking or ranking[0].effect.where not in joints:
-        return ranking[:1]
+    if state.body.outputs != 'effort' or first.effect.where not in joints:
+        return []
     best: dict[str | None, Trial] = {}
     for trial in ranking:
         best.setdefault(trial.effect.where, trial)
-    return [trial for trial in best.values() if trial.effect.where in joints and not trial.effect.is_calibration]
+    return [trial for where, trial in best.items() if where in joints and where != first.effect.where
+            and not trial.effect.is_calibration]
+
+
+def as_good(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> list[Trial]:
+    """The other trials that explain the same thing about as well as the chosen one."""
+    tolerance = max(RIVAL_NATS, RIVAL_SHARE * chosen.evidence)
+    return [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < tolerance
+            and overlap(state, chosen, trial) > RIVAL_OVERLAP]
 
 
 def rivals_of(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> tuple[Rival, ...]:
-    """The trials that explain the same thing about as well as the chosen one."""
-    tolerance = max(RIVAL_NATS, RIVAL_SHARE * chosen.evidence)
-    close = [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < tolerance
-             and overlap(state, chosen, trial) > RIVAL_OVERLAP]
-    return tuple(Rival(trial.effect.kind, trial.effect.where, float(np.exp(min(trial.evidence - chosen.evidence, 0.0))))
-                 for trial in close)
+    """Those as good as the chosen one, with their odds against it by evidence alone."""
+    return tuple(Rival(trial.effect.kind, trial.effect.where, float(np.exp(np.clip(gap, -700.0, 50.0))))
+                 for trial in as_good(state, chosen, ranking) for gap in [trial.evidence - chosen.evidence])

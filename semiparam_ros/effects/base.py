@@ -23,6 +23,8 @@ Shape = dict[str, float]
 Self = TypeVar('Self', bound='Effect')
 CHANNELS = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 ALWAYS: Shape = {}
+FLAGS = ('at_link', 'directions', 'link_axes')
+"""Values of a shape that choose the form of the columns; they are no physical quantities."""
 
 
 class Coefficient(NamedTuple):
@@ -122,6 +124,11 @@ class Effect:
     def value(self, name: str, default: float = 0.0) -> float:
         """A nonlinear parameter, ``default`` when it is not set."""
         return float(self.shape.get(name, default))
+
+    @classmethod
+    def value_names(cls) -> tuple[str, ...]:
+        """Everything that a shape of this kind may hold."""
+        return 'start_s', *cls.shape_units, *(name for name, _ in cls.calibrations), *FLAGS
 
     def unit_of(self, name: str) -> str:
         """Unit of a nonlinear parameter or calibration."""

@@ -13,6 +13,7 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, joint_index
+from semiparam_ros.effects.hysteresis import dahl_state
 
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 SLIP_SHARES = (0.02, 0.05, 0.12, 0.3, 0.7)
@@ -104,20 +105,3 @@ class CableHysteresis(_Cable):
         motion = frame_motion(body, samples, str(self.where))
         state, memory = dahl_state(motion.position, slip, memory)
         return motion.force_map @ -state[:, :, None], memory
-
-
-def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memory]:
-    """(N, k) state in [-1, 1] along travels (N, k), and (last travel, last state) to go on from.
-
-    Each step of travel is followed exactly: the state decays towards its direction over ``slip``.
-    """
-    place, state = memory if memory is not None else (travel[0], np.zeros(travel.shape[1]))
-    steps = np.diff(travel, axis=0, prepend=place[None])
-    length = np.linalg.norm(steps, axis=1)
-    decay = np.exp(-length / slip)
-    aims = np.divide(steps, length[:, None], out=np.zeros_like(steps), where=length[:, None] > 0.0)
-    states = np.empty_like(travel)
-    for index, (keep, aim) in enumerate(zip(decay, aims, strict=True)):
-        state = aim + (state - aim) * keep
-        states[index] = state
-    return states, (travel[-1], state)

@@ -13,11 +13,13 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Coefficient, Effect, Shape, joint_index, on_joint
-from semiparam_ros.effects.cables import dahl_state
 from semiparam_ros.effects.friction import JointEffect
+from semiparam_ros.effects.hysteresis import play_place
 
 ORDERS = np.arange(2.0, 240.0, 0.1)
 PEAKS = 3
+FLANK = 0.15
+"""Share of half the gap over which a flank takes the load: teeth give."""
 
 
 class RotorInertia(JointEffect):
@@ -109,10 +111,10 @@ class TransmissionRipple(JointEffect):
 
 
 class Backlash(JointEffect):
-    """Play in the gear: after each reversal the torque takes ``gap`` of travel to change over."""
+    """Play in the gear: what rubs behind it is felt on either flank, and not while the gap is crossed."""
 
     kind: ClassVar[str] = 'backlash'
-    sentence: ClassVar[str] = 'the gear has play: after each reversal its torque takes some travel to change over'
+    sentence: ClassVar[str] = 'the gear has play: after each reversal its torque is gone until the gap is crossed'
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction',)
     separated_by: ClassVar[str] = 'small reversals, within and beyond the play'
     shape_units: ClassVar[dict[str, str]] = {'gap': 'rad'}
@@ -121,9 +123,10 @@ class Backlash(JointEffect):
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
         reach = max(float(np.ptp(samples.position[:, joint_index(body, where)])), 1e-6)
-        return [{'gap': reach * share} for share in (0.02, 0.05, 0.12, 0.3)]
+        return [{'gap': reach * share} for share in (0.03, 0.06, 0.1, 0.16, 0.3)]
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        travel = samples.position[:, joint_index(body, self.where), None]
-        state, memory = dahl_state(travel, self.value('gap', 0.01), memory)
-        return on_joint(body, self.where, state), memory
+        travel = samples.position[:, joint_index(body, self.where)]
+        place, memory = play_place(travel, self.value('gap', 0.01), memory)
+        contact = np.sign(place) * np.maximum(np.abs(place) - 1.0 + FLANK, 0.0) / FLANK
+        return on_joint(body, self.where, contact[:, None]), memory

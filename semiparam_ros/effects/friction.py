@@ -12,8 +12,10 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Coefficient, Effect, Shape, joint_index, on_joint
+from semiparam_ros.effects.hysteresis import dahl_state
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
+PRESLIDING_SHARES = (0.0005, 0.002, 0.008)
 
 
 class JointEffect(Effect):
@@ -44,18 +46,34 @@ class JointEffect(Effect):
 
 
 class _Sliding(JointEffect):
-    """Depends on the direction of motion, which turns over within ``turn_speed``."""
+    """Depends on the direction of sliding, which turns over within ``turn_speed`` or within a way of ``presliding``."""
 
-    shape_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'stribeck_speed': 'rad/s'}
+    shape_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'presliding': 'rad', 'stribeck_speed': 'rad/s'}
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
-        fastest = float(np.abs(samples.velocity[:, joint_index(body, where)]).max())
-        return [{'turn_speed': max(fastest, 1e-6) * share} for share in SPEED_SHARES]
+        joint = joint_index(body, where)
+        fastest = max(float(np.abs(samples.velocity[:, joint]).max()), 1e-6)
+        reach = max(float(np.ptp(samples.position[:, joint])), 1e-6)
+        return [*({'turn_speed': fastest * share} for share in SPEED_SHARES),
+                *({'presliding': reach * share} for share in PRESLIDING_SHARES)]
 
-    def direction(self, velocity: Array) -> Array:
-        """(N,) sign of the velocity, smoothed where it turns."""
-        return np.tanh(velocity / self.value('turn_speed', 0.01))
+    def direction(self, position: Array, velocity: Array, memory: Memory) -> tuple[Array, Memory]:
+        """(N,) direction of sliding in [-1, 1]: of the velocity, or of a bristle that bends before it slides."""
+        if 'presliding' in self.shape:
+            state, memory = dahl_state(position[:, None], self.value('presliding'), memory)
+            return state[:, 0], memory
+        return np.tanh(velocity / self.value('turn_speed', 0.01)), None
+
+    def sliding(self, direction: Array, velocity: Array) -> Array:
+        """(N, c) columns from the direction of sliding and the velocity (N,)."""
+        raise NotImplementedError
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        joint = joint_index(body, self.where)
+        velocity = samples.velocity[:, joint]
+        direction, memory = self.direction(samples.position[:, joint], velocity, memory)
+        return on_joint(body, self.where, self.sliding(direction, velocity)), memory
 
 
 class ViscousFriction(JointEffect):
@@ -80,8 +98,8 @@ class CoulombFriction(_Sliding):
     separated_by: ClassVar[str] = 'constant speeds, slow and fast, in both directions'
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('coulomb', 'N m'),)
 
-    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        return self.direction(velocity)[:, None]
+    def sliding(self, direction: Array, velocity: Array) -> Array:
+        return direction[:, None]
 
 
 class StribeckFriction(_Sliding):
@@ -98,10 +116,9 @@ class StribeckFriction(_Sliding):
         fastest = float(np.abs(samples.velocity[:, joint_index(body, where)]).max())
         coarse = super().searches(body, samples, where, residual)
         return [{**shape, 'stribeck_speed': max(fastest, 1e-6) * share}
-                for shape in coarse[:3] for share in (0.05, 0.12, 0.3)]
+                for shape in (coarse[1], coarse[2], coarse[5]) for share in (0.05, 0.12, 0.3)]
 
-    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        direction = self.direction(velocity)
+    def sliding(self, direction: Array, velocity: Array) -> Array:
         fading = np.exp(-((velocity / self.value('stribeck_speed', 0.1)) ** 2))
         return np.column_stack([direction, direction * fading])
 
@@ -117,8 +134,7 @@ class AsymmetricFriction(_Sliding):
         Coefficient('coulomb_forward', 'N m'), Coefficient('coulomb_backward', 'N m'),
         Coefficient('viscous_forward', 'N m s/rad'), Coefficient('viscous_backward', 'N m s/rad'))
 
-    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        direction = self.direction(velocity)
+    def sliding(self, direction: Array, velocity: Array) -> Array:
         return np.column_stack([np.maximum(direction, 0.0), np.minimum(direction, 0.0),
                                 np.maximum(velocity, 0.0), np.minimum(velocity, 0.0)])
 
@@ -136,5 +152,5 @@ class LoadFriction(_Sliding):
         joint = joint_index(body, self.where)
         parameters = np.array(self.reference) if self.reference else body.base_parameters
         load = body.regressors(samples)[:, joint] @ parameters
-        values = np.abs(load) * self.direction(samples.velocity[:, joint])
-        return on_joint(body, self.where, values[:, None]), None
+        direction, memory = self.direction(samples.position[:, joint], samples.velocity[:, joint], memory)
+        return on_joint(body, self.where, (np.abs(load) * direction)[:, None]), memory

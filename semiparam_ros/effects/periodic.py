@@ -25,7 +25,7 @@ class PeriodicDisturbance(Effect):
     refine_link: ClassVar[bool] = True
     of_one_recording: ClassVar[bool] = True
     sentence: ClassVar[str] = 'something shakes the arm at one frequency'
-    mistaken_for: ClassVar[tuple[str, ...]] = ('transmission_ripple',)
+    mistaken_for: ClassVar[tuple[str, ...]] = ('transmission_ripple', 'viscous_drag', 'cable_spring')
     separated_by: ClassVar[str] = 'standing still: the disturbance goes on'
     shape_units: ClassVar[dict[str, str]] = {'frequency_hz': 'Hz'}
 

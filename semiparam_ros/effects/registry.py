@@ -7,9 +7,9 @@ Text is never evaluated: an effect is written ``kind``, ``kind@where``, or eithe
 from __future__ import annotations
 
 import json
-import math
+import sys
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 
 from semiparam_ros.effects.base import Effect
 from semiparam_ros.effects.cables import CableHysteresis, CableSpring
@@ -42,6 +42,7 @@ from semiparam_ros.effects.sensor import (
 from semiparam_ros.errors import SemiparamError
 
 GROUP = 'semiparam_ros.effects'
+LARGEST = sys.float_info.max
 BUILT_IN: tuple[type[Effect], ...] = (
     Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
     JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
@@ -53,7 +54,7 @@ BUILT_IN: tuple[type[Effect], ...] = (
 def _all_kinds() -> dict[str, type[Effect]]:
     known = {kind.kind: kind for kind in BUILT_IN}
     for point in entry_points(group=GROUP):
-        kind = point.load()
+        kind = _loaded(point)
         if not (isinstance(kind, type) and issubclass(kind, Effect) and kind.kind):
             raise SemiparamError(f"entry point '{point.name}' of group {GROUP} is {kind!r}; expected a subclass of "
                                  'semiparam_ros.effects.Effect with a kind.')
@@ -62,6 +63,13 @@ def _all_kinds() -> dict[str, type[Effect]]:
                                  'which exists already; expected a new name.')
         known[kind.kind] = kind
     return known
+
+
+def _loaded(point: EntryPoint) -> object:
+    try:
+        return point.load()
+    except Exception as error:  # another package's code may fail in any way
+        raise SemiparamError(f"entry point '{point.name}' of group {GROUP} cannot be loaded: {error}.") from error
 
 
 def kinds(outputs: str | None = None) -> dict[str, type[Effect]]:
@@ -90,6 +98,10 @@ def effect_from_text(text: str) -> Effect:
     wrong = [key for key, value in values.items() if not _is_number(value)]
     if wrong:
         raise SemiparamError(f"effect '{text}' has values that are not finite numbers: {', '.join(wrong)}.")
+    known = _all_kinds()[name].value_names()
+    unknown = [key for key in values if key not in known]
+    if unknown:
+        raise SemiparamError(f"effect '{text}' has no value '{unknown[0]}'; expected some of {', '.join(known)}.")
     shape = {key: float(str(value)) for key, value in values.items()}
     return _all_kinds()[name](where or None, shape, tuple(float(value) for value in reference))
 
@@ -97,10 +109,12 @@ def effect_from_text(text: str) -> Effect:
 def _values(text: str, part: str) -> dict[str, object]:
     try:
         values = json.loads(part)
-    except json.JSONDecodeError as error:
-        raise SemiparamError(f"effect '{text}' does not end in a JSON object of numbers ({error}).") from error
+    except (ValueError, RecursionError) as error:
+        raise SemiparamError(f"effect '{text:.80}' does not end in a JSON object of numbers ({error}).") from error
     return dict(values)
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return -LARGEST <= value <= LARGEST

@@ -136,7 +136,7 @@ class SensorCrosstalk(_Calibration):
 
 
 class SensorMisalignment(_Calibration):
-    """The sensor is turned in its mount by a rotation vector."""
+    """The sensor is turned in its mount by a rotation vector, so the wrench arrives turned the other way."""
 
     kind: ClassVar[str] = 'sensor_misalignment'
     sentence: ClassVar[str] = 'the sensor sits turned in its mount'
@@ -146,4 +146,4 @@ class SensorMisalignment(_Calibration):
 
     def matrix(self) -> Array:
         rotation = pin.exp3(np.array([self.value(f'rotation_{axis}') for axis in 'xyz']))
-        return np.kron(np.eye(2), rotation)
+        return np.kron(np.eye(2), rotation.T)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from rich.table import Table
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.diagnose import Diagnosis, diagnose
+from semiparam_ros.diagnosis.judgement import judge_here
+from semiparam_ros.diagnosis.regression import fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.simulation.causes import CAUSES
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario, SimulatedRecording
@@ -60,8 +62,8 @@ def scoreboard(plan: Plan, jobs: int, progress: Callable[[int], None]) -> dict[s
 def case(plan: Plan, kind: str, size: float, seed: int) -> dict[str, Any]:
     """One recording: what was hidden, what was found, and the share of the removable error that was removed."""
     hidden = () if kind == NOTHING else (EffectRequest(kind, size=size),)
-    recording = simulate(Scenario(motion=MOTION, samples=plan.samples, effects=hidden, seed=seed,
-                                  outputs=plan.outputs))
+    clean = Scenario(motion=MOTION, samples=plan.samples, seed=seed, outputs=plan.outputs)
+    recording = simulate(replace(clean, effects=hidden))
     found = diagnose(body_of(recording), samples_of(recording))
     truth = recording.truth[0] if recording.truth else {}
     return {'kind': kind, 'size': size, 'seed': seed, 'where': truth.get('where'), 'verdict': found.verdict,
@@ -69,7 +71,7 @@ def case(plan: Plan, kind: str, size: float, seed: int) -> dict[str, Any]:
             'found': [finding.effect.kind for finding in found.findings],
             'found_where': [finding.effect.where for finding in found.findings],
             'group': [rival.kind for rival in found.findings[0].rivals] if found.findings else [],
-            'removed': removed_share(found)}
+            'removed': removed_share(found, samples_of(simulate(clean))) if hidden else None}
 
 
 def body_of(recording: SimulatedRecording) -> RigidBody:
@@ -85,12 +87,19 @@ def samples_of(recording: SimulatedRecording) -> Samples:
                    int(recording.stamps[0]))
 
 
-def removed_share(found: Diagnosis) -> float:
-    """Share of (before - noise floor) that the effects found removed, over channels relative to their variance."""
+def removed_share(found: Diagnosis, twin: Samples) -> float:
+    """Share of the removable error that the effects found removed, over channels relative to their variance.
+
+    :param twin: the same recording, noise included, without the hidden effect. What the declared model leaves of it
+        no diagnosis can remove.
+    """
+    first = found.first
+    floor = judge_here(fit(first.body, found.inputs.prepare(twin), first.effects, first.use, first.scale),
+                       found.held_out)
     variance = found.before.outputs.var(axis=0)
-    before, after, floor = (float(np.sum(square / variance)) for square in (
-        found.before.rmse**2, found.after.rmse**2, found.noise_floor_rmse**2))
-    return (before - after) / max(before - floor, 1e-12)
+    before, after, least = (float(np.sum(judgement.rmse**2 / variance))
+                            for judgement in (found.before, found.after, floor))
+    return (before - after) / max(before - least, 1e-12)
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

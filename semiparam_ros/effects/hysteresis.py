@@ -1,0 +1,35 @@
+"""States that remember the way travelled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.types import Array
+
+
+def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memory]:
+    """(N, k) state in [-1, 1] along travels (N, k), and (last travel, last state) to go on from.
+
+    Each step of travel is followed exactly: the state decays towards its direction over ``slip``.
+    """
+    place, state = memory if memory is not None else (travel[0], np.zeros(travel.shape[1]))
+    steps = np.diff(travel, axis=0, prepend=place[None])
+    length = np.linalg.norm(steps, axis=1)
+    decay = np.exp(-length / slip)
+    aims = np.divide(steps, length[:, None], out=np.zeros_like(steps), where=length[:, None] > 0.0)
+    states = np.empty_like(travel)
+    for index, (keep, aim) in enumerate(zip(decay, aims, strict=True)):
+        state = aim + (state - aim) * keep
+        states[index] = state
+    return states, (travel[-1], state)
+
+
+def play_place(travel: Array, gap: float, memory: Memory) -> tuple[Array, Memory]:
+    """(N,) place in [-1, 1] between the flanks of a gap that travel (N,) crosses, and what to go on from."""
+    last, place = memory if memory is not None else (float(travel[0]), 0.0)
+    places = np.empty_like(travel)
+    for index, step in enumerate((2.0 / gap * np.diff(travel, prepend=last)).tolist()):
+        place = min(max(place + step, -1.0), 1.0)
+        places[index] = place
+    return places, (float(travel[-1]), place)
