@@ -39,6 +39,7 @@ from semiparam_ros.effects.sensor import (
     SensorOffset,
     ThermalDrift,
 )
+from semiparam_ros.effects.terms import Terms
 from semiparam_ros.errors import SemiparamError
 
 GROUP = 'semiparam_ros.effects'
@@ -47,7 +48,7 @@ BUILT_IN: tuple[type[Effect], ...] = (
     Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
     JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
     PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
-    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash)
+    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash, Terms)
 
 
 @cache
