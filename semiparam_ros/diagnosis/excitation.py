@@ -16,8 +16,8 @@ MOST_GAPS_NAMED = 3
 USED = 500
 UNSEEN = 5e-4
 """A change of a mass or a first moment as large as it is moves the outputs by less than this share of their standard
-deviation: it cannot be seen. Rich motions of the iCub, UR3 and Franka arms show every one of them by 1e-3 or more; where
-a joint that gravity needs is locked, the least falls below 1e-5."""
+deviation: it cannot be seen. Rich motions of the iCub, UR3 and Franka arms show every one of them by 1e-3 or more; with
+a joint locked that gravity needs, the least falls below 1e-5."""
 NEGLIGIBLE = 1e-6
 
 
