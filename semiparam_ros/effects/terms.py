@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import ClassVar, NamedTuple
 
@@ -141,6 +142,7 @@ class _EveryTerm(tuple[str, ...]):
         return isinstance(name, str)
 
 
+@dataclass(frozen=True)  # for the check after __init__
 class Terms(Effect):
     """Named terms with one coefficient each, on one output channel."""
 
