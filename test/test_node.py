@@ -1,12 +1,12 @@
 """The live node in a process of its own, over real DDS on this machine."""
 
 import os
-import random
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ import pytest
 from conftest import _free_domain
 from geometry_msgs.msg import WrenchStamped
 from node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
+from node_faults import Fuzzer
 from node_helpers import JOINTS, SETTINGS, URDF, motion
 from rcl_interfaces.msg import ParameterType
 from sensor_msgs.msg import JointState
@@ -91,6 +92,13 @@ def expected(samples, settings=LIVE):
     """Predictions of the estimator alone."""
     estimator = build_estimator(settings)
     return np.array([estimator.step(sample).mean for sample in samples])
+
+
+def refusals(client):
+    """How many messages the node has refused so far, for each reason."""
+    values = client.report('inputs')[2]
+    return Counter({name.removeprefix('refused: '): int(value) for name, value in values.items()
+                    if name.startswith('refused: ')})
 
 
 def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft'):
@@ -183,37 +191,17 @@ def test_refused_values_leave_everything_as_it_was_and_say_why(client):
 
 
 def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
-    samples, chance = fresh(400), random.Random(1)
-    nan, few = float('nan'), ['a']
-    bad = [
-        lambda sample: client.state(sample, JOINTS, position=[nan, 0.0]),
-        lambda sample: client.state(sample, JOINTS, velocity=[float('inf'), 0.0]),
-        lambda sample: client.state(sample, few, position=[0.0], velocity=[0.0]),
-        lambda sample: client.state(sample, [], position=[], velocity=[]),
-        lambda sample: client.state(sample, JOINTS, velocity=[]),
-        lambda sample: client.state(sample._replace(stamp=5), JOINTS),
-        lambda sample: client.wrench(sample._replace(outputs=np.full(6, nan))),
-        lambda sample: client.wrench(sample, frame='elsewhere'),
-        lambda sample: client.wrench(sample._replace(stamp=5)),
-        lambda sample: client.wrench(sample._replace(stamp=samples[0].stamp)),
-        lambda sample: client.accelerations(sample._replace(acceleration=np.array([nan, 1.0])), JOINTS),
-        lambda sample: client.outputs['joint_accelerations'].publish(JointTrajectory(joint_names=list(JOINTS))),
-    ]
-    client.play(samples[:1], JOINTS)
-    for sample in samples[1:]:
-        for throw in chance.sample(bad, 2):
-            throw(sample)
-        order = [lambda s=sample: client.state(s, JOINTS), lambda s=sample: client.accelerations(s, JOINTS),
-                 lambda s=sample: client.wrench(s)]
-        chance.shuffle(order)
-        for publish in order:
-            publish()
+    samples, before = fresh(400), refusals(client)
+    fuzzer = Fuzzer(client, JOINTS, samples[0].stamp, seed=1)
+    for sample in samples:
+        fuzzer.throw(sample, bad=2)
         time.sleep(0.001)
     client.wait(lambda: len(client.heard['predicted_wrench']) >= 400, 'every good sample is answered')
     np.testing.assert_allclose(client.values('predicted_wrench'), expected(samples), rtol=0, atol=1e-9)
-    _, _, values = client.wait_report('inputs', lambda level, message, values: 'refused: wrong_frame' in values)
-    for reason in ('not_finite', 'missing_joint', 'wrong_length', 'backward_stamp', 'wrong_frame'):
-        assert int(values[f'refused: {reason}']) > 10, reason
+    wanted = {reason: count + before[reason] for reason, count in fuzzer.refusals().items()}
+    _, _, values = client.wait_report('inputs', lambda level, message, values: all(
+        int(values.get(f'refused: {reason}', 0)) >= count for reason, count in wanted.items()))
+    assert {reason: int(values[f'refused: {reason}']) for reason in wanted} == wanted
 
 
 def test_all_variants_and_back_while_data_flow(client):

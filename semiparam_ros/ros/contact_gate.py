@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
+from math import sqrt
 
 from semiparam_ros.core.model import Prediction
 from semiparam_ros.settings.table import Table
@@ -59,4 +59,4 @@ def standardised_innovation(prediction: Prediction) -> float:
     if not prediction.ready:
         return 0.0
     ratio = (prediction.sample.outputs - prediction.mean) / prediction.std
-    return float(np.sqrt(np.mean(ratio**2)))
+    return sqrt(float(ratio @ ratio) / len(ratio))
