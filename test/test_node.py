@@ -11,12 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from conftest import _free_domain
 from geometry_msgs.msg import WrenchStamped
 from node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
 from node_faults import Fuzzer
 from node_helpers import JOINTS, SETTINGS, URDF, motion
 from rcl_interfaces.msg import ParameterType
+from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -266,6 +268,30 @@ def test_a_clock_that_jumps_back_keeps_the_model(client):
     residuals = np.array(client.values('residual'))
     assert np.abs(residuals[-90:]).mean() < 1.1 * np.abs(residuals[120:220]).mean(), 'the model was kept'
     client.wait_report('learning', lambda level, message, values: 'the clock jumped' in values['last news'])
+
+
+def test_a_simulated_clock_that_jumps_back_keeps_the_model(client):
+    samples = fresh(130)
+    client.play(samples, JOINTS)
+    client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+    clock = client.node.create_publisher(ClockMessage, '/clock', 10)
+    assert client.set(use_sim_time=True)[0].successful
+    client.wait(clock.get_subscription_count, 'the node follows the clock')
+    for second in (50, 51, 20):
+        clock.publish(ClockMessage(clock=Time(sec=second)))
+        time.sleep(0.05)
+    client.wait(lambda: client.heard['/diagnostics'][-1].header.stamp.sec == 20, 'reports by the simulated clock')
+    assert 'the clock jumped' in client.report('learning')[2]['last news']
+    client.play(samples, JOINTS)
+    assert client.stamps('residual') == [sample.stamp for sample in [*samples, *samples]]
+    assert client.set(use_sim_time=False)[0].successful
+    found = np.array(client.values('predicted_wrench'))
+    np.testing.assert_allclose(found[:130], expected(samples), rtol=0, atol=1e-9)
+    estimator = build_estimator(LIVE)
+    for sample in samples:
+        estimator.step(sample)
+    estimator.clear_pending()
+    np.testing.assert_allclose(found[130:], [estimator.step(sample).mean for sample in samples], rtol=0, atol=1e-9)
 
 
 def test_contact_is_flagged_and_diagnostics_tell_the_state(client):

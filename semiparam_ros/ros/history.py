@@ -100,7 +100,8 @@ class _Ring:
 
     def __init__(self, size: int, width: int) -> None:
         self._stamps = np.zeros(size, dtype=np.int64)
-        self._rows = np.zeros((size, width))
+        self._rows = np.empty((size, width))
+        self._rows.fill(0.0)  # takes the memory now, where zeros would take it page by page while samples come
         self._learnt = np.zeros(size, dtype=bool)
         self._count = 0
 
