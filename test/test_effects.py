@@ -1,0 +1,477 @@
+"""Effects: one check that every kind passes at every place, their text form, kinds of other packages, and physics.
+
+The physics is checked against the simulator, which shares no code with the effects: columns times the true parameters
+must be the difference that the hidden cause makes there.
+"""
+
+import importlib
+import json
+import math
+import re
+import textwrap
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.diagnosis.candidates import added_columns
+from semiparam_ros.diagnosis.regression import fit
+from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds, registry
+from semiparam_ros.effects.base import FLAGS
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.report.scoreboard import body_of, samples_of
+from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+
+UNITS = {'N', 'm', 'kg', 's', 'rad', 'Hz', 'or'}
+START_S = 1.0
+SMALL = 0.01
+UNSEEN = ('joint_offset', 'lift')
+"""No effort tells where a sliding joint stands on the fixed base."""
+MOTION = smooth_motion(4, 40)
+BODIES = {'wrench': icub(), 'effort': RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')}
+FORMULA = {'wrench': {'time*abs(dq_r_elbow)': 1.2, 'bump(q_r_elbow,0.1,0.3)': 1.0}, 'effort': {'q_elbow^2': 0.3}}
+RESIDUALS = {name: np.random.default_rng(0).standard_normal((len(MOTION), body.n_outputs))
+             for name, body in BODIES.items()}
+
+
+def everywhere() -> list[tuple[str, Effect]]:
+    """(outputs, effect) for every kind at every place, with the first values that a search would try."""
+    cases = []
+    for outputs, body in BODIES.items():
+        for kind in kinds(outputs).values():
+            for where in kind.places(body):
+                shapes = kind.searches(body, MOTION, where, RESIDUALS[outputs])
+                reference = tuple(body.base_parameters) if kind.kind == 'load_friction' else ()
+                cases.append((outputs, kind(where, dict(shapes[0]), reference)))
+        cases.append((outputs, kinds()['terms'](body.output_names[0], FORMULA[outputs])))
+    return cases
+
+
+CASES = everywhere()
+NAMES = [f'{outputs}-{effect.kind}@{effect.where}' for outputs, effect in CASES]
+
+
+@pytest.mark.parametrize(('outputs', 'effect'), CASES, ids=NAMES)
+def test_every_kind_at_every_place(outputs, effect):
+    check_effect(BODIES[outputs], effect)
+
+
+def check_effect(body: RigidBody, effect: Effect) -> None:
+    """Whatever every effect must satisfy; those of other packages too."""
+    for check in (check_text_form, check_sentences, check_coefficients, check_live_equals_offline, check_start,
+                  check_neutral_calibration, check_candidate_columns, check_carried_shapes_have_units):
+        check(body, effect)
+
+
+def check_text_form(body: RigidBody, effect: Effect) -> None:
+    back = effect_from_text(effect_to_text(effect))
+    assert back == effect
+    assert type(back) is type(effect)
+
+
+def check_sentences(body: RigidBody, effect: Effect) -> None:
+    for text in (effect.sentence, effect.separated_by):
+        assert len(text) > 10
+        assert not text.endswith('.')  # it is put into a longer sentence
+    assert effect.mistaken_for or effect.kind == 'terms'
+    assert set(effect.mistaken_for) <= set(kinds()) - {effect.kind}
+    assert not effect.mistaken_for or any(body.outputs in kinds()[name].outputs for name in effect.mistaken_for)
+
+
+def check_coefficients(body: RigidBody, effect: Effect) -> None:
+    named = [*effect.coefficients(body), *effect.calibrations]
+    assert len({name for name, _ in named}) == len(named) > 0
+    assert len(effect.coefficients(body)) == effect.n_columns == len(effect.prior_scale)
+    assert (effect.prior_scale > 0).all()
+    assert effect.is_calibration == (effect.n_columns == 0)
+    for name, unit in named:
+        assert set(re.findall('[A-Za-z]+', unit)) <= UNITS, f'{name} [{unit}]'
+
+
+def check_live_equals_offline(body: RigidBody, effect: Effect) -> None:
+    """Columns of one sample at a time, or of pieces, are those of the whole recording."""
+    moved = disturbed(effect)
+    assembly = CoupledColumns(body, [moved])
+    expected, _ = assembly.batch(MOTION)
+    assert expected.shape == (len(MOTION), body.n_outputs, assembly.n_columns)
+    scale = np.abs(expected).max()
+    memory, rows = None, []
+    for sample in MOTION:
+        row, memory = assembly.one(sample, MOTION.origin, memory)
+        rows.append(row)
+    np.testing.assert_allclose(np.array(rows), expected, rtol=0, atol=1e-10 * scale)
+    first, memory = assembly.batch(MOTION[:7])
+    second, _ = assembly.batch(MOTION[7:], memory)
+    np.testing.assert_allclose(np.concatenate([first, second]), expected, rtol=0, atol=1e-10 * scale)
+
+
+def check_start(body: RigidBody, effect: Effect) -> None:
+    """Columns are zero before the start, and from there on what they always were."""
+    always, _ = effect.columns(body, MOTION, None)
+    late, _ = effect.with_shape(start_s=START_S).columns(body, MOTION, None)
+    begun = MOTION.time >= START_S
+    assert np.isfinite(always).all()
+    np.testing.assert_array_equal(late[~begun], 0.0)
+    np.testing.assert_array_equal(late[begun], always[begun])
+
+
+def check_neutral_calibration(body: RigidBody, effect: Effect) -> None:
+    """A calibration of zero changes nothing, one that is not zero does; a kind with columns leaves the arm alone."""
+    plain, _ = CoupledColumns(body).batch(MOTION)
+    scale = np.abs(plain).max()
+    zero = effect.with_shape(**dict.fromkeys((name for name, _ in effect.calibrations), 0.0))
+    found, _ = CoupledColumns(body, [zero]).batch(MOTION)
+    np.testing.assert_allclose(found[:, :, :plain.shape[2]], plain, rtol=0, atol=1e-10 * scale)
+    if effect.is_calibration and (effect.kind, effect.where) != UNSEEN:
+        changed, _ = CoupledColumns(body, [disturbed(effect)]).batch(MOTION)
+        assert np.abs(changed - plain).max() > 1e-5 * scale
+
+
+def check_candidate_columns(body: RigidBody, effect: Effect) -> None:
+    """What a diagnosis would regress on: finite, one for each unknown, and none of them empty in general motion."""
+    everything = np.ones(len(MOTION), dtype=bool)
+    outputs = body.regressors(MOTION) @ body.base_parameters
+    state = fit(body, replace(MOTION, outputs=outputs), [], everything, np.ones(body.n_outputs))
+    columns = added_columns(state, effect)
+    assert columns.shape == (len(MOTION), body.n_outputs, effect.n_columns or len(effect.calibrations))
+    assert np.isfinite(columns).all()
+    assert np.abs(columns).max() > 0.0 or (effect.kind, effect.where) == UNSEEN
+
+
+def check_carried_shapes_have_units(body: RigidBody, effect: Effect) -> None:
+    assert effect.unit_of('start_s') == 's'
+    columns = {name for name, _ in effect.coefficients(body)}
+    for name in set(effect.shape) - {*FLAGS, *columns, *(name for name, _ in effect.calibrations)}:
+        assert effect.unit_of(name), name
+        assert set(re.findall('[A-Za-z]+', effect.unit_of(name))) <= UNITS, name
+
+
+def disturbed(effect: Effect) -> Effect:
+    """With calibrations that are not zero, each another one."""
+    names = [name for name, _ in effect.calibrations]
+    return effect.with_shape(**{name: SMALL * (1 + 0.3 * index) for index, name in enumerate(names)})
+
+
+def test_both_outputs_have_the_kinds_that_the_design_lists():
+    both = {'payload', 'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'periodic_disturbance',
+            'terms'}
+    assert set(kinds('wrench')) == both | {
+        'sensor_offset', 'sensor_drift', 'thermal_drift', 'sensor_gain', 'sensor_crosstalk', 'sensor_misalignment',
+        'viscous_drag', 'quadratic_drag', 'cable_spring', 'cable_hysteresis'}
+    assert set(kinds('effort')) == both | {
+        'viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmetric_friction', 'load_friction',
+        'rotor_inertia', 'joint_spring', 'effort_offset', 'effort_gain', 'transmission_ripple', 'backlash'}
+
+
+@pytest.mark.parametrize(('outputs', 'effect'), [case for case in CASES if case[1].where], ids=[
+    name for name, case in zip(NAMES, CASES, strict=True) if case[1].where])
+def test_an_unknown_place_is_refused_by_name(outputs, effect):
+    astray = replace(effect, where='r_tentacle')
+    with pytest.raises(SemiparamError, match="'r_tentacle'"):
+        CoupledColumns(BODIES[outputs], [disturbed(astray)]).batch(MOTION)
+
+
+BAD_TEXTS = {
+    'unknown kind': ('payloda', 'payloda'),
+    'nothing': ('', 'no known kind'),
+    'only a place': ('@r_hand', 'no known kind'),
+    'open brace': ('payload@r_hand{"start_s": 1', 'JSON'),
+    'trailing text': ('payload{"start_s": 1} and more', 'JSON'),
+    'not a number': ('payload{"start_s": NaN}', 'start_s'),
+    'infinite': ('payload{"start_s": 1e999}', 'start_s'),
+    'beyond any float': ('payload{"start_s": 1' + '0' * 400 + '}', 'start_s'),
+    'text': ('payload{"start_s": "3"}', 'start_s'),
+    'truth value': ('payload{"start_s": true}', 'start_s'),
+    'nothing as value': ('payload{"start_s": null}', 'start_s'),
+    'list': ('payload{"start_s": [3]}', 'start_s'),
+    'reference of text': ('load_friction@turn{"reference": ["1"]}', 'reference'),
+    'reference no list': ('load_friction@turn{"reference": 3}', 'reference'),
+    'bottomless': ('payload' + '{"a":' * 100_000, 'JSON'),
+    'code': ('payload{"start_s": __import__("os").getpid()}', 'JSON'),
+    'misspelt value': ('joint_offset@r_elbow{"offest": 0.1}', 'offest'),
+}
+
+
+@pytest.mark.parametrize('name', BAD_TEXTS)
+def test_bad_text_is_refused_in_one_sentence(name):
+    text, expected = BAD_TEXTS[name]
+    with pytest.raises(SemiparamError, match=re.escape(expected)) as refusal:
+        effect_from_text(text)
+    message = str(refusal.value)
+    assert '\n' not in message
+    assert len(message) < 1000
+
+
+@pytest.mark.parametrize('text', ['payload', 'payload@r_hand', ' payload@r_hand {"start_s": 3} ',
+                                  'sensor_drift{}', 'joint_offset@r_elbow{"offset": -0.0279}'])
+def test_text_as_a_person_writes_it(text):
+    effect = effect_from_text(text)
+    assert effect_from_text(effect_to_text(effect)) == effect
+    assert effect.kind == text.strip().partition('@')[0].partition('{')[0]
+
+
+def test_values_survive_the_text_form_to_the_last_digit():
+    values = {'offset': 0.1 + 0.2, 'start_s': 1e-17 / 3.0}
+    effect = kinds()['joint_offset']('r_elbow', values)
+    assert dict(effect_from_text(effect_to_text(effect)).shape) == values
+
+
+OWN_KIND = '''
+    from semiparam_ros.effects import Coefficient, Effect
+    import numpy as np
+
+
+    class Magnet(Effect):
+        """A force along the sensor's x axis that falls off with the elbow's angle."""
+
+        kind = 'magnet'
+        outputs = ('wrench',)
+        sentence = 'a magnet near the table pulls the hand'
+        mistaken_for = ('cable_spring',)
+        separated_by = 'motion farther from the table'
+        shape_units = {'reach': 'rad'}
+
+        @property
+        def n_columns(self):
+            return 1
+
+        @classmethod
+        def searches(cls, body, samples, where, residual):
+            return [{'reach': 0.3}, {'reach': 1.0}]
+
+        def coefficients(self, body):
+            return (Coefficient('pull', 'N'),)
+
+        def basis(self, body, samples, memory):
+            columns = np.zeros((len(samples), 6, 1))
+            columns[:, 0, 0] = np.exp(-np.abs(samples.position[:, 3]) / self.value('reach', 1.0))
+            return columns, None
+
+
+    class Impostor(Effect):
+        kind = 'payload'
+
+
+    class Nameless(Effect):
+        pass
+
+
+    NOT_A_KIND = 3
+'''
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Puts a package with entry points where an installer would; gone again after the test."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def installed(**points: str) -> None:
+        (tmp_path / 'own_effects.py').write_text(textwrap.dedent(OWN_KIND))
+        info = tmp_path / 'own_effects-1.0.dist-info'
+        info.mkdir()
+        (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: own-effects\nVersion: 1.0\n')
+        lines = [f'{name} = own_effects:{target}' for name, target in points.items()]
+        (info / 'entry_points.txt').write_text('\n'.join([f'[{registry.GROUP}]', *lines, '']))
+        importlib.invalidate_caches()
+        registry._all_kinds.cache_clear()
+
+    yield installed
+    monkeypatch.undo()
+    registry._all_kinds.cache_clear()
+
+
+def test_another_package_adds_a_kind(install):
+    install(magnet='Magnet')
+    assert 'magnet' in kinds('wrench')
+    assert 'magnet' not in kinds('effort')
+    effect = effect_from_text('magnet{"reach": 0.5}')
+    assert effect.value('reach') == 0.5
+    check_effect(BODIES['wrench'], effect)
+
+
+@pytest.mark.parametrize(('target', 'expected'), [
+    ('Impostor', "defines the kind 'payload', which exists already"), ('Nameless', 'expected a subclass'),
+    ('NOT_A_KIND', 'expected a subclass'), ('Missing', "entry point 'wrong'")])
+def test_a_wrong_entry_point_is_refused_by_name(install, target, expected):
+    install(wrong=target)
+    with pytest.raises(SemiparamError, match=re.escape(expected)):
+        kinds()
+
+
+# --- physics: the simulator's causes, which share no code with the effects ---
+
+def vector(parameters: dict, name: str) -> list[float]:
+    value = parameters[name]['value']
+    return list(value) if isinstance(value, list) else [value]
+
+
+def ball(parameters: dict) -> list[float]:
+    """Mass, first moment and inertia about the link's origin of the simulator's solid ball."""
+    (mass,), centre = vector(parameters, 'mass'), np.array(vector(parameters, 'centre'))
+    inertia = mass * (0.4 * PAYLOAD_RADIUS_M**2 * np.eye(3) + centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return [mass, *(mass * centre), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+
+
+def sine(parameters: dict) -> list[float]:
+    (phase,), force = vector(parameters, 'phase'), np.array(vector(parameters, 'force'))
+    return [*(math.cos(phase) * force), *(math.sin(phase) * force)]
+
+
+def spring(parameters: dict) -> list[float]:
+    (stiffness,), (rest,) = vector(parameters, 'stiffness'), vector(parameters, 'rest_position')
+    return [stiffness, -stiffness * rest]
+
+
+def ripple(parameters: dict) -> list[float]:
+    (amplitude,), (phase,) = vector(parameters, 'amplitude'), vector(parameters, 'phase')
+    return [amplitude * math.cos(phase), amplitude * math.sin(phase)]
+
+
+def crosstalk(parameters: dict) -> dict[str, float]:
+    channels = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
+    matrix = parameters['crosstalk']['value']
+    return {f'{to}_from_{by}': matrix[i][j] for i, to in enumerate(channels) for j, by in enumerate(channels)
+            if i != j}
+
+
+def same(*names: str):
+    """Coefficients that both call by these names, in this order."""
+    return lambda parameters: [value for name in names for value in vector(parameters, name)]
+
+
+SIZE = 0.1
+"""RMS of the effects over the outputs' standard deviation."""
+EXACT = 5e-3
+"""Share of a difference that the steps of the simulator's encoders and converters leave."""
+BRISTLE = {'presliding': 1e-3}
+"""The simulator's friction is carried by bristles that need this way to turn over [rad]."""
+
+# kind: (nonlinear parameters from the truth, coefficients from the truth, share of the difference left unexplained)
+COLUMNS = {
+    'payload': (lambda p: {}, ball, EXACT),
+    'external_force': (lambda p: {}, same('force'), EXACT),
+    'viscous_drag': (lambda p: {}, same('drag'), EXACT),
+    'quadratic_drag': (lambda p: {}, same('drag'), EXACT),
+    'sensor_offset': (lambda p: {}, same('offset'), EXACT),
+    'sensor_drift': (lambda p: {}, same('rate'), EXACT),
+    'thermal_drift': (lambda p: {'time_constant_s': p['time_constant_s']['value']}, same('drift'), EXACT),
+    'periodic_disturbance': (lambda p: {'frequency_hz': p['frequency']['value'], 'directions': 3.0,
+                                        'link_axes': 1.0}, sine, EXACT),
+    'viscous_friction': (lambda p: {}, same('viscous'), EXACT),
+    'rotor_inertia': (lambda p: {}, same('inertia'), EXACT),
+    'joint_spring': (lambda p: {}, spring, EXACT),
+    'effort_offset': (lambda p: {}, same('offset'), EXACT),
+    'transmission_ripple': (lambda p: {'order': p['order']['value']}, ripple, EXACT),
+    'coulomb_friction': (lambda p: BRISTLE, same('coulomb'), 0.05),
+    'load_friction': (lambda p: BRISTLE, same('load_coefficient'), 0.05),
+    'stribeck_friction': (lambda p: {**BRISTLE, 'stribeck_speed': p['stribeck_velocity']['value']},
+                          same('coulomb', 'stiction'), 0.2),  # LuGre's bristle is stiffer where it may bend farther
+    'asymmetric_friction': (lambda p: BRISTLE, same('coulomb_forward', 'coulomb_backward', 'viscous_forward',
+                                                 'viscous_backward'), 0.05),
+}
+
+# kind: (calibrations from the truth, share of the difference left unexplained)
+CALIBRATIONS = {
+    'joint_offset': (lambda p: {'offset': p['offset']['value']}, EXACT),
+    'gravity_tilt': (lambda p: {name: p[name]['value'] for name in ('tilt_x', 'tilt_y')}, EXACT),
+    'sensor_misalignment': (lambda p: dict(zip(('rotation_x', 'rotation_y', 'rotation_z'),
+                                               p['rotation_vector']['value'], strict=True)), EXACT),
+    'sensor_crosstalk': (crosstalk, EXACT),
+    'sensor_gain': (None, EXACT),
+    'effort_gain': (lambda p: {'gain': p['gain']['value']}, EXACT),
+    'time_delay': (lambda p: {'delay_s': p['delay_s']['value']}, 0.05),
+}
+
+# Share left when the coefficients and an offset are fitted at the best place. The simulator's mechanism is another one
+# there (a taut rope, strands that rub), which the columns can only resemble.
+RESEMBLANCES = {'cable_spring': 0.02, 'cable_hysteresis': 0.4}
+
+# The simulator's disturbance shakes a link, which moves every joint's effort; as an effect it acts on one joint.
+NOT_ALIKE = {('periodic_disturbance', 'effort')}
+
+
+def acting(table: dict) -> list[tuple[str, str]]:
+    """(kind, outputs) for every output on which a kind of the table acts alike in both."""
+    return [(kind, outputs) for kind in table for outputs in kinds()[kind].outputs
+            if (kind, outputs) not in NOT_ALIKE]
+
+
+def simulated(kind: str, outputs: str, rate_hz: float = 20.0):
+    """The same motion without noise, with the cause and without: body, samples without, difference, truth."""
+    scenario = Scenario(motion='circle_xy', samples=600, rate_hz=rate_hz, outputs=outputs, noise=0.0,
+                        encoder_noise=0.0, seed=3,
+                        effects=(EffectRequest(kind, size=1.0),))
+    changed, plain = simulate(scenario), simulate(replace(scenario, effects=()))
+    np.testing.assert_array_equal(changed.position, plain.position)
+    return body_of(plain), samples_of(plain), changed.outputs - plain.outputs, changed.truth[0]
+
+
+def share(left: np.ndarray, whole: np.ndarray) -> float:
+    return float(np.linalg.norm(left) / np.linalg.norm(whole))
+
+
+@pytest.mark.parametrize(('kind', 'outputs'), acting(COLUMNS))
+def test_columns_times_true_coefficients_are_what_the_simulator_adds(kind, outputs):
+    shape, coefficients, accuracy = COLUMNS[kind]
+    body, samples, difference, truth = simulated(kind, outputs, 200.0 if 'friction' in kind else 20.0)
+    parameters = truth['parameters']
+    start = {} if truth['start_s'] is None else {'start_s': truth['start_s']}
+    effect = kinds()[kind](truth['where'], {**shape(parameters), **start}, rigid_body_of(body, samples))
+    columns, _ = effect.columns(body, samples, None)
+    assert share(columns @ coefficients(parameters) - difference, difference) < accuracy
+
+
+@pytest.mark.parametrize(('kind', 'outputs'), acting(CALIBRATIONS))
+def test_true_calibrations_give_what_the_simulator_changes(kind, outputs):
+    calibrations, accuracy = CALIBRATIONS[kind]
+    body, samples, difference, truth = simulated(kind, outputs)
+    where = None if kind == 'sensor_gain' else truth['where']
+    values = {f'gain_{truth["where"]}': truth['parameters']['gain']['value']} if calibrations is None \
+        else calibrations(truth['parameters'])
+    parameters = np.array(rigid_body_of(body, samples))
+    with_it, _ = CoupledColumns(body, [kinds()[kind](where, values)]).batch(samples)
+    without = body.regressors(samples)
+    found = with_it[:, :, :body.n_parameters] @ parameters - without @ parameters
+    assert share(found - difference, difference) < accuracy
+
+
+@pytest.mark.parametrize('kind', RESEMBLANCES)
+def test_columns_can_resemble_what_the_simulator_does_otherwise(kind):
+    body, samples, difference, _ = simulated(kind, 'wrench')
+    left = [share_left(kinds()[kind](where, dict(shape)), body, samples, difference)
+            for where in kinds()[kind].places(body)
+            for shape in kinds()[kind].searches(body, samples, where, difference)]
+    assert min(left) < RESEMBLANCES[kind]
+
+
+def share_left(effect: Effect, body: RigidBody, samples, difference: np.ndarray) -> float:
+    """What the effect and an offset leave of a difference, its mean aside.
+
+    The first second is left out: the simulator's cable was bent before the recording began.
+    """
+    columns, _ = effect.columns(body, samples, None)
+    columns, wanted = (values[20:] - values[20:].mean(axis=0) for values in (columns, difference))
+    columns, wanted = columns.reshape(-1, columns.shape[2]), wanted.ravel()
+    return share(wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0], wanted)
+
+
+def rigid_body_of(body: RigidBody, samples) -> tuple[float, ...]:
+    """(p,) base parameters of the simulated arm, whose inertias are not those of the description."""
+    offset = np.broadcast_to(np.eye(6), (len(samples), 6, 6)) if body.outputs == 'wrench' \
+        else np.zeros((len(samples), body.n_outputs, 0))
+    columns = np.concatenate([body.regressors(samples), offset], axis=2)
+    columns = columns.reshape(-1, columns.shape[2])
+    theta, *_ = np.linalg.lstsq(columns, samples.outputs.ravel(), rcond=1e-13)
+    assert share(samples.outputs.ravel() - columns @ theta, samples.outputs) < EXACT * SIZE
+    return tuple(theta[:body.n_parameters].tolist())
+
+
+def test_text_forms_are_json_of_numbers():
+    text = effect_to_text(kinds()['thermal_drift'](None, {'time_constant_s': 12.5}))
+    assert text == 'thermal_drift{"time_constant_s": 12.5}'
+    assert json.loads(text.removeprefix('thermal_drift')) == {'time_constant_s': 12.5}
