@@ -93,7 +93,7 @@ def test_predictive_deviations_are_those_of_the_errors(trained, recording):
     _, predictions = trained
     late = predictions[-150:]
     standardised = np.array([(p.sample.outputs - p.mean) / p.std for p in late])
-    widest = 2.5 if trained[0].variant.selection == 'ml' else 6.0  # a validation set chooses means, not deviations
+    widest = 2.5 if trained[0].variant.selection == 'ml' else 10.0  # a validation set: of the window's errors
     assert 1 / widest < np.sqrt(np.mean(standardised**2)) < widest
 
 
