@@ -10,13 +10,14 @@ from node_helpers import BODY, SETTINGS, URDF, DelayedBackground, motion
 from semiparam_ros.core.model import Estimator
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import state_file
+from semiparam_ros.ros.answers import Outlets
 from semiparam_ros.ros.background import InlineBackground, ProcessBackground
 from semiparam_ros.ros.clock_watch import ClockWatch
 from semiparam_ros.ros.contact_gate import ContactGate
 from semiparam_ros.ros.estimates import payload, quantities
 from semiparam_ros.ros.excitation import Excitation, conditioning
 from semiparam_ros.ros.history import History
-from semiparam_ros.ros.learner import Learner, Outlets
+from semiparam_ros.ros.learner import Learner
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.ros.answers import Answer
 from semiparam_ros.ros.estimates import quantities
 from semiparam_ros.ros.excitation import Excitation, conditioning
 from semiparam_ros.ros.inputs import Inputs
-from semiparam_ros.ros.learner import Answer, Learner
+from semiparam_ros.ros.learner import Learner
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENCE_S = 1.0

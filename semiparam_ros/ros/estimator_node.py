@@ -19,13 +19,14 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import diagnostics
+from semiparam_ros.ros.answers import Answer, Outlets
 from semiparam_ros.ros.background import ProcessBackground
 from semiparam_ros.ros.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.diagnosing import Diagnosing
 from semiparam_ros.ros.estimates import payload
 from semiparam_ros.ros.held_replies import HeldReplies
 from semiparam_ros.ros.inputs import Inputs, Sinks
-from semiparam_ros.ros.learner import Answer, Learner, Outlets
+from semiparam_ros.ros.learner import Learner
 from semiparam_ros.ros.messages import inertia_message
 from semiparam_ros.ros.outputs import Outputs
 from semiparam_ros.ros.parameters import Parameters

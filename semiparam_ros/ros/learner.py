@@ -7,9 +7,7 @@ in their order, so nothing is lost and the answers are those of an estimator tha
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,9 +15,9 @@ from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.model import Estimator, Prediction
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import jobs
+from semiparam_ros.ros.answers import Answer, Outlets
 from semiparam_ros.ros.background import Background
 from semiparam_ros.ros.company import MODEL_PARAMETERS, Company, same_model
 from semiparam_ros.ros.contact_gate import ContactGate, standardised_innovation
@@ -31,32 +29,6 @@ from semiparam_ros.settings.snapshot import Settings
 
 DRAIN_AT_ONCE = 20
 WAITING_AT_MOST = 200_000
-
-
-class Answer(NamedTuple):
-    """What is published of one sample."""
-
-    prediction: Prediction
-    residual: Array  # (n,) outputs minus prediction, in N and N m
-    innovation: float  # root mean square of the residual in predictive standard deviations
-    learnt: bool
-    contact: bool
-
-
-class Outlets(NamedTuple):
-    """Where a learner's results go.
-
-    ``answer`` receives each answer, ``errors`` the horizon errors that it completed, ``shadow`` a shadow variant and
-    those it completed, ``news`` a sentence for the log, ``switched`` whether a change of the model came about, and a
-    sentence, ``reverted`` the settings that stay after a change failed.
-    """
-
-    answer: Callable[[Answer], None]
-    errors: Callable[[HorizonErrors], None] = lambda errors: None
-    shadow: Callable[[str, HorizonErrors], None] = lambda variant, errors: None
-    news: Callable[[str], None] = lambda sentence: None
-    switched: Callable[[bool, str], None] = lambda success, sentence: None
-    reverted: Callable[[Settings], None] = lambda settings: None
 
 
 class Learner:

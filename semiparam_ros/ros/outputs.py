@@ -11,7 +11,7 @@ from std_msgs.msg import Bool
 
 from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.rigid_body import RigidBody
-from semiparam_ros.ros.learner import Answer
+from semiparam_ros.ros.answers import Answer
 from semiparam_ros.ros.messages import EffortMessage, HorizonMessage, WrenchMessage
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
