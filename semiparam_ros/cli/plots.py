@@ -28,9 +28,10 @@ def plot_indices(path: Path, scores: Mapping[str, Scores]) -> None:
     figure = Figure(figsize=(9.0, 2.6 * len(names) + 0.6), layout='constrained')
     panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
     for index, (name, panel) in enumerate(zip(names, panels, strict=True)):
-        for variant, score in scores.items():
+        for order, (variant, score) in enumerate(scores.items()):
             times, values = score.index_series()
-            panel.plot(times, values[:, index], linewidth=0.8, label=variant)
+            # The first variant, which the others are compared with, lies on top.
+            panel.plot(times, values[:, index], linewidth=0.8, label=variant, zorder=3.0 - 0.1 * order)
         panel.set(yscale='log', ylabel=LABELS[name])
         panel.grid(alpha=0.3)
     panels[-1].set_xlabel('time [s]')
