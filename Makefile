@@ -14,7 +14,7 @@ PYTHON ?= $(firstword $(foreach name,$(CANDIDATES),$(shell $(name) -c '$(SUITS)'
 
 setup: $(STAMP)
 
-$(STAMP): setup.py setup.cfg
+$(STAMP): setup.py setup.cfg Makefile
 	@test -x $(BIN)/python || test -n "$(PYTHON)" || \
 	    { echo 'make: no python3 of version 3.10 to 3.13 with the venv module was found (make setup PYTHON=...)' >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
