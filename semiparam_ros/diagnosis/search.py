@@ -13,6 +13,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.candidates import candidates
 from semiparam_ros.diagnosis.cross_validation import carries_over
+from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.ranking import (
     Trial,
     coarse_trial,
@@ -31,6 +32,7 @@ REFINED_AT_JOINT = 3
 LEAST_EVIDENCE = 12.0
 RIVAL_NATS = 6.0
 RIVAL_SHARE = 0.02
+MOST_RIVAL_SHARE = 0.2
 RIVAL_OVERLAP = 0.7
 KEPT_SHARE = 0.5
 MOST_ROUNDS = 12
@@ -112,6 +114,7 @@ def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) ->
     if not ranking or ranking[0].evidence < LEAST_EVIDENCE:
         return None
     chosen = [simplest(state, ranking)]
+    first_tried = list(chosen)
     after = declare(state, [chosen[0].effect])
     if not carries_over(state, after):
         return None
@@ -121,7 +124,8 @@ def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) ->
             further = declare(after, [again.effect])
             if carries_over(after, further):
                 chosen, after = [*chosen, again], further
-    rivals = tuple(rivals_of(state, trial, ranking) for trial in chosen)
+                first_tried.append(trial)
+    rivals = tuple(rivals_of(state, trial, ranking) for trial in first_tried)
     return Step(tuple(chosen), rivals, tuple(ranking), state, after)
 
 
@@ -147,8 +151,12 @@ def _other_joints(state: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]
 
 
 def as_good(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> list[Trial]:
-    """The other trials that explain the same thing about as well as the chosen one."""
-    tolerance = max(RIVAL_NATS, RIVAL_SHARE * chosen.evidence)
+    """The other trials that explain the same thing about as well as the chosen one.
+
+    What stays correlated after the chosen effect shows that no trial is the whole truth, and widens the tolerance.
+    """
+    correlation = float(correlation_times(chosen.residual[state.use]).mean())
+    tolerance = max(RIVAL_NATS, min(RIVAL_SHARE * correlation, MOST_RIVAL_SHARE) * chosen.evidence)
     return [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < tolerance
             and overlap(state, chosen, trial) > RIVAL_OVERLAP]
 
