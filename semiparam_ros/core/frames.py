@@ -14,7 +14,6 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
-
 LINKS_APART = 0.005
 MOST_LINKS = 6
 

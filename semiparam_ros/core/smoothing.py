@@ -41,7 +41,8 @@ def _smooth_joint(time: Array, position: Array, velocity: Array,
                   with_velocities: bool) -> tuple[Array, Array, Array]:
     step = float(np.median(np.diff(time)))
     centre = float(position.mean())
-    problem = _Problem(np.minimum(np.diff(time) / step, LONGEST_STEP), position - centre, velocity * step, with_velocities)
+    steps = np.minimum(np.diff(time) / step, LONGEST_STEP)
+    problem = _Problem(steps, position - centre, velocity * step, with_velocities)
     short = problem.head(TUNING_SAMPLES)
     best = minimize(short.cost, short.start(), method='Nelder-Mead', options={'maxfev': 160, 'fatol': 0.1})
     states = problem.states(best.x)
@@ -55,7 +56,7 @@ class _Problem:
         self.steps, self.position, self.velocity = steps, position, velocity
         self.use = (1.0, float(with_velocities))
         transition, noise = _transitions(steps)
-        precision = np.linalg.inv(noise)
+        precision = np.asarray(np.linalg.inv(noise), dtype=float)
         self._noise_logdet = float(np.linalg.slogdet(noise)[1].sum())
         back = np.swapaxes(transition, 1, 2) @ precision
         self._prior = _banded(back @ transition, -back, precision)

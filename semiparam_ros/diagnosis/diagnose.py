@@ -10,7 +10,7 @@ import numpy as np
 
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.blocks import interleaved_split, ranges
 from semiparam_ros.diagnosis.findings import Finding, findings
 from semiparam_ros.diagnosis.inputs import Inputs, best_inputs, resting
@@ -37,7 +37,7 @@ class Diagnosis:
     steps: list[Step]
     first: Fit
     final: Fit
-    held_out: Array
+    held_out: Mask
     before: Judgement
     after: Judgement
     inputs: Inputs
@@ -47,7 +47,7 @@ class Diagnosis:
     judged_by_step: list[Judgement] = field(default_factory=list)
     judged_elsewhere: str | None = None
     judged: Samples | None = None
-    judged_valid: Array | None = None
+    judged_valid: Mask | None = None
 
     @property
     def noise_floor_rmse(self) -> Array:
@@ -63,7 +63,8 @@ class Diagnosis:
                  'before': self.before.as_dict(), 'after': self.after.as_dict(),
                  'by_step': [judgement.as_dict() for judgement in self.judged_by_step],
                  'noise_floor_rmse': self.noise_floor_rmse.tolist(), 'held_out': self._held_out(),
-                 'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion, 'samples_averaged': self.inputs.factor,
+                 'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion,
+                 'samples_averaged': self.inputs.factor,
                  'setup': [problem._asdict() for problem in self.setup], 'notes': self.notes}
         return found | {'unexplained': self.structure.as_dict() if self.structure else None}
 
@@ -74,7 +75,7 @@ class Diagnosis:
         return {'recording': self.judged_elsewhere, 'ranges': parts}
 
 
-def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), use: Array | None = None,
+def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), use: Mask | None = None,
              other: tuple[str, Samples] | None = None, only: Sequence[str] = (),
              progress: Progress = lambda words, share: None) -> Diagnosis:
     """Find what the model lacks in one recording.
@@ -137,7 +138,7 @@ def considered(body: RigidBody, only: Sequence[str] = ()) -> dict[str, type[Effe
     return {name: kind for name, kind in known.items() if not only or name in only}
 
 
-def _fitting(samples: Samples, use: Array | None, judged_elsewhere: bool) -> Array:
+def _fitting(samples: Samples, use: Mask | None, judged_elsewhere: bool) -> Mask:
     if use is not None:
         return use
     return np.ones(len(samples), dtype=bool) if judged_elsewhere else interleaved_split(len(samples))
@@ -156,6 +157,6 @@ def verdict(first: Fit, final: Fit, steps: list[Step], structure: Structure | No
     return 'effect_found' if steps else 'nothing_missing'
 
 
-def _left_out(valid: Array) -> list[str]:
+def _left_out(valid: Mask) -> list[str]:
     count = int((~valid).sum())
     return [f'{count} of {len(valid)} samples next to gaps and shocks took no part.'] if count else []

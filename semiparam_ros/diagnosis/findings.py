@@ -49,7 +49,7 @@ class Finding:
 def findings(state: Fit, steps: list[Step]) -> list[Finding]:
     """Every effect of the final model that a step added, in that order, with its final values."""
     deviations = coefficient_deviations(state)
-    found = []
+    found: list[Finding] = []
     for number, step in enumerate(steps, start=1):
         for trial, rivals in zip(step.added, step.rivals, strict=True):
             index = _index_in(state, trial.effect, [finding.effect for finding in found])

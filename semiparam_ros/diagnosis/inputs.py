@@ -1,8 +1,8 @@
 """The samples that a diagnosis works on: the better of the recorded and the smoothed motion, at a working rate.
 
 Accelerations estimated causally from 20 Hz velocities miss several times the sensor's noise, and everything then looks
-like an effect; a recording is there as a whole, so it can be smoothed. Arms move slowly against a fast recording's rate:
-averaging neighbouring samples loses nothing of the motion and takes white noise out of the outputs.
+like an effect; a recording is there as a whole, so it can be smoothed. Arms move slowly against a fast recording's
+rate: averaging neighbouring samples loses nothing of the motion and takes white noise out of the outputs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.smoothing import smoothed
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.cross_validation import fold_losses
 from semiparam_ros.diagnosis.regression import fit, refit_weights, residual_scale
 from semiparam_ros.effects import Effect
@@ -35,20 +35,20 @@ class Inputs(NamedTuple):
         """Another recording of the same robot, prepared alike."""
         return averaged(moved(samples, self.motion), self.factor)
 
-    def mask(self, mask: Array) -> Array:
+    def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true."""
         groups = len(mask) // self.factor
         return np.asarray(mask[:groups * self.factor].reshape(groups, self.factor).all(axis=1))
 
 
-def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Array) -> Inputs:
+def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Mask) -> Inputs:
     """The motion with which the declared model predicts unseen blocks best, and the factor to the working rate."""
     rate = 1e9 / float(np.median(np.diff(samples.stamps)))
     factor = max(int(rate / WORKING_RATE_HZ), 1)
     options = {name: Inputs(name, factor) for name in OPTIONS}
     outputs = samples.outputs[use]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
-    losses = {}
+    losses: dict[str, float] = {}
     for name, inputs in options.items():
         state = fit(body, inputs.prepare(samples), effects, inputs.mask(use), scale)
         if not losses:
@@ -77,7 +77,7 @@ def averaged(samples: Samples, factor: int) -> Samples:
                    mean(samples.outputs), samples.origin)
 
 
-def resting(samples: Samples) -> Array:
+def resting(samples: Samples) -> Mask:
     """(N,) true where no joint moves: static friction then holds any effort, so efforts there tell nothing."""
     speed = np.abs(samples.velocity)
     return np.asarray((speed < REST_SHARE * speed.max(axis=0)).all(axis=1))

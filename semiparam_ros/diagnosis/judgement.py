@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.blocks import ranges
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
@@ -69,7 +69,7 @@ def _horizon_shares(residual: Array, outputs: Array) -> Array:
     return np.asarray(sums[0] / np.maximum(sums[1], 1e-300))
 
 
-def judge_here(state: Fit, held_out: Array) -> Judgement:
+def judge_here(state: Fit, held_out: Mask) -> Judgement:
     """The model on held-out samples of its own recording."""
     parts, start = [], 0
     for low, high in ranges(held_out):
@@ -79,7 +79,7 @@ def judge_here(state: Fit, held_out: Array) -> Judgement:
                      state.body.outputs == 'wrench')
 
 
-def judge_there(state: Fit, samples: Samples, valid: Array) -> Judgement:
+def judge_there(state: Fit, samples: Samples, valid: Mask) -> Judgement:
     """The model on another recording: what began during the first one counts as there from the start.
 
     What belongs to the first recording's own clock (a drift, a phase) is left out.

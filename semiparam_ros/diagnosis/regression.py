@@ -13,7 +13,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.effects import Effect
 
 GAMMA = 1.0
@@ -41,7 +41,7 @@ class Fit:
     body: RigidBody
     samples: Samples
     effects: tuple[Effect, ...]
-    use: Array
+    use: Mask
     scale: Array
     columns: Array
     theta: Array
@@ -85,7 +85,7 @@ class Fit:
         return 1.0 / (GAMMA * CoupledColumns(self.body, self.effects).prior_scale) ** 2
 
 
-def fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Array, scale: Array) -> Fit:
+def fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Mask, scale: Array) -> Fit:
     """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description."""
     assembly = CoupledColumns(body, effects)
     columns, _ = assembly.batch(samples)

@@ -10,7 +10,7 @@ import numpy as np
 
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.candidates import candidates
 from semiparam_ros.diagnosis.cross_validation import carries_over
 from semiparam_ros.diagnosis.noise import correlation_times
@@ -58,7 +58,7 @@ class Step:
     after: Fit
 
 
-def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Array) -> Fit:
+def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Mask) -> Fit:
     """The declared model, each channel weighed by its own residual."""
     outputs = samples.outputs[use]
     state = fit(body, samples, effects, use, residual_scale(outputs - outputs.mean(axis=0), outputs))
@@ -68,13 +68,19 @@ def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], u
 def search(state: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda words, share: None) -> list[Step]:
     """Add effects to the declared model until none is significant."""
     steps: list[Step] = []
-    for round_number in range(MOST_ROUNDS):
-        step = next_step(state, kinds, lambda words, share, n=round_number: progress(f'round {n + 1}: {words}', share))
+    while len(steps) < MOST_ROUNDS:
+        step = next_step(state, kinds, _in_round(progress, len(steps) + 1))
         if step is None:
             break
         steps.append(step)
         state = step.after
     return steps
+
+
+def _in_round(progress: Progress, number: int) -> Progress:
+    def report(words: str, share: float) -> None:
+        progress(f'round {number}: {words}', share)
+    return report
 
 
 def ranked(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> list[Trial]:

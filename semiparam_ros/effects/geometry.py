@@ -72,11 +72,17 @@ class TimeDelay(Effect):
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         past = _Past(samples.stamps, samples.position, samples.velocity, samples.acceleration)
         if memory is not None:
-            past = _Past(*(np.concatenate(pair) for pair in zip(memory, past, strict=True)))
+            past = _joined(memory, past)
         wanted = samples.stamps - round(self.value('delay_s') * 1e9)
         inputs = _interpolated(past, wanted, np.arange(len(past.stamps) - len(samples), len(past.stamps)))
         delayed = replace(samples, position=inputs[0], velocity=inputs[1], acceleration=inputs[2])
-        return body, delayed, _Past(*(column[-self.kept:] for column in past))
+        return body, delayed, _Past(past.stamps[-self.kept:], past.position[-self.kept:], past.velocity[-self.kept:],
+                                    past.acceleration[-self.kept:])
+
+
+def _joined(before: _Past, after: _Past) -> _Past:
+    stamps, *motion = (np.concatenate(pair) for pair in zip(before, after, strict=True))
+    return _Past(stamps, *motion)  # type: ignore[arg-type]
 
 
 def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, Array, Array]:

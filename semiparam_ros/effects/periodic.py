@@ -19,7 +19,7 @@ PEAKS = 4
 
 
 class PeriodicDisturbance(Effect):
-    """A sine and a cosine: in the sensor's axes, as a force at a link along its own or the base's axes, or on a joint."""
+    """A sine and a cosine: in the sensor's axes, at a link along its own or the base's axes, or on a joint."""
 
     kind: ClassVar[str] = 'periodic_disturbance'
     refine_link: ClassVar[bool] = True

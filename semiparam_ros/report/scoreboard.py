@@ -76,8 +76,8 @@ def case(plan: Plan, kind: str, size: float, seed: int) -> dict[str, Any]:
 
 def body_of(recording: SimulatedRecording) -> RigidBody:
     """The rigid body that a user would declare: the description, not the true inertias."""
-    return RigidBody.from_urdf(recording.urdf, recording.joint_names, recording.outputs_kind, recording.frame_id or None,
-                               recording.convention)
+    return RigidBody.from_urdf(recording.urdf, recording.joint_names, recording.outputs_kind,
+                               recording.frame_id or None, recording.convention)
 
 
 def samples_of(recording: SimulatedRecording) -> Samples:

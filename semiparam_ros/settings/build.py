@@ -12,7 +12,7 @@ from semiparam_ros.settings import robot_description as description
 from semiparam_ros.settings.table import Table
 
 if TYPE_CHECKING:
-    from semiparam_ros.core.columns import Effect
+    from semiparam_ros.effects import Effect
     from semiparam_ros.core.window import LengthScales, Noise
 
 
