@@ -1,10 +1,14 @@
 """How the node bears a fast robot: joint states and wrenches at a steady rate over real DDS, every answer timed.
 
 The node is a process of its own; this process publishes, receives the predictions and watches the node's memory.
+
+    python -m semiparam_ros.ros.live_benchmark --rate 1000 --seconds 60 --features 500
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import subprocess
 import sys
@@ -51,6 +55,7 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
                         features_count=features, initial_samples=WINDOW)
     motion = Motion(build_rigid_body(settings), rate_hz)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
     with _node_process(settings) as process, _peer() as peer:
         peer.wait_for_estimator(process)
         peer.send(motion, WINDOW, rate_hz)
@@ -210,3 +215,19 @@ def _usage(process_id: int) -> tuple[float, float]:
     resident = next(int(line.split()[1]) for line in status.splitlines() if line.startswith('VmRSS'))
     fields = Path(f'/proc/{process_id}/stat').read_text(encoding='ascii').rpartition(')')[2].split()
     return resident / 1024.0, (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
+def main() -> int:
+    """The result as JSON; 1 when something was lost."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--rate', type=float, default=1000.0, help='joint states and wrenches a second (default 1000)')
+    parser.add_argument('--seconds', type=float, default=60.0, help='length of the measurement (default 60)')
+    parser.add_argument('--features', type=int, default=500, help='number of random features (default 500)')
+    options = parser.parse_args()
+    result = run_live(options.rate, options.seconds, options.features)
+    print(json.dumps(result, indent=2))
+    return int(result['lost'] > 0)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
