@@ -45,7 +45,7 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
     for colour, replacement in _PAGE_COLOURS.items():
         text = text.replace(colour, replacement)
-    text = re.sub(r'\bid="(?!DejaVu)([\w-]+)"', rf'id="{name}-\1"', text)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
     text = re.sub(r'(url\(#|href="#)', rf'\1{name}-', text)
     # the width is the page's affair; the view box keeps the proportions
     text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r'\1', re.sub(r'(<svg[^>]*?) height="[^"]*"', r'\1', text, count=1),

@@ -1,0 +1,268 @@
+"""`semiparam fit` and `semiparam compare` on recordings of a simulated arm: figures, places to run, and mistakes."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+import recordings
+from recordings import FRAME, JOINTS, write_arm
+
+from semiparam_ros.cli.main import main
+from semiparam_ros.core.hyperparameters import Hyperparameters
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.report.comparison import parallel
+from semiparam_ros.report.comparison.figures import Spread, VariantFigures, index_figures, mode_figures
+from semiparam_ros.report.comparison.findings import findings_of, verdict
+from semiparam_ros.report.comparison.runs import Trace
+from semiparam_ros.settings import Settings, dump_params, load_params
+
+INITIAL = 150
+PARAMETERS = {'sensor_frame': FRAME, 'joints': list(JOINTS), 'features.count': 20, 'features.length_scales': 'one',
+              'initial.samples': INITIAL, 'horizon.length': 5}
+QUICK = ['--variant', 'P', '--variant', 'SPK-ML', '--variant', 'SP2-VS', '--subsets', '2', '--seeds', '2',
+         '--starts', '1']
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """Two recordings and a parameter file."""
+    folder = tmp_path_factory.mktemp('compare')
+    write_arm(folder / 'train.mcap', 300, seed=1)
+    write_arm(folder / 'test.mcap', 160, seed=2)
+    dump_params(Settings.from_mapping(PARAMETERS), folder / 'arm.yaml')
+    return folder
+
+
+@pytest.fixture(scope='module')
+def compare(folder):
+    """Runs the command and returns its JSON document and its page."""
+    def run(*options, jobs=1):
+        arguments = [folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml', '--jobs', jobs,
+                     '-o', folder / 'page.html', '--json', folder / 'result.json', *options]
+        assert main(['compare', *map(str, arguments)]) == 0
+        return json.loads((folder / 'result.json').read_text()), (folder / 'page.html').read_text()
+    return run
+
+
+@pytest.fixture(scope='module')
+def quick(compare):
+    return compare(*QUICK)
+
+
+def without_times(document):
+    """Everything that must not depend on where and how fast it ran."""
+    for variant in document['variants'].values():
+        variant.pop('fit_seconds')
+    return document
+
+
+def test_the_document_holds_every_figure(quick):
+    document, _ = quick
+    assert (document['schema'], document['command']) == (1, 'compare')
+    assert document['subsets'] == [[0, 80], [80, 160]]
+    assert list(document['variants']) == ['P', 'SPK-ML', 'SP2-VS']
+    for name, variant in document['variants'].items():
+        assert variant['seeds'] == ([0] if name == 'P' else [0, 1])
+        for mode in ('learning', 'frozen'):
+            figures = variant[mode]
+            assert len(figures['nmse']['values']) == len(variant['seeds'])
+            assert (figures['nmse']['std'] is None) == (name == 'P')
+            assert figures['nmse']['mean'] == pytest.approx(np.mean(figures['nmse_by_output']))
+            assert 0.5 < figures['coverage']['mean'] <= 1.0
+        assert 0.0 < variant['eps_force']['first_60_s']['mean'] < 0.1
+        # four seconds a subset: nothing is steady
+        assert variant['eps_torque']['steady_state'] is None
+
+
+def test_it_is_the_estimator_of_evaluate(compare, folder):
+    """With one subset, the same samples in the same order: the same figures."""
+    document, _ = compare('--variant', 'SPK-ML', '--subsets', '1', '--seeds', '1')
+    for mode, option in (('learning', []), ('frozen', ['--frozen'])):
+        path = folder / 'evaluate.json'
+        assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--params',
+                     str(folder / 'arm.yaml'), '--json', str(path), *option]) == 0
+        evaluated = json.loads(path.read_text())['variants']['SPK-ML']
+        compared = document['variants']['SPK-ML']
+        assert compared[mode]['nmse_by_output'] == pytest.approx(evaluated['nmse'], rel=1e-9)
+        if mode == 'learning':
+            early = compared['eps_force']['first_30_s']['mean']
+            assert early == pytest.approx(evaluated['eps_force']['mean'], rel=1e-9)
+
+
+def test_several_processes_change_nothing(quick, compare):
+    assert without_times(compare(*QUICK, jobs=2)[0]) == without_times(quick[0])
+
+
+def test_a_dask_cluster_of_two_processes_changes_nothing(quick, compare):
+    if os.environ.get('CI', '').lower() != 'true':
+        pytest.importorskip('distributed')
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
+                      host='127.0.0.1') as cluster:
+        document, _ = compare(*QUICK, '--scheduler', cluster.scheduler_address)
+        tasks = cluster.scheduler.transition_counter
+    assert tasks > 0
+    assert without_times(document) == without_times(quick[0])
+
+
+def test_all_seven_models_are_compared_unless_told(compare, folder):
+    document, page = compare('--subsets', '1', '--seeds', '1', '--starts', '1', '--grid-tau', '1', '4')
+    assert list(document['variants']) == list(VARIANTS)
+    assert [finding['name'] for finding in document['findings']] == [
+        'parametric_is_worst', 'likelihood_beats_validation', 'semi_parametric_is_best_average',
+        'semi_parametric_is_best_spread', 'others_are_close']
+    assert document['findings'][0]['holds'] is None  # too short to have a steady state
+    assert all(variant in page for variant in VARIANTS)
+    assert document['verdict'] in page
+
+
+def test_the_fitted_file_gives_what_was_fitted(folder):
+    fitted, document = folder / 'fitted.yaml', folder / 'fit.json'
+    assert main(['fit', str(folder / 'train.mcap'), '--params', str(folder / 'arm.yaml'), '-o', str(fitted), '--json',
+                 str(document), '--jobs', '1']) == 0
+    settings, found = load_params(fitted), json.loads(document.read_text())['hyperparameters']
+    assert settings.hyperparameters_sigma == (found['sigma'],)
+    assert settings.hyperparameters_tau == tuple(found['tau'])
+    assert len(settings.hyperparameters_input_mean) == 12
+
+    results = []
+    for params in ('arm.yaml', 'fitted.yaml'):
+        assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--frozen',
+                     '--params', str(folder / params), '--json', str(folder / 'out.json')]) == 0
+        results.append(json.loads((folder / 'out.json').read_text())['variants']['SPK-ML']['nmse'])
+    assert results[0] == pytest.approx(results[1], rel=1e-6)
+
+
+@pytest.mark.parametrize('variant', VARIANTS)
+def test_a_file_of_every_variant_loads(folder, variant):
+    fitted = folder / f'{variant}.yaml'
+    assert main(['fit', str(folder / 'train.mcap'), '--params', str(folder / 'arm.yaml'), '-o', str(fitted), '--jobs',
+                 '1', '--starts', '1', '--variant', variant, '--grid-tau', '1', '4']) == 0
+    assert load_params(fitted).variant == variant
+    assert main(['evaluate', str(folder / 'test.mcap'), '--params', str(fitted)]) == 0
+
+
+def complaint(capsys, *arguments):
+    """The one sentence with which a command refuses."""
+    assert main([*map(str, arguments)]) == 2
+    sentence = capsys.readouterr().err.strip().splitlines()[-1]
+    assert 'Traceback' not in sentence
+    return sentence
+
+
+@pytest.mark.parametrize(('options', 'sentence'), [
+    (['--subsets', '0'], '0 subsets'), (['--subsets', '40'], 'more than the horizon of 5'),
+    (['--subset-samples', '100'], 'more than the 160'), (['--train-samples', '100'], 'initial window'),
+    (['--seeds', '0'], '--seeds is 0'), (['--jobs', '0'], '--jobs is 0'),
+    (['--grid-tau', '1', '--grid-ratio', '0.1'], 'one point'), (['--variant', 'SPX'], "'SPX' is unknown"),
+    (['-o', '/nowhere/page.html'], 'no folder /nowhere')])
+def test_a_senseless_request_is_refused_in_one_sentence(folder, capsys, options, sentence):
+    page = folder / 'refused.html'
+    assert sentence in complaint(capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params',
+                                 folder / 'arm.yaml', '-o', page, *options)
+    assert not page.exists()
+
+
+def test_recordings_of_different_robots_are_refused(folder, capsys, tmp_path, monkeypatch):
+    (tmp_path / 'other.urdf').write_text(recordings.URDF.read_text().replace('<mass value="', '<mass value="1'))
+    monkeypatch.setattr(recordings, 'URDF', tmp_path / 'other.urdf')
+    other = write_arm(tmp_path / 'other.mcap', 200, seed=3)
+    assert 'different robot descriptions' in complaint(
+        capsys, 'compare', folder / 'train.mcap', other, '--params', folder / 'arm.yaml', '-o', tmp_path / 'p.html')
+
+
+def test_a_channel_that_stands_still_is_named(capsys, tmp_path):
+    table = np.random.default_rng(0).normal(size=(300, 18))
+    table[:, 14] = 3.0
+    np.savetxt(tmp_path / 'still.dat', table)
+    still = tmp_path / 'still.mcap'
+    layout = recordings.URDF.with_name('icub_table.yaml')
+    assert main(['convert', str(tmp_path / 'still.dat'), str(still), '--columns', str(layout)]) == 0
+    settings = Settings.from_mapping(PARAMETERS | {'robot_description_file': str(recordings.URDF)})
+    dump_params(settings, tmp_path / 'arm.yaml')
+    assert 'output 2 (counted from 0) is constant' in complaint(
+        capsys, 'fit', still, '--params', tmp_path / 'arm.yaml', '-o', tmp_path / 'p.yaml')
+    assert not (tmp_path / 'p.yaml').exists()
+
+
+def test_a_cluster_that_does_not_answer_is_named(folder, capsys, monkeypatch):
+    pytest.importorskip('distributed')
+    monkeypatch.setattr(parallel, 'ANSWER_S', 0.5)
+    assert "no Dask scheduler answers at 'tcp://127.0.0.1:9'" in complaint(
+        capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml', '--scheduler',
+        'tcp://127.0.0.1:9', '-o', folder / 'unanswered.html')
+    assert not (folder / 'unanswered.html').exists()
+
+
+def trace(eps, errors=None, std=1.0, dt=0.1):
+    """A trace of two subsets' worth of samples with a given horizon index."""
+    eps = np.asarray(eps, dtype=float)
+    outputs = np.random.default_rng(0).normal(size=(len(eps), 6))
+    errors = np.full_like(outputs, 0.1) if errors is None else errors
+    return Trace(errors, outputs, np.full_like(outputs, std), np.zeros(len(eps)), dt * np.arange(len(eps)),
+                 np.repeat(eps[:, None], 6, axis=1))
+
+
+def test_indices_are_averaged_over_subsets_and_told_apart_by_phase():
+    falling = np.where(np.arange(1000) < 300, 3.0, 1.0)  # 30 s of 3, then 70 s of 1
+    found = index_figures([[trace(falling), trace(falling + 2.0)]], slice(0, 3))
+    assert found.first_30_s.mean == pytest.approx(4.0)
+    assert found.first_60_s.mean == pytest.approx(3.0)
+    assert found.steady_state == Spread(pytest.approx(2.0), None, (pytest.approx(2.0),))
+    assert found.spread.mean == 0.0
+
+
+def test_bands_are_counted():
+    rng = np.random.default_rng(1)
+    draws = [[trace(np.ones(4000), rng.normal(size=(4000, 6)), std)] for std in (1.0, 1.0)]
+    found = mode_figures(draws)
+    assert found.coverage.mean == pytest.approx(0.95, abs=0.01)
+    assert found.coverage_by_level[0] == pytest.approx(0.5, abs=0.02)
+    narrow = mode_figures([[trace(np.ones(4000), rng.normal(size=(4000, 6)), 0.5)]])
+    assert narrow.coverage.mean == pytest.approx(0.673, abs=0.02)
+
+
+def invented(**levels):
+    """Figures of variants whose index settles on a given level."""
+    found = {}
+    for variant, level in levels.items():
+        name = variant.replace('_', '-')
+        traces = [[trace(level * (1.0 + 0.1 * np.sin(np.arange(1000))))]]
+        indices = {'eps_force': index_figures(traces, slice(0, 3)), 'eps_torque': index_figures(traces, slice(3, 6))}
+        mode = mode_figures(traces)._replace(nmse=Spread(level, None, (level,)))
+        found[name] = VariantFigures(name, (0,), mode, mode, indices,
+                                     (Hyperparameters(1.0, 1.0, (1.0,), 1.0, (1.0,) * 6),), 0.0)
+    return found
+
+
+AS_IN_THE_PAPER = {'P': 1.0, 'NP_ML': 0.12, 'SP_ML': 0.1, 'SP2_ML': 0.11, 'SPK_ML': 0.1, 'NP_VS': 0.14, 'SP2_VS': 0.13}
+
+
+def test_the_papers_findings_hold_where_the_figures_say_so():
+    findings = findings_of(invented(**AS_IN_THE_PAPER))
+    assert [finding.holds for finding in findings] == [True] * 5
+
+
+@pytest.mark.parametrize(('change', 'fails'), [
+    ({'P': 0.13}, {'parametric_is_worst'}), ({'SP2_VS': 0.105}, {'likelihood_beats_validation'}),
+    ({'SPK_ML': 0.12}, {'semi_parametric_is_best_average', 'semi_parametric_is_best_spread'}),
+    ({'NP_VS': 0.2}, {'others_are_close'})])
+def test_a_finding_that_does_not_hold_is_said_not_to(change, fails):
+    figures = invented(**AS_IN_THE_PAPER | change)
+    findings = findings_of(figures)
+    assert {finding.name for finding in findings if not finding.holds} == fails
+    assert f'{5 - len(fails)} of 5 findings' in verdict(figures, findings)
+
+
+@pytest.mark.slow
+def test_findings_on_the_bundled_recordings(repository, tmp_path):
+    """One draw on a part of the bundled pair: P is the poorest by far, the others learn, and bands are honest."""
+    bags = [repository / 'bags' / name for name in ('icub_xy.mcap', 'icub_xz.mcap')]
+    path = tmp_path / 'result.json'
+    assert main(['compare', *map(str, bags), '--params', str(repository / 'config/icub_right_arm.yaml'), '--variant',
+                 'P', '--variant', 'SPK-ML', '--seeds', '1', '--subsets', '1', '--subset-samples', '1500',
+                 '--train-samples', '4000', '-o', str(tmp_path / 'p.html'), '--json', str(path)]) == 0
+    document = json.loads(path.read_text())
+    assert document['findings'][0]['holds'] is True
