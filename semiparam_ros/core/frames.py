@@ -72,6 +72,17 @@ def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     return FrameMotion(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
+def nearest_link(body: RigidBody, link: str, point: Array) -> str:
+    """Of the links beside ``link``, the one whose origin is nearest to a point (3,) given in the frame of ``link``."""
+    model = body.arm if body.distal is None else body.distal
+    place = model.frames[_frame(model, link, body)].placement.act(point)
+
+    def distance(name: str) -> float:
+        return float(np.linalg.norm(model.frames[_frame(model, name, body)].placement.translation - place))
+
+    return min(links_beside(body, link), key=distance)
+
+
 def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body."""
     model = body.arm if body.distal is None else body.distal

@@ -47,21 +47,22 @@ class Finding:
 
 
 def findings(state: Fit, steps: list[Step]) -> list[Finding]:
-    """Every effect of the final model that a step added, in that order, with its final values."""
+    """Every effect that a step added and the final model still holds, in that order, with its final values."""
     deviations = coefficient_deviations(state)
     found: list[Finding] = []
     for number, step in enumerate(steps, start=1):
         for trial, rivals in zip(step.added, step.rivals, strict=True):
             index = _index_in(state, trial.effect, [finding.effect for finding in found])
             if index is not None:
-                effect = state.effects[index]
-                found.append(Finding(effect, number, trial.evidence, _parameters(state, index, deviations), rivals))
+                found.append(Finding(state.effects[index], number, trial.evidence,
+                                     _parameters(state, index, deviations), rivals))
     return found
 
 
 def _index_in(state: Fit, effect: Effect, taken: list[Effect]) -> int | None:
-    same = [index for index, known in enumerate(state.effects)
-            if (known.kind, known.where) == (effect.kind, effect.where) and known not in taken]
+    """Where the model holds the effect now: at its place, or, as a load moves to the nearest link, with its start."""
+    same = [index for index, known in enumerate(state.effects) if known.kind == effect.kind and known not in taken
+            and (known.where == effect.where or known.start_s == effect.start_s is not None)]
     return same[0] if same else None
 
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from semiparam_ros.core.frames import links_beside
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.candidates import Candidate, added_columns, best_start, others
 from semiparam_ros.diagnosis.noise import correlation_times
@@ -174,9 +175,21 @@ def declare(state: Fit, effects: list[Effect]) -> Fit:
         same_place = [] if effect.must_start else others(state, effect)
         known = list(state.effects) if effect.must_start else same_place
         state = fit(state.body, state.samples, [*known, effect], state.use, state.scale)
-    state = refit_weights(state)
+    state = _loads_at_nearest_link(refit_weights(state))
     calibrations = [effect for effect in state.effects if effect.is_calibration]
     return refit_weights(gauss_newton(state, calibrations)) if calibrations else state
+
+
+def _loads_at_nearest_link(state: Fit) -> Fit:
+    """The same model with every load named after the link nearest to its centre of mass."""
+    effects = list(state.effects)
+    blocks = CoupledColumns(state.body, effects).blocks
+    for index, effect in enumerate(effects):
+        if effect.kind == 'payload':
+            mass, *moment = state.theta[blocks[str(index)]][:4]
+            link = nearest_link(state.body, str(effect.where), np.array(moment) / mass) if mass > 0.0 else effect.where
+            effects[index] = replace(effect, where=link)
+    return state if effects == list(state.effects) else fit(state.body, state.samples, effects, state.use, state.scale)
 
 
 def correlation_of(state: Fit, trials: Sequence[Trial]) -> Array:
