@@ -137,12 +137,14 @@ class Learner:
 
     def _drain(self) -> None:
         """Answer some of those that waited, then let other callbacks in."""
-        for _ in range(DRAIN_AT_ONCE):
-            if self.busy or not self.waiting:
-                return
-            self._take(self.waiting.popleft())
-        if self.waiting:
-            self._background.later(self._drain)
+        try:
+            for _ in range(DRAIN_AT_ONCE):
+                if self.busy or not self.waiting:
+                    return
+                self._take(self.waiting.popleft())
+        finally:  # a sample that cannot be answered must not keep the others waiting
+            if self.waiting and not self.busy:
+                self._background.later(self._drain)
 
     # Changes of the model
 
