@@ -76,7 +76,7 @@ def described(hidden: Hidden, change: Array, scale: Array, fit: RigidBodyFit) ->
     quantities = {name: {'value': np.asarray(entry.value).tolist(), 'unit': entry.unit}
                   for name, entry in hidden.cause.parameters(hidden.magnitude).items()}
     return {'kind': hidden.cause.kind, 'where': hidden.cause.where, 'start_s': hidden.cause.start_s,
-            'size': share(change, scale) / SHARE_OF_SIZE, 'rms_share': share(change, scale),
+            'size': round(share(change, scale) / SHARE_OF_SIZE, 9), 'rms_share': share(change, scale),
             'unexplained_share': fit.unexplained(change), 'parameters': quantities}
 
 

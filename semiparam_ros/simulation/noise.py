@@ -10,7 +10,7 @@ from semiparam_ros.simulation.trajectory import Instants
 OUTPUT_NOISE_SHARE = 0.02
 POSITION_NOISE = 1e-4
 VELOCITY_NOISE = 2e-3
-ACCELERATION_NOISE = 5e-2
+ACCELERATION_NOISE = 2e-2
 ENCODER_STEP = 2 * np.pi / 2**16
 # Converters' steps, powers of two: bags compress well, and the last bits of a processor's arithmetic do not show.
 VELOCITY_STEP, ACCELERATION_STEP = 2.0**-14, 2.0**-11

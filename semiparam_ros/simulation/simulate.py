@@ -29,7 +29,7 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
     """
     check(scenario)
     moving, measuring, causing, warming = np.random.default_rng(scenario.seed).spawn(4)
-    building, inheriting = robot_generators(scenario)
+    building, inheriting, mounting = robot_generators(scenario)
     arm = varied(arm_of(scenario), building)
     homes = homes_of(scenario, arm)
     bare = moved(arm, scenario.motion, scenario.samples, scenario.rate_hz, homes, moving)
@@ -39,13 +39,14 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
         reference = moved(arm, REFERENCE_MOTION, round(REFERENCE_S * REFERENCE_HZ), REFERENCE_HZ, homes, inheriting)
         world, extra = with_baseline(bare, reference, scale, inheriting, warming)
     world, truth = add_effects(world, scenario.effects, scale, causing)
-    return measured(scenario, world, scale, measuring, truth, extra)
+    offset = noise.constant_offset(mounting) if arm.outputs == 'wrench' else np.zeros(arm.n_joints)
+    return measured(scenario, world, offset, scale, measuring, truth, extra)
 
 
 def robot_generators(scenario: Scenario) -> list[np.random.Generator]:
-    """For the inertias and for the other peculiarities of one robot."""
+    """For the inertias, the other peculiarities and the sensor's constant offset of one robot."""
     seed = scenario.seed if scenario.robot_seed is None else scenario.robot_seed
-    return np.random.default_rng(seed).spawn(6)[4:]
+    return np.random.default_rng(seed).spawn(7)[4:]
 
 
 def moved(arm: Arm, motion: str, samples: int, rate_hz: float, homes: Homes, rng: np.random.Generator) -> World:
@@ -54,13 +55,12 @@ def moved(arm: Arm, motion: str, samples: int, rate_hz: float, homes: Homes, rng
     return World(arm, trajectory(arm, motion, float(times[-1]), homes, rng), times, np.zeros(arm.n_joints))
 
 
-def measured(scenario: Scenario, world: World, scale: Array, rng: np.random.Generator, truth: list[dict[str, Any]],
-             extra: list[dict[str, Any]]) -> SimulatedRecording:
-    """What encoders and sensors report of the world: noise on everything, a wrench with its sensor's offset."""
+def measured(scenario: Scenario, world: World, offset: Array, scale: Array, rng: np.random.Generator,
+             truth: list[dict[str, Any]], extra: list[dict[str, Any]]) -> SimulatedRecording:
+    """What encoders and sensors report of the world: noise on everything, and the sensor's constant ``offset``."""
     noise_std = scenario.noise * noise.OUTPUT_NOISE_SHARE * scale
     position, velocity, acceleration = noise.joint_readings(world.trajectory.at(world.times), scenario.encoder_noise,
                                                             rng)
-    offset = noise.constant_offset(rng) if world.arm.outputs == 'wrench' else 0.0
     return SimulatedRecording(
         stamps=START_NS + np.round(world.times * 1e9).astype(np.int64), joint_names=world.arm.joints,
         position=position, velocity=velocity, acceleration=acceleration if scenario.accelerations else None,

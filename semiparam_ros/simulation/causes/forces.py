@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from semiparam_ros.simulation.arrays import Array
 from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start, since
+from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.trajectory import Instants
 from semiparam_ros.simulation.wander import unit_vector
 from semiparam_ros.simulation.world import Body, World
@@ -88,9 +89,13 @@ class PeriodicDisturbance(FrameForce):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         rate = 1.0 / float(np.median(np.diff(site.world.times)))
-        frequency = float(site.rng.uniform(0.025, 0.4)) * rate
-        return cls(site.frame(), known_start(site.from_beginning()), unit_vector(site.rng), frequency,
-                   float(site.rng.uniform(0, 2 * np.pi)))
+        frequency, phase = float(site.rng.uniform(0.025, 0.4)) * rate, float(site.rng.uniform(0, 2 * np.pi))
+        in_joint = site.rng.uniform() < 0.5 if site.where is None else site.where in site.world.arm.joints
+        start = known_start(site.from_beginning())
+        if in_joint and site.world.arm.outputs == 'effort':
+            joint = site.joint()
+            return JointDisturbance(site.world.arm.joints[joint], start, joint, frequency, phase)
+        return cls(site.frame(), start, unit_vector(site.rng), frequency, phase)
 
     def force(self, world: World, motion: Instants) -> Array:
         axis = world.arm.pose(str(self.where), motion.position).rotation @ self.direction
@@ -98,6 +103,22 @@ class PeriodicDisturbance(FrameForce):
 
     def parameters(self, magnitude: float) -> dict[str, Quantity]:
         return {'frequency': Quantity(self.frequency, 'Hz'), 'force': Quantity(magnitude * self.direction, 'N'),
+                'phase': Quantity(self.phase, 'rad')}
+
+
+@dataclass(frozen=True)
+class JointDisturbance(JointTorque):
+    """The same in one drive: a torque at one frequency."""
+
+    kind = PeriodicDisturbance.kind
+    frequency: float
+    phase: float
+
+    def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
+        return np.asarray(np.sin(2 * np.pi * self.frequency * motion.time + self.phase))
+
+    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+        return {'frequency': Quantity(self.frequency, 'Hz'), 'torque': Quantity(magnitude, 'N m'),
                 'phase': Quantity(self.phase, 'rad')}
 
 

@@ -1,0 +1,112 @@
+"""`semiparam simulate` and the bundled recordings that it made."""
+
+import json
+import shlex
+
+import pytest
+import zstandard
+
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.cli.main import main
+from semiparam_ros.settings import load_params
+
+BUNDLED_WITH_ZSTD = (1, 5, 7)
+BUNDLED = ('icub_xy', 'icub_xz', 'icub_undeclared')
+
+
+def raw(path):
+    return [(message.topic, message.log_time, message.raw) for message in open_bag(path).messages()]
+
+
+def commands(repository):
+    """The line of bags/README.md that makes each bundled recording: name -> arguments behind the output."""
+    lines = [shlex.split(line) for line in (repository / 'bags' / 'README.md').read_text().splitlines()
+             if line.strip().startswith('semiparam simulate')]
+    return {words[2].removeprefix('bags/').removesuffix('.mcap'): words[3:] for words in lines}
+
+
+@pytest.mark.parametrize('name', BUNDLED)
+def test_bundled_recordings_are_made_again(repository, tmp_path, name):
+    bundled, again = repository / 'bags' / f'{name}.mcap', tmp_path / 'again.mcap'
+    assert main(['simulate', str(again), *commands(repository)[name]]) == 0
+    assert raw(again) == raw(bundled)
+    # Another zstd library may compress the same messages to other bytes.
+    if zstandard.ZSTD_VERSION == BUNDLED_WITH_ZSTD:
+        assert again.read_bytes() == bundled.read_bytes()
+
+
+def test_bundled_recordings_are_small_and_complete(repository):
+    paths = [repository / 'bags' / f'{name}.mcap' for name in BUNDLED]
+    assert sum(path.stat().st_size for path in paths) < 12_000_000
+    for path, samples in zip(paths, (10000, 10000, 4000), strict=True):
+        counts = {topic: info.count for topic, info in open_bag(path).topics.items()}
+        assert counts == {'/robot_description': 1, '/joint_states': samples, '/joint_accelerations': samples,
+                          '/wrench': samples}
+
+
+def test_a_recording_holds_what_a_robot_publishes(repository, tmp_path):
+    bag, truth = tmp_path / 'out.mcap', tmp_path / 'truth.json'
+    assert main(['simulate', str(bag), '--seconds', '20', '--effect', 'payload@r_hand', '--effect', 'time_delay',
+                 '--size', '1', '--size', '0.5', '--truth', str(truth)]) == 0
+    first = {message.topic: message.data for message in reversed(list(open_bag(bag).messages()))}
+    assert first['/robot_description'].data == (repository / 'config' / 'icub_right_arm.urdf').read_text()
+    assert list(first['/joint_states'].name)[3] == 'r_elbow'
+    assert len(first['/joint_states'].position) == len(first['/joint_states'].velocity) == 4
+    assert len(first['/joint_accelerations'].points[0].accelerations) == 4
+    assert first['/wrench'].header.frame_id == 'r_arm_ft_sensor'
+    told = json.loads(truth.read_text())
+    assert [(effect['kind'], effect['where']) for effect in told['effects']] == [('payload', 'r_hand'),
+                                                                                 ('time_delay', None)]
+    assert [effect['size'] for effect in told['effects']] == [pytest.approx(1.0), pytest.approx(0.5)]
+    assert told['effects'][0]['parameters']['mass']['unit'] == 'kg'
+    assert told['samples'] == 400
+
+
+def test_efforts_travel_in_the_joint_states(tmp_path):
+    bag = tmp_path / 'out.mcap'
+    assert main(['simulate', str(bag), '--samples', '50', '--outputs', 'effort', '--no-accelerations']) == 0
+    assert set(open_bag(bag).topics) == {'/robot_description', '/joint_states'}
+    last = list(open_bag(bag).messages(['/joint_states']))[-1].data
+    assert len(last.effort) == 4
+
+
+def test_parameters_of_the_bundled_arm(repository):
+    settings = load_params(repository / 'config' / 'icub_right_arm.yaml')
+    assert settings.sensor_frame == 'r_arm_ft_sensor'
+    assert settings.wrench_convention == 'reaction'
+
+
+def test_a_parameter_file_names_the_robot(repository, tmp_path):
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    joints: [r_shoulder_roll, r_elbow]\n    outputs: effort\n'
+                      f'    robot_description_file: {repository / "config" / "icub_right_arm.urdf"}\n')
+    bag = tmp_path / 'out.mcap'
+    assert main(['simulate', str(bag), '--samples', '50', '--motion', 'fourier', '--params', str(params)]) == 0
+    state = next(iter(open_bag(bag).messages(['/joint_states']))).data
+    assert list(state.name) == ['r_shoulder_roll', 'r_elbow']
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    ([], 'name of the recording to write is missing'),
+    (['OUT', '--effect', 'payloa'], "no effect 'payloa'"),
+    (['OUT', '--size', '1'], '--size needs an effect'),
+    (['OUT', '--effect', 'payload', '--effect', 'time_delay', '--size', '1', '--size', '2', '--size', '3'],
+     '--size is given 3 times for 2 effects'),
+    (['OUT', '--seconds', '-3'], '--seconds -3.0'),
+    (['OUT', '--urdf', 'no.urdf'], 'no.urdf cannot be read'),
+    (['NOWHERE/out.mcap', '--samples', '20'], 'NOWHERE'),
+])
+def test_bad_arguments_are_one_sentence(tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(['simulate', *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_kinds_are_listed(capsys):
+    assert main(['simulate', '--effect', 'list', '--outputs', 'effort']) == 0
+    listed = capsys.readouterr().out
+    assert 'stribeck_friction' in listed
+    assert 'drifting_friction (of no listed kind)' in listed
