@@ -34,16 +34,17 @@ class Trial:
     effect: Effect
     residual: Array
     free: int
+    physical: bool = True  # the cause can have these coefficients
     evidence: float = 0.0  # [nat] over the declared model
 
 
 def coarse_trial(state: Fit, candidate: Candidate) -> Trial | None:
-    """The candidate at the best of its coarse shapes and starts; None when there is nothing to try."""
+    """The candidate at the best of its coarse shapes and starts; None when none is physical."""
     best: tuple[float, Trial] | None = None
     for shape in candidate.searches:
         trial = _linear_trial(state, candidate.kind(candidate.where, shape, tuple(state.rigid_part.tolist())))
         explained = _explained_share(state, trial)
-        if best is None or explained > best[0]:
+        if trial.physical and (best is None or explained > best[0]):
             best = (explained, trial)
     return None if best is None else best[1]
 
@@ -60,7 +61,8 @@ def _linear_trial(state: Fit, effect: Effect) -> Trial:
     if effect.is_calibration:
         names = [coefficient.name for coefficient in effect.calibrations]
         effect = effect.with_shape(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
-    return Trial(effect, explained.residual, explained.rank + _nonlinear(effect))
+    physical = effect.is_calibration or effect.physical(explained.coefficients)
+    return Trial(effect, explained.residual, explained.rank + _nonlinear(effect), physical)
 
 
 def _nonlinear(effect: Effect) -> int:
@@ -93,7 +95,8 @@ def refined(state: Fit, trial: Trial) -> Trial:
         if name not in (*FLAGS, 'start_s'):
             effect = _line_search(near, effect, name)
     effect = replace(effect, shape={k: v for k, v in effect.shape.items() if k != 'start_s'})
-    return _at_best_link(near, _linear_trial(near, effect))
+    best = _at_best_link(near, _linear_trial(near, effect))
+    return best if best.physical else trial
 
 
 def _at_best_link(state: Fit, trial: Trial) -> Trial:

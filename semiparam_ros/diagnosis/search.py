@@ -126,7 +126,7 @@ def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) ->
         return None
     for trial in _other_joints(state, chosen[0], ranking):
         again = retried(after, trial)
-        if again.evidence > max(LEAST_EVIDENCE, KEPT_SHARE * trial.evidence):
+        if again.physical and again.evidence > max(LEAST_EVIDENCE, KEPT_SHARE * trial.evidence):
             further = declare(after, [again.effect])
             if carries_over(after, further):
                 chosen, after = [*chosen, again], further
@@ -156,18 +156,25 @@ def _other_joints(state: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]
             and not trial.effect.is_calibration]
 
 
-def as_good(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> list[Trial]:
-    """The other trials that explain the same thing about as well as the chosen one.
+def tolerance(state: Fit, chosen: Trial) -> float:
+    """Difference of evidence [nat] below which two trials are not told apart.
 
-    What stays correlated after the chosen effect shows that no trial is the whole truth, and widens the tolerance.
+    What stays correlated after the chosen effect shows that no trial is the whole truth, and widens it.
     """
     correlation = float(correlation_times(chosen.residual[state.use]).mean())
-    tolerance = max(RIVAL_NATS, min(RIVAL_SHARE * correlation, MOST_RIVAL_SHARE) * chosen.evidence)
-    return [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < tolerance
+    return max(RIVAL_NATS, min(RIVAL_SHARE * correlation, MOST_RIVAL_SHARE) * chosen.evidence)
+
+
+def as_good(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> list[Trial]:
+    """The other trials that explain the same thing about as well as the chosen one."""
+    within = tolerance(state, chosen)
+    return [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < within
             and overlap(state, chosen, trial) > RIVAL_OVERLAP]
 
 
 def rivals_of(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> tuple[Rival, ...]:
-    """Those as good as the chosen one, with their odds against it by evidence alone."""
-    return tuple(Rival(trial.effect.kind, trial.effect.where, float(np.exp(np.clip(gap, -700.0, 50.0))))
-                 for trial in as_good(state, chosen, ranking) for gap in [trial.evidence - chosen.evidence])
+    """Those as good as the chosen one; odds from the evidence, tempered so that the tolerance is RIVAL_NATS."""
+    temper = RIVAL_NATS / tolerance(state, chosen)
+    return tuple(Rival(trial.effect.kind, trial.effect.where,
+                       float(np.exp(np.clip(temper * (trial.evidence - chosen.evidence), -RIVAL_NATS, RIVAL_NATS))))
+                 for trial in as_good(state, chosen, ranking))

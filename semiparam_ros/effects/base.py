@@ -92,6 +92,10 @@ class Effect:
         """(n_columns,) wide prior standard deviations over gamma, in the coefficients' units."""
         return np.full(self.n_columns, self.coefficient_scale)
 
+    def physical(self, coefficients: Array) -> bool:
+        """False for coefficients (n_columns,) that this cause cannot have, such as a friction that drives the joint."""
+        return True
+
     @property
     def is_calibration(self) -> bool:
         """True when Gauss-Newton fits it and it has no columns of its own."""

@@ -26,6 +26,7 @@ class RotorInertia(JointEffect):
     """The motor's own inertia, seen through the gear."""
 
     kind: ClassVar[str] = 'rotor_inertia'
+    resists: ClassVar[bool] = True
     sentence: ClassVar[str] = "the motor's rotor resists acceleration"
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload',)
     separated_by: ClassVar[str] = "fast motion of this joint in several postures: a link's inertia changes with them"
@@ -114,6 +115,7 @@ class Backlash(JointEffect):
     """Play in the gear: what rubs behind it is felt on either flank, and not while the gap is crossed."""
 
     kind: ClassVar[str] = 'backlash'
+    resists: ClassVar[bool] = True
     sentence: ClassVar[str] = 'the gear has play: after each reversal its torque is gone until the gap is crossed'
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction',)
     separated_by: ClassVar[str] = 'small reversals, within and beyond the play'

@@ -23,6 +23,8 @@ class JointEffect(Effect):
 
     outputs: ClassVar[tuple[str, ...]] = ('effort',)
     names: ClassVar[tuple[Coefficient, ...]] = ()
+    resists: ClassVar[bool] = False
+    """True when the coefficients add up to a resistance, which cannot be negative."""
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
@@ -34,6 +36,9 @@ class JointEffect(Effect):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return self.names
+
+    def physical(self, coefficients: Array) -> bool:
+        return not self.resists or float(coefficients.sum()) > 0.0
 
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(N, c) columns of the joint from its motion (N,)."""
@@ -49,6 +54,7 @@ class _Sliding(JointEffect):
     """Depends on the direction of sliding, which turns over within ``turn_speed`` or within a way of ``presliding``."""
 
     shape_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'presliding': 'rad', 'stribeck_speed': 'rad/s'}
+    resists: ClassVar[bool] = True
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
@@ -80,6 +86,7 @@ class ViscousFriction(JointEffect):
     """Friction in proportion to speed."""
 
     kind: ClassVar[str] = 'viscous_friction'
+    resists: ClassVar[bool] = True
     sentence: ClassVar[str] = 'the joint has viscous friction'
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'asymmetric_friction', 'time_delay')
     separated_by: ClassVar[str] = 'constant speeds, slow and fast, in both directions'
@@ -117,6 +124,9 @@ class StribeckFriction(_Sliding):
         coarse = super().searches(body, samples, where, residual)
         return [{**shape, 'stribeck_speed': max(fastest, 1e-6) * share}
                 for shape in (coarse[1], coarse[2], coarse[5]) for share in (0.05, 0.12, 0.3)]
+
+    def physical(self, coefficients: Array) -> bool:
+        return bool(np.all(coefficients > 0.0))
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
         fading = np.exp(-((velocity / self.value('stribeck_speed', 0.1)) ** 2))

@@ -79,6 +79,9 @@ class _Drag(AtAnyLink):
     def n_columns(self) -> int:
         return 1
 
+    def physical(self, coefficients: Array) -> bool:
+        return bool(coefficients[0] > 0.0)
+
     def resistance(self, velocity: Array) -> Array:
         """(N, 3) force for a unit coefficient, from velocities (N, 3) [m/s]."""
         raise NotImplementedError
@@ -99,6 +102,9 @@ class ViscousDrag(_Drag):
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return (Coefficient('drag', 'N s/m'),)
 
+    def physical(self, coefficients: Array) -> bool:
+        return bool(coefficients[0] > 0.0)
+
     def resistance(self, velocity: Array) -> Array:
         return -velocity
 
@@ -113,6 +119,9 @@ class QuadraticDrag(_Drag):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return (Coefficient('drag', 'N s^2/m^2'),)
+
+    def physical(self, coefficients: Array) -> bool:
+        return bool(coefficients[0] > 0.0)
 
     def resistance(self, velocity: Array) -> Array:
         return -np.linalg.norm(velocity, axis=1, keepdims=True) * velocity
