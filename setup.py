@@ -25,6 +25,7 @@ REQUIRES = [
     'joblib',
     'pyyaml',
     'jinja2',
+    'markupsafe',
 ]
 EXTRAS = {
     'test': [
