@@ -27,7 +27,7 @@ ROSDEP = {
     'ros-jazzy-common-interfaces': ('sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'trajectory_msgs',
                                     'diagnostic_msgs'),
     'numpy': 'python3-numpy',
-    'scipy': 'python3-scipy',
+    'scipy': 'python3-scipy', 'scikit-learn': 'python3-sklearn',
     'pin': 'pinocchio',
     'mcap': None,  # comes with mcap-ros2-support
     'zstandard': None,  # comes with mcap
@@ -262,6 +262,7 @@ def test_launch_files_describe_something_to_the_real_launch(path):
 def test_colcon_test_runs_the_tests(workspace):
     """One test of the suite, found and run by colcon in the workspace's own copy."""
     colcon = Path(sys.executable).with_name('colcon')
-    run(colcon, 'test', '--pytest-args', 'test/test_packaging.py', '-k', 'test_versions', cwd=workspace, env=environment())
+    run(colcon, 'test', '--pytest-args', 'test/test_packaging.py', '-k', 'test_versions', cwd=workspace,
+        env=environment())
     assert 'Summary: 1 test, 0 errors, 0 failures, 0 skipped' in run(
         colcon, 'test-result', '--all', cwd=workspace, env=environment())
