@@ -36,7 +36,7 @@ class SharedFactor:
         self.narrow = drift is not None or self.count < self.rows
         self._white = features if drift is None or not self.count else drift.whiten(features)  # sigma^2 B^-1 F
         gram = features.T @ self._white if self.narrow else features @ features.T
-        self._root = _cholesky(gram, self.noise)
+        self._root = cholesky_with_noise(gram, self.noise)
 
     @property
     def log_determinant(self) -> float:
@@ -90,7 +90,7 @@ class SharedFactor:
         return np.asarray(solution)
 
 
-def _cholesky(gram: Array, noise: float) -> Array:
+def cholesky_with_noise(gram: Array, noise: float) -> Array:
     """Lower factor of gram + noise I; where rounding eats a tiny noise, the least jitter that helps is added."""
     if not len(gram):
         return gram

@@ -8,9 +8,10 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import lapack
 
 from semiparam_ros.core.evidence import Window, harmonics
-from semiparam_ros.core.shared_factor import SharedFactor
+from semiparam_ros.core.shared_factor import cholesky_with_noise
 from semiparam_ros.core.types import Array
 from semiparam_ros.core.window import least_squares, normalised, residual_scale
 from semiparam_ros.errors import SemiparamError
@@ -73,10 +74,13 @@ def select_by_validation(window: Window, mean_first: bool, noise: str, grid: Gri
 
 def _errors(phi: Array, targets: Array, split: _Split, ratios: tuple[float, ...]) -> Iterator[tuple[float, Array]]:
     """Errors on the last part (t_v, n) for each ratio sigma / rho; ridge regression needs no more than the ratio."""
-    features = phi[split.fit]
+    features, fitted = phi[split.fit], targets[split.fit]
+    narrow = features.shape[1] < len(features)
+    gram = features.T @ features if narrow else features @ features.T  # once for all ratios
     for ratio in ratios:
-        weights = features.T @ SharedFactor(features, ratio).solve(targets[split.fit])
-        yield ratio, targets[split.score] - phi[split.score] @ weights
+        root = cholesky_with_noise(gram, ratio * ratio)
+        solved, _ = lapack.dpotrs(root, features.T @ fitted if narrow else fitted, lower=1)
+        yield ratio, targets[split.score] - phi[split.score] @ (solved if narrow else features.T @ solved)
 
 
 def _choice(best: tuple[float, tuple[float, ...], float, Array], outputs: Array, noise: str) -> Choice:
