@@ -14,6 +14,7 @@ REQUIRES = [
     'ros-jazzy-common-interfaces',
     'numpy',
     'scipy',
+    'scikit-learn',
     'pin',
     'mcap',
     'mcap-ros2-support',

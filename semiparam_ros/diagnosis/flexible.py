@@ -1,0 +1,126 @@
+"""Flexible regression of a residual: what any smooth function of the motion and of time could still explain.
+
+Ridge regression on families of features, judged on blocks that took no part: many short blocks, interleaved, so that
+every fold sees the whole recording. The families follow one another, each on what the ones before have left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+from scipy.linalg import eigh
+
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Stamps
+
+BLOCKS, FOLDS = 60, 5
+PENALTIES = 10.0 ** np.arange(-3.0, 4.5, 0.5)
+"""Variances of the noise over that of the function, among which each channel chooses; it may also choose nothing."""
+FEATURES = 240
+SCALES = (1.0, 3.0)
+"""Length scales of the random features, over the square root of the number of inputs."""
+WAVES, BELLS = 12, 9
+SLOW_WAVES = 3
+Family = tuple[str, Callable[[], Array]]
+
+
+class Motion:
+    """Standardised inputs of M samples: variables (M, k) with names, time last [-1, 1]."""
+
+    def __init__(self, joints: tuple[str, ...], samples: Samples) -> None:
+        self.names = (*(f'{role}_{joint}' for role in ('q', 'dq', 'ddq') for joint in joints), 'time')
+        self.n_joints = len(joints)
+        time = samples.time
+        span = max(float(time[-1] - time[0]), 1e-9)
+        inputs = samples.inputs
+        spread = inputs.std(axis=0)
+        moved = np.divide(inputs - inputs.mean(axis=0), spread, out=np.zeros_like(inputs), where=spread > 1e-9)
+        self.values = np.column_stack([moved, 2.0 * (time - time[0]) / span - 1.0])
+
+    def families(self) -> Iterator[Family]:
+        """Features by family, from the plainest on."""
+        yield 'time', self.of_time
+        yield 'single variables', self.of_single_variables
+        yield 'time and motion', self.of_time_and_motion
+        for number, scale in enumerate(SCALES):
+            yield f'motion {scale:g}', partial(random_features, self.values[:, :-1], FEATURES, scale, number)
+
+    def of_time(self, waves: int = WAVES) -> Array:
+        """(M, 2 waves + 2) a line, and waves that need not close over the recording."""
+        angles = np.pi * 0.8 * np.outer(self.values[:, -1], np.arange(1, waves + 1))
+        return np.column_stack([np.ones(len(angles)), self.values[:, -1], np.cos(angles), np.sin(angles)])
+
+    def of_single_variables(self) -> Array:
+        """(M, .) a function of every variable, and of every joint's position and velocity together."""
+        singles = [bells(column) for column in self.values[:, :-1].T]
+        joints = [random_features(self.values[:, [joint, self.n_joints + joint]], 3 * BELLS, SCALES[0], joint)
+                  for joint in range(self.n_joints)]
+        return np.column_stack([*singles, *joints])
+
+    def of_time_and_motion(self) -> Array:
+        """(M, .) what is plain in every variable, with a coefficient that changes slowly."""
+        moved = self.values[:, :-1]
+        speeds = moved[:, self.n_joints:2 * self.n_joints]
+        plain = np.column_stack([moved, np.tanh(5.0 * speeds)])
+        slow = self.of_time(SLOW_WAVES)
+        return np.asarray((plain[:, :, None] * slow[:, None, :]).reshape(len(plain), -1))
+
+
+def random_features(inputs: Array, count: int, scale: float, seed: int) -> Array:
+    """(M, count) random Fourier features of a Gaussian kernel; its length is ``scale`` sqrt(number of inputs)."""
+    rng = np.random.default_rng(seed)
+    frequencies = rng.standard_normal((inputs.shape[1], count // 2)) / (scale * np.sqrt(inputs.shape[1]))
+    angles = inputs @ frequencies
+    return np.hstack([np.cos(angles), np.sin(angles)])
+
+
+def bells(values: Array) -> Array:
+    """(M, BELLS + 1) the variable itself, and Gaussian bells across its range."""
+    low, high = np.quantile(values, (0.005, 0.995))
+    centres = np.linspace(low, high, BELLS)
+    width = max(float(high - low) / (BELLS - 1), 1e-9)
+    return np.column_stack([values, np.exp(-0.5 * ((values[:, None] - centres) / width) ** 2)])
+
+
+def fold_labels(count: int) -> Stamps:
+    """(M,) fold of each sample: short blocks dealt out in turn."""
+    return np.arange(count) * BLOCKS // max(count, 1) % FOLDS
+
+
+def block_sums(values: Array) -> Array:
+    """(BLOCKS, n) sums of values (M, n) over the blocks."""
+    edges = np.searchsorted(np.arange(len(values)) * BLOCKS // len(values), np.arange(BLOCKS))
+    return np.asarray(np.add.reduceat(values, edges, axis=0))
+
+
+def predictions(features: Array, targets: Array) -> Array:
+    """(M, n) each sample's target as the other folds predict it, each channel with the penalty that serves it best."""
+    labels = fold_labels(len(targets))
+    size = np.sqrt(np.mean(features**2, axis=0) * features.shape[1]) + 1e-12
+    scaled = features / size
+    total, right = scaled.T @ scaled, scaled.T @ targets
+    everywhere = np.zeros((len(PENALTIES), *targets.shape))
+    for fold in range(FOLDS):
+        rows = labels == fold
+        held = scaled[rows]
+        values, vectors = eigh(total - held.T @ held)
+        turned = vectors.T @ (right - held.T @ targets[rows])
+        shrunk = turned / (np.maximum(values, 0.0)[:, None] + PENALTIES[:, None, None])
+        everywhere[:, rows] = (held @ vectors) @ shrunk
+    losses = np.sum((targets - everywhere) ** 2, axis=1)
+    best = losses.argmin(axis=0)
+    chosen = everywhere[best, :, np.arange(targets.shape[1])].T
+    return np.asarray(np.where(losses.min(axis=0) < np.sum(targets**2, axis=0), chosen, 0.0))
+
+
+def explained(motion: Motion, targets: Array) -> tuple[Array, dict[str, float]]:
+    """(M, n) what all families together predict of unseen blocks, and the share of the targets that each adds."""
+    found, shares = np.zeros_like(targets), {}
+    power = float(np.sum(targets**2)) + 1e-300
+    for name, features in motion.families():
+        before = targets - found
+        found = found + predictions(features(), before)
+        shares[name] = float(np.sum(before**2) - np.sum((targets - found) ** 2)) / power
+    return found, shares

@@ -1,0 +1,112 @@
+"""Is anything left that no kind explains, what does it depend on, and what formula describes it?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.diagnosis.dependence import Dependence, dependences
+from semiparam_ros.diagnosis.flexible import Motion, block_sums, explained
+from semiparam_ros.diagnosis.formula import Formula, find_formula
+from semiparam_ros.diagnosis.input_errors import without_input_errors
+from semiparam_ros.effects.terms import Terms
+
+MOST_SAMPLES = 4000
+LEAST_SAMPLES = 300
+SHARE, DEVIATIONS = 0.015, 2.0
+"""Of all channels together: least share of the residual, and least mean gain of a block in its standard errors."""
+CHANNEL_SHARE, CHANNEL_DEVIATIONS = 0.05, 3.0
+"""The same of one channel alone."""
+FORMULA_VARIABLES = 4
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a smooth function of the motion and of time would still explain of a residual, on unseen blocks.
+
+    ``share`` and ``channel_shares`` (n,): of the squared residual; about 0 where there is nothing. ``variables``:
+    what it depends on, the most telling first. ``families``: share by family of functions.
+    """
+
+    share: float
+    channel_shares: Array
+    significant: bool
+    channels: tuple[str, ...]
+    variables: tuple[Dependence, ...]
+    formulas: tuple[Formula, ...]
+    families: dict[str, float]
+
+    @property
+    def effects(self) -> tuple[Terms, ...]:
+        """The formulas as effects that can be declared."""
+        return tuple(formula.effect for formula in self.formulas)
+
+    @property
+    def sentence(self) -> str:
+        """What a user reads."""
+        if not self.significant:
+            return 'Nothing is left that depends on the motion or on time.'
+        names = ', '.join(f'{each.name} ({100 * each.share:.0f} %)' for each in self.variables) or 'no single variable'
+        best = max(self.formulas, key=lambda formula: formula.share, default=None)
+        said = f' A formula explains {100 * best.share:.0f} % of it in one channel: {best.text}.' if best else ''
+        return (f'{100 * self.share:.0f} % of what is left is no noise, and no kind of effect explains it. It shows in '
+                f'{", ".join(self.channels)} and depends on {names}.{said}')
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry ``unexplained`` of the machine-readable report."""
+        return {'significant': self.significant, 'share': self.share, 'channel_shares': self.channel_shares.tolist(),
+                'channels': list(self.channels), 'variables': [each._asdict() for each in self.variables],
+                'formulas': [{'channel': formula.channel, 'text': formula.text, 'share': formula.share,
+                              'terms': [each._asdict() for each in formula.summands]} for formula in self.formulas],
+                'families': self.families, 'sentence': self.sentence}
+
+
+def remaining_structure(body: RigidBody, samples: Samples, residual: Array, use: Array, scale: Array) -> Structure:
+    """Look for structure in the residual (N, n) of a fitted model.
+
+    :param use: (N,) samples to look at. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
+    """
+    rows = _thinned(use)
+    if len(rows) < LEAST_SAMPLES:
+        return Structure(0.0, np.zeros(body.n_outputs), False, (), (), (), {})
+    motion = Motion(body.joints, samples[rows])
+    guarded = without_input_errors(body, samples, residual, use, scale)[rows] / scale
+    found, families = explained(motion, guarded)
+    gains, power = block_sums(guarded**2 - (guarded - found) ** 2), np.sum(guarded**2, axis=0) + 1e-300
+    share, shares = float(gains.sum() / power.sum()), gains.sum(axis=0) / power
+    affected = (shares > CHANNEL_SHARE) & (_standard_errors(gains) > CHANNEL_DEVIATIONS)
+    together = share > SHARE and float(_standard_errors(gains.sum(axis=1, keepdims=True))[0]) > DEVIATIONS
+    if not together and not affected.any():
+        return Structure(share, shares, False, (), (), (), families)
+    if not affected.any():
+        affected = shares >= shares.max()
+    return _described(body, samples[rows], motion, residual[rows], scale, affected,
+                      Structure(share, shares, True, (), (), (), families))
+
+
+def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Array, scale: Array, affected: Array,
+               structure: Structure) -> Structure:
+    """The structure with its channels, its variables and its formulas."""
+    numbers = np.flatnonzero(affected)
+    variables = dependences(motion, (residual / scale)[:, numbers], float(structure.channel_shares[numbers].mean()))
+    names = [each.name for each in variables][:FORMULA_VARIABLES]
+    formulas = [find_formula(names, body, samples, residual[:, channel], int(channel)) for channel in numbers]
+    return Structure(structure.share, structure.channel_shares, True, tuple(body.output_names[k] for k in numbers),
+                     variables, tuple(formula for formula in formulas if formula is not None), structure.families)
+
+
+def _thinned(use: Array) -> Stamps:
+    """Numbers of the samples to look at, evenly spread."""
+    rows = np.flatnonzero(use)
+    return rows[::max(-(-len(rows) // MOST_SAMPLES), 1)]
+
+
+def _standard_errors(gains: Array) -> Array:
+    """(n,) mean gain of the blocks (BLOCKS, n) over its standard error."""
+    error = gains.std(axis=0, ddof=1) / np.sqrt(len(gains))
+    return np.divide(gains.mean(axis=0), error, out=np.zeros(gains.shape[1]), where=error > 0.0)
