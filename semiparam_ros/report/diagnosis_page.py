@@ -9,11 +9,15 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from semiparam_ros import __version__
+from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.structure import Structure
 from semiparam_ros.diagnosis.words import in_words, place
 from semiparam_ros.effects import effect_to_text
 from semiparam_ros.report import diagnosis_figures as figures
+from semiparam_ros.report.diagnosis_clouds import against_suspected, against_unexplained
 from semiparam_ros.report.diagnosis_tables import causes, output_rows, relative_floor, round_rows, variant_rows
 from semiparam_ros.report.rendering import environment
 from semiparam_ros.report.svg import inline_svg
@@ -37,13 +41,15 @@ def diagnosis_page(diagnosis: Diagnosis, result: dict[str, Any], title: str) -> 
     :param title: name of the recording.
     """
     opening, *words = in_words(diagnosis)
+    structure = diagnosis.structure if diagnosis.structure and diagnosis.structure.significant else None
     return environment().get_template('diagnosis.html.j2').render(
         version=__version__, title=title, verdict=diagnosis.verdict, opening=opening, words=words,
-        headline=_headline(diagnosis), outputs=_picture('Error of each output', 'outputs', _outputs(diagnosis), ''),
-        rows=output_rows(diagnosis), rounds=round_rows(diagnosis), over_time=_over_time(diagnosis),
-        findings=_against_variables(diagnosis), spectra=_spectra(diagnosis), candidates=_candidates(diagnosis),
-        causes=causes(diagnosis), variants=variant_rows(result.get('variants') or {}), open=SHOWN_OPEN,
-        unexplained=result.get('unexplained'), facts=_facts(diagnosis),
+        headline=_headline(diagnosis), outputs=_outputs(diagnosis), rows=output_rows(diagnosis),
+        rounds=round_rows(diagnosis), over_time=_over_time(diagnosis), findings=_against_variables(diagnosis),
+        structure=structure, unexplained=_unexplained(diagnosis.final, structure) if structure else None,
+        formulas=[effect_to_text(effect) for effect in structure.effects] if structure else [],
+        spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
+        variants=variant_rows(result.get('variants') or {}), open=SHOWN_OPEN, facts=_facts(diagnosis),
         effects=[effect_to_text(effect) for effect in diagnosis.final.effects])
 
 
@@ -59,30 +65,34 @@ def _labels(diagnosis: Diagnosis) -> list[str]:
     return [f'{name} [{unit}]' for name, unit in zip(body.output_names, body.output_units, strict=True)]
 
 
-def _outputs(diagnosis: Diagnosis) -> Figure:
-    return figures.outputs_of(diagnosis.before, diagnosis.after, diagnosis.noise_floor_rmse,
-                              list(diagnosis.first.body.output_names))
+def _outputs(diagnosis: Diagnosis) -> Picture:
+    figure = figures.outputs_of(diagnosis, list(diagnosis.first.body.output_names))
+    return _picture('Error of each output', 'outputs', figure, '')
 
 
 def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     """Of the recording that was diagnosed, and of the one that judged, where that is another."""
-    first, final = diagnosis.first, diagnosis.final
+    first, final, added = diagnosis.first, diagnosis.final, bool(diagnosis.steps)
     starts = [(place(effect.kind, effect.where), effect.start_s) for effect in final.effects
               if effect.start_s is not None]
-    elsewhere = diagnosis.judged is not None
-    shaded = '' if elsewhere else ' The shaded blocks took no part in the fit: the error must fall there too.'
-    held_out = np.zeros(len(first.samples), dtype=bool) if elsewhere else diagnosis.held_out
-    own = figures.over_time(first.samples.time, first.residual, final.residual, _labels(diagnosis), held_out, starts)
-    shown = [_picture('Residual over time', 'time', own,
-                      'What the declared model does not explain of each output, before and after the effects were '
-                      f'added.{shaded} A dashed line marks the start of an effect.')]
+    held_out = diagnosis.held_out if diagnosis.judged is None else np.zeros(len(first.samples), dtype=bool)
+    caption = 'What the model does not explain of each output'
+    caption += ', before and after the effects were added.' if added else '.'
+    caption += ' The shaded blocks took no part in the fit.' if held_out.any() else ''
+    caption += ' A dashed line marks the start of an effect.' if starts else ''
+    own = figures.over_time(first.samples.time, figures.curves(first.residual, final.residual, added),
+                            _labels(diagnosis), held_out, starts)
+    shown = [_picture('Residual over time', 'time', own, caption)]
     if diagnosis.judged is not None and diagnosis.judged_valid is not None:
-        time = diagnosis.judged.time[diagnosis.judged_valid]
-        there = figures.over_time(time, diagnosis.before.residual, diagnosis.after.residual, _labels(diagnosis),
-                                  np.zeros(len(time), dtype=bool), [])
-        shown.append(_picture('Residual over time, on the recording that judges', 'judged', there,
-                              f'The same models on {diagnosis.judged_elsewhere}, of which they saw nothing.'))
+        shown.append(_over_time_elsewhere(diagnosis, diagnosis.judged.time[diagnosis.judged_valid]))
     return shown
+
+
+def _over_time_elsewhere(diagnosis: Diagnosis, time: Array) -> Picture:
+    both = figures.curves(diagnosis.before.residual, diagnosis.after.residual, bool(diagnosis.steps))
+    figure = figures.over_time(time, both, _labels(diagnosis), np.zeros(len(time), dtype=bool), [])
+    return _picture('Residual over time, on the recording that judges', 'judged', figure,
+                    f'The same models on {diagnosis.judged_elsewhere}, of which they saw nothing.')
 
 
 def _against_variables(diagnosis: Diagnosis) -> list[Picture]:
@@ -90,12 +100,19 @@ def _against_variables(diagnosis: Diagnosis) -> list[Picture]:
 
 
 def _against_variable(diagnosis: Diagnosis, finding: Finding, number: int) -> Picture:
-    figure, channel = figures.against_variable(diagnosis, finding)
+    figure, channel = against_suspected(diagnosis, finding)
     effect = finding.effect
     return _picture(place(effect.kind, effect.where), f'variable{number}', figure,
                     f'Residual of {channel}, the output in which this effect shows most. Left: without it, and without '
                     'what later rounds found. Right: with everything found. The points should follow the line on the '
                     'left and lie flat on the right.')
+
+
+def _unexplained(state: Fit, structure: Structure) -> Picture:
+    figure, channel = against_unexplained(state, structure)
+    return _picture('What no kind explains', 'unexplained', figure,
+                    f'What is left of {channel}, the output with most structure, against what it depends on most. A '
+                    'course that is not flat is something that the model lacks.')
 
 
 def _spectra(diagnosis: Diagnosis) -> Picture:
