@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 
 WINDOWS = (9, 15)
 """Samples of a moving polynomial of degree DEGREE: at 20 Hz about half a second and three quarters."""
@@ -23,7 +23,7 @@ DEGREE = 4
 RANK = 1e-7
 
 
-def without_input_errors(body: RigidBody, samples: Samples, residual: Array, use: Array, scale: Array) -> Array:
+def without_input_errors(body: RigidBody, samples: Samples, residual: Array, use: Mask, scale: Array) -> Array:
     """(N, n) residual less all that regressors at differently smoothed inputs explain of it.
 
     :param use: (N,) samples that fit. :param scale: (n,) weight of channel k is 1 / scale[k]^2.

@@ -1,7 +1,7 @@
-"""Signs, units, orders and axes: what would the recording say if it had been labelled otherwise?
+"""Orders, directions and axes: what would the recording say if it had been labelled otherwise?
 
 An alternative is reported only if the recording as declared fits badly (J of ``plausibility`` beyond BAD_FIT) and the
-alternative fits far better (FAR_BETTER).
+alternative fits far better (FAR_BETTER times J).
 """
 
 from __future__ import annotations
@@ -16,17 +16,13 @@ import numpy as np
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.plausibility import channel_scale, equations, misfit, nuisances
+from semiparam_ros.diagnosis.output_checks import output_problems
+from semiparam_ros.diagnosis.plausibility import equations, misfit
 from semiparam_ros.diagnosis.setup_problem import SetupProblem
 
-BAD_FIT = 0.03
-FAR_BETTER = 0.6
+BAD_FIT, FAR_BETTER = 0.03, 0.6
 UNEXPLAINED = 0.5
-OPPOSITE = -0.7
-LIKE = 0.7
-UNIT_TOLERANCE = 2.0
-UNITS = {1.0 / 9.81: 'kilograms-force', 9.81: 'newtons counted as kilograms-force', 1e3: 'thousandths (mN, N mm)',
-         1e-3: 'thousands (kN)', 1e2: 'hundredths (N cm)'}
+"""Share of variance that the best inertias leave when the description is not this robot's."""
 MOST_ROUNDS = 2
 DEGREES_BEYOND = 3.2
 """Positions beyond this [rad] may be degrees."""
@@ -41,7 +37,7 @@ class Alternative(NamedTuple):
 
 def layout_problems(body: RigidBody, samples: Samples) -> list[SetupProblem]:
     """Everything that a relabelling of the samples would put right, the plainest first."""
-    found, samples = _scale_problems(body, samples)
+    found, samples = output_problems(body, samples)
     for _ in range(MOST_ROUNDS):
         best = _best_alternative(body, samples)
         if best is None:
@@ -145,63 +141,6 @@ def _negated(values: Array, column: int) -> Array:
     values = values.copy()
     values[:, column] *= -1.0
     return values
-
-
-def _scale_problems(body: RigidBody, samples: Samples) -> tuple[list[SetupProblem], Samples]:
-    """Sign and unit of all outputs against what the description itself predicts, and the samples put right."""
-    wrench = body.outputs == 'wrench'
-    slopes, likeness = _slopes(body, samples)
-    found, factors = [], np.ones(body.n_outputs)
-    blocks = [('force', slice(0, 3)), ('torque', slice(3, 6))] if wrench else [('effort', slice(None))]
-    if likeness[-1] < OPPOSITE:
-        found.append(_sign(body))
-        factors *= -1.0
-    for (name, channels), slope, like in zip(blocks, slopes, likeness, strict=False):
-        unit = next((known for known in UNITS if 1.0 / UNIT_TOLERANCE < abs(slope) / known < UNIT_TOLERANCE), None)
-        if abs(like) > LIKE and unit is not None:
-            found.append(_unit(body, name, unit))
-            factors[channels] /= unit
-    return found, replace(samples, outputs=samples.outputs * factors)
-
-
-def _slopes(body: RigidBody, samples: Samples) -> tuple[Array, Array]:
-    """Slope of the outputs against the description's own prediction, and their correlation, for force and torque or
-    for efforts; the last correlation is over all channels."""
-    predicted = body.regressors(samples) @ body.base_parameters
-    measured, predicted = (_without(nuisances(body, samples), values) for values in (samples.outputs, predicted))
-    parts = [slice(0, 3), slice(3, 6)] if body.outputs == 'wrench' else []
-    pairs = [(measured[:, part], predicted[:, part]) for part in parts] + [
-        (measured / channel_scale(measured, bool(parts)), predicted / channel_scale(predicted, bool(parts)))
-        if parts else (measured, predicted)]
-    inner = np.array([[np.sum(y * p), np.sum(p * p), np.sum(y * y)] for y, p in pairs])
-    return inner[:, 0] / (inner[:, 1] + 1e-300), inner[:, 0] / np.sqrt(inner[:, 1] * inner[:, 2] + 1e-300)
-
-
-def _without(columns: Array, values: Array) -> Array:
-    """Values (N, n) less what the nuisances explain of each channel."""
-    left = np.empty_like(values)
-    for channel in range(values.shape[1]):
-        own = columns[:, channel, np.any(columns[:, channel] != 0.0, axis=0)]
-        left[:, channel] = values[:, channel] - own @ np.linalg.lstsq(own, values[:, channel], rcond=1e-9)[0]
-    return left
-
-
-def _sign(body: RigidBody) -> SetupProblem:
-    if body.outputs == 'effort':
-        return SetupProblem('effort_sign', None, (
-            'The efforts have the opposite sign of what the robot description predicts: negate them (semiparam convert '
-            '--effort-sign -1).'))
-    other = 'action' if body.sign < 0 else 'reaction'
-    return SetupProblem('wrench_sign', body.sensor_frame, (
-        'The wrench has the opposite sign of what the robot description predicts: set the parameter wrench_convention '
-        f'to {other}.'))
-
-
-def _unit(body: RigidBody, name: str, unit: float) -> SetupProblem:
-    right = {'force': 'N', 'torque': 'N m', 'effort': 'N m'}[name]
-    return SetupProblem('output_units', body.sensor_frame, (
-        f'The {name} is {unit:.3g} times what the robot description predicts, as if it were in {UNITS[unit]}: publish '
-        f'it in {right}.'))
 
 
 def _no_match(body: RigidBody, left: float) -> SetupProblem:

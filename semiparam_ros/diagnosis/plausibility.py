@@ -55,6 +55,13 @@ def equations(body: RigidBody, samples: Samples) -> Equations:
 
 def misfit(equal: Equations, outputs: Array, wrench: bool) -> Misfit:
     """J for outputs (N, n)."""
+    change, residual = _solved(equal, outputs, wrench)
+    squares = float(residual @ residual)
+    return Misfit(squares + float(change @ equal.price @ change), squares)
+
+
+def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Array]:
+    """(c,) the least squares' departure from the mean, and (N n,) what it leaves, whose squares sum to a share."""
     scale = channel_scale(outputs, wrench)
     weight = 1.0 / np.sqrt(outputs.size)
     rows = (equal.columns * (weight / scale)[:, None]).reshape(-1, equal.columns.shape[2])
@@ -63,9 +70,23 @@ def misfit(equal: Equations, outputs: Array, wrench: bool) -> Misfit:
     size = 1.0 / np.sqrt(np.diag(normal) + 1e-300)
     factor = cho_factor(normal * np.outer(size, size) + RIDGE * np.eye(len(size)))
     change = cho_solve(factor, (rows.T @ left) * size) * size
-    residual = left - rows @ change
-    squares = float(residual @ residual)
-    return Misfit(squares + float(change @ equal.price @ change), squares)
+    return change, left - rows @ change
+
+
+def dissipation(body: RigidBody, samples: Samples) -> Array:
+    """(n_joints,) how much of each joint's effort is friction that goes with its velocity: 1 all of it, -1 all of it
+    with the opposite sign, which would feed energy into the joint."""
+    count, moved = body.n_joints, samples.velocity
+    change, _ = _solved(equations(body, samples), samples.outputs, False)
+    viscous, dry = change[body.n_parameters + count:body.n_parameters + 3 * count].reshape(2, count)
+    friction = viscous * moved + dry * np.tanh(moved / _turn(moved))
+    power = samples.outputs.std(axis=0) * np.sqrt(np.mean(moved**2, axis=0))
+    return np.divide(np.mean(friction * moved, axis=0), power, out=np.zeros(count), where=power > 1e-12)
+
+
+def _turn(velocity: Array) -> Array:
+    """(n_joints,) speeds [rad/s] within which dry friction turns over."""
+    return np.asarray(TURN_SHARE * np.abs(velocity).max(axis=0) + 1e-12)
 
 
 def channel_scale(outputs: Array, wrench: bool) -> Array:
@@ -81,8 +102,8 @@ def nuisances(body: RigidBody, samples: Samples) -> Array:
     identity = np.eye(body.n_outputs)
     if body.outputs == 'wrench':
         return np.broadcast_to(identity, (len(samples), *identity.shape))
-    turn = TURN_SHARE * np.abs(samples.velocity).max(axis=0) + 1e-12
-    parts = (np.ones_like(samples.velocity), samples.velocity, np.tanh(samples.velocity / turn), samples.acceleration)
+    moved = samples.velocity
+    parts = (np.ones_like(moved), moved, np.tanh(moved / _turn(moved)), samples.acceleration)
     return np.concatenate([part[:, :, None] * identity for part in parts], axis=2)
 
 

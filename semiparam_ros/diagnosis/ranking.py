@@ -175,8 +175,9 @@ def _moved(effect: Effect, step: Array) -> Effect:
 def declare(state: Fit, effects: list[Effect]) -> Fit:
     """The model with further effects, every calibration settled and the weights those of the new residual."""
     for effect in effects:
-        same_place = [] if effect.must_start else others(state, effect)
-        known = list(state.effects) if effect.must_start else same_place
+        replaced = {(part.kind, part.where) for part in effect.plainer()}
+        known = [one for one in (state.effects if effect.must_start else others(state, effect))
+                 if (one.kind, one.where) not in replaced]
         state = fit(state.body, state.samples, [*known, effect], state.use, state.scale)
     state = _loads_at_nearest_link(refit_weights(state))
     calibrations = [effect for effect in state.effects if effect.is_calibration]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
-from semiparam_ros.diagnosis.candidates import candidates
+from semiparam_ros.diagnosis.candidates import candidates, others
 from semiparam_ros.diagnosis.cross_validation import carries_over
 from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.ranking import (
@@ -131,8 +131,31 @@ def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) ->
             if carries_over(after, further):
                 chosen, after = [*chosen, again], further
                 first_tried.append(trial)
-    rivals = tuple(rivals_of(state, trial, ranking) for trial in first_tried)
-    return Step(tuple(chosen), rivals, tuple(ranking), state, after)
+    rivals = [rivals_of(state, trial, ranking) for trial in first_tried]
+    for trial, those in list(zip(chosen, rivals, strict=True)):
+        parts, simpler = in_parts(after, trial)
+        if parts:
+            at = chosen.index(trial)
+            names = {(part.effect.kind, part.effect.where) for part in parts}
+            those = tuple(rival for rival in those if (rival.kind, rival.where) not in names)
+            chosen[at:at + 1], rivals[at:at + 1], after = parts, [those] * len(parts), simpler
+    return Step(tuple(chosen), tuple(rivals), tuple(ranking), state, after)
+
+
+def in_parts(state: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
+    """Plainer effects in place of one that the model holds, where they explain about as much; else none."""
+    effect = trial.effect
+    plainer = list(effect.plainer())
+    if not plainer or any((part.kind, part.where) in {(e.kind, e.where) for e in state.effects} for part in plainer):
+        return [], state
+    without = fit(state.body, state.samples, others(state, effect), state.use, state.scale)
+    simpler = declare(without, plainer)
+    saved = trial.free - len(plainer) - 1
+    whole, parts = (score(without, Trial(effect, known.residual, free), correlation_times(state.residual[state.use]))
+                    for known, free in ((state, trial.free), (simpler, trial.free - saved)))
+    if whole.evidence - parts.evidence > tolerance(without, whole):
+        return [], state
+    return [replace(trial, effect=part, residual=simpler.residual) for part in plainer], simpler
 
 
 def simplest(state: Fit, ranking: list[Trial]) -> Trial:

@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.dependence import Dependence, dependences
 from semiparam_ros.diagnosis.flexible import Motion, block_sums, explained
 from semiparam_ros.diagnosis.formula import Formula, find_formula
@@ -66,7 +66,7 @@ class Structure:
                 'families': self.families, 'sentence': self.sentence}
 
 
-def remaining_structure(body: RigidBody, samples: Samples, residual: Array, use: Array, scale: Array) -> Structure:
+def remaining_structure(body: RigidBody, samples: Samples, residual: Array, use: Mask, scale: Array) -> Structure:
     """Look for structure in the residual (N, n) of a fitted model.
 
     :param use: (N,) samples to look at. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
@@ -100,7 +100,7 @@ def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Arra
                      variables, tuple(formula for formula in formulas if formula is not None), structure.families)
 
 
-def _thinned(use: Array) -> Stamps:
+def _thinned(use: Mask) -> Stamps:
     """Numbers of the samples to look at, evenly spread."""
     rows = np.flatnonzero(use)
     return rows[::max(-(-len(rows) // MOST_SAMPLES), 1)]

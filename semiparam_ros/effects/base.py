@@ -96,6 +96,10 @@ class Effect:
         """False for coefficients (n_columns,) that this cause cannot have, such as a friction that drives the joint."""
         return True
 
+    def plainer(self) -> tuple[Effect, ...]:
+        """Plainer effects that together do the same in a special case, such as equal friction in both directions."""
+        return ()
+
     @property
     def is_calibration(self) -> bool:
         """True when Gauss-Newton fits it and it has no columns of its own."""

@@ -144,6 +144,9 @@ class AsymmetricFriction(_Sliding):
         Coefficient('coulomb_forward', 'N m'), Coefficient('coulomb_backward', 'N m'),
         Coefficient('viscous_forward', 'N m s/rad'), Coefficient('viscous_backward', 'N m s/rad'))
 
+    def plainer(self) -> tuple[Effect, ...]:
+        return CoulombFriction(self.where, self.shape, self.reference), ViscousFriction(self.where)
+
     def sliding(self, direction: Array, velocity: Array) -> Array:
         return np.column_stack([np.maximum(direction, 0.0), np.minimum(direction, 0.0),
                                 np.maximum(velocity, 0.0), np.minimum(velocity, 0.0)])

@@ -12,8 +12,8 @@ from semiparam_ros.settings import robot_description as description
 from semiparam_ros.settings.table import Table
 
 if TYPE_CHECKING:
-    from semiparam_ros.effects import Effect
     from semiparam_ros.core.window import LengthScales, Noise
+    from semiparam_ros.effects import Effect
 
 
 def build_estimator(settings: Table, robot_description: str | None = None) -> Estimator:
