@@ -10,7 +10,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.model import Prediction
 from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.types import Array
 from semiparam_ros.ros.answers import Answer
 from semiparam_ros.ros.messages import EffortMessage, HorizonMessage, WrenchMessage
 
@@ -42,17 +44,22 @@ class Outputs:
     def publish(self, answer: Answer) -> None:
         """One answer: the residual goes last, for a replay waits for it."""
         prediction = answer.prediction
-        stamp, frame = prediction.sample.stamp, self.frame_id
-        self._mean.publish(self._value.filled(stamp, frame, prediction.mean))
-        self._std.publish(self._value.filled(stamp, frame, prediction.std))
-        self._residual.publish(self._value.filled(stamp, frame, answer.residual))
+        self._send(self._mean, prediction, prediction.mean)
+        self._send(self._std, prediction, prediction.std)
+        self._send(self._residual, prediction, answer.residual)
         if answer.contact != self._in_contact:
             self._in_contact = answer.contact
             self._contact.publish(Bool(data=answer.contact))
 
     def publish_errors(self, errors: HorizonErrors) -> None:
         """The horizon errors of the active model."""
-        self._horizon.publish(self._errors.filled(errors))
+        if self._horizon.get_subscription_count():
+            self._horizon.publish(self._errors.filled(errors))
+
+    def _send(self, publisher: Publisher, prediction: Prediction, values: Array) -> None:
+        """To those who listen: asking for them costs a twentieth of filling and sending a message."""
+        if publisher.get_subscription_count():
+            publisher.publish(self._value.filled(prediction.sample.stamp, self.frame_id, values))
 
     def publish_shadow(self, variant: str, errors: HorizonErrors) -> None:
         """The horizon errors of a shadow variant, on ``~/shadow/sp2_ml/horizon_error``."""
