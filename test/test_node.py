@@ -103,22 +103,25 @@ def refusals(client):
                     if name.startswith('refused: ')})
 
 
-def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft'):
-    """The recording of a robot that measures accelerations."""
+def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measured=True, wrench_late_ns=0):
+    """The recording of a robot that measures accelerations or not, its wrenches between the joint states or not."""
     with BagWriter(path) as bag:
         if description:
             bag.write(layout.ROBOT_DESCRIPTION, 'std_msgs/msg/String', {'data': description}, samples[0].stamp)
         for sample in samples:
             header = {'stamp': layout.stamp_fields(sample.stamp), 'frame_id': frame}
+            late = {'stamp': layout.stamp_fields(sample.stamp + wrench_late_ns), 'frame_id': frame}
             force, torque = (dict(zip('xyz', part.tolist(), strict=True)) for part in np.split(sample.outputs, 2))
             point = {'accelerations': sample.acceleration.tolist()}
             bag.write(layout.JOINT_STATES, layout.TYPES[layout.JOINT_STATES], {
                 'header': header, 'name': list(joints), 'position': sample.position.tolist(),
                 'velocity': sample.velocity.tolist(), 'effort': []}, sample.stamp)
-            bag.write(layout.JOINT_ACCELERATIONS, layout.TYPES[layout.JOINT_ACCELERATIONS],
-                      {'header': header, 'joint_names': list(joints), 'points': [point]}, sample.stamp)
-            bag.write(layout.WRENCH, layout.TYPES[layout.WRENCH],
-                      {'header': header, 'wrench': {'force': force, 'torque': torque}}, sample.stamp)
+            if measured:
+                bag.write(layout.JOINT_ACCELERATIONS, layout.TYPES[layout.JOINT_ACCELERATIONS],
+                          {'header': header, 'joint_names': list(joints), 'points': [point]}, sample.stamp)
+            if not wrench_late_ns or sample is not samples[-1]:
+                bag.write(layout.WRENCH, layout.TYPES[layout.WRENCH],
+                          {'header': late, 'wrench': {'force': force, 'torque': torque}}, sample.stamp + wrench_late_ns)
     return path
 
 
@@ -128,16 +131,18 @@ def replay(bag, *options):
                           timeout=120, check=False)
 
 
-def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path):
-    """Every sample answered, in order, with the robot's description from the bag and accelerations filtered or not."""
+@pytest.mark.parametrize('bag_options', [{}, {'measured': False, 'wrench_late_ns': 4_000_000}],
+                         ids=['measured accelerations', 'filtered, interpolated'])
+def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path, bag_options):
+    """Every sample answered, in order, with the robot's description from the bag."""
     settings = replace(SETTINGS, robot_description='')
-    bag = write_bag(tmp_path / 'a.mcap', motion(400))
+    bag = write_bag(tmp_path / 'a.mcap', motion(400), **bag_options)
     dump_params(settings, tmp_path / 'p.yaml')
     with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
         client.connect()
         played = replay(bag)
         assert played.returncode == 0, played.stderr
-        client.wait(lambda: len(client.heard['horizon_error']) >= 335, 'the last horizon')
+        client.wait(lambda: len(client.heard['horizon_error']) >= 385, 'the last horizon')
         loaded = load_samples(bag, settings)
         estimator = build_estimator(settings, loaded.robot_description)
         predictions = [estimator.step(sample) for sample in loaded.samples]
