@@ -405,7 +405,7 @@ def simulated(kind: str, outputs: str, rate_hz: float = 20.0):
     """The same motion without noise, with the cause and without: body, samples without, difference, truth."""
     scenario = Scenario(motion='circle_xy', samples=600, rate_hz=rate_hz, outputs=outputs, noise=0.0,
                         encoder_noise=0.0, seed=3,
-                        effects=(EffectRequest(kind, size=1.0),))
+                        effects=(EffectRequest(kind, size=2.0),))  # far above the converter's step
     changed, plain = simulate(scenario), simulate(replace(scenario, effects=()))
     np.testing.assert_array_equal(changed.position, plain.position)
     return body_of(plain), samples_of(plain), changed.outputs - plain.outputs, changed.truth[0]
