@@ -31,7 +31,7 @@ from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.table import PARAMETERS
 
-LIVE = replace(SETTINGS, acceleration_source='measured', state_file='')
+LIVE = replace(SETTINGS, acceleration_source='measured', state_file='', features_count=500)
 
 
 @pytest.fixture(scope='module', autouse=True)
@@ -69,7 +69,8 @@ def connected(node):
 @pytest.fixture
 def client(connected):
     """The client, with a node that has learnt nothing and its parameters as at the start."""
-    results = connected.set(learning=True, variant=LIVE.variant, gate__enabled=False, horizon__length=5)
+    results = connected.set(learning=True, variant=LIVE.variant, gate__enabled=False, horizon__length=5,
+                            gate__release=3.0, gate__threshold=6.0)
     assert all(result.successful for result in results)
     assert connected.trigger('reset').success
     connected.forget()
@@ -300,14 +301,14 @@ def test_a_simulated_clock_that_jumps_back_keeps_the_model(client):
 
 
 def test_contact_is_flagged_and_diagnostics_tell_the_state(client):
-    samples = fresh(260)
-    assert client.set_together(gate__enabled=True, gate__hold=0.1).successful
-    client.play(samples[:200], JOINTS)
+    samples = fresh(360)
+    client.play(samples[:300], JOINTS)
+    assert client.set_together(gate__enabled=True, gate__hold=0.1, gate__threshold=50.0, gate__release=25.0).successful
     push = np.array([30.0, 0, 0, 0, 0, 0])
-    client.play([sample._replace(outputs=sample.outputs + push) for sample in samples[200:230]], JOINTS)
+    client.play([sample._replace(outputs=sample.outputs + push) for sample in samples[300:330]], JOINTS)
     level, _, values = client.wait_report('learning', lambda level, message, values: 'in contact' in message)
     assert values['samples not learnt for contact'] == '30' and values['in contact'] == 'True'
-    client.play(samples[230:], JOINTS)
+    client.play(samples[330:], JOINTS)
     client.wait_report('learning', lambda level, message, values: values['in contact'] == 'False')
     _, _, timing = client.wait_report('timing', lambda level, message, values: 'latency p99 [ms]' in values)
     assert 0.0 < float(timing['latency median [ms]']) < 1000.0

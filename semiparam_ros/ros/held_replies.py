@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.timer import Timer
 
-PATIENCE_S = 1.5
+PATIENCE_S = 1.0
 """Clients of parameters expect an answer soon; a model that takes longer is announced instead."""
 
 NAMES = ('/set_parameters', '/set_parameters_atomically')
