@@ -25,6 +25,8 @@ from semiparam_ros.report.svg import inline_svg
 SHOWN_OPEN = 3
 """Pictures of a kind that stand open; further ones fold away."""
 
+LOADS = 'A load is tried at one link of each body, and once it is found named after the link nearest to its centre.'
+
 
 class Picture(NamedTuple):
     """A figure and the caption that says what to see."""
@@ -123,7 +125,8 @@ def _spectra(diagnosis: Diagnosis) -> Picture:
 
 
 def _candidates(diagnosis: Diagnosis) -> list[Picture]:
-    return [_picture(f'Candidates of round {number}', f'round{number}', figures.candidates_of(step, number), '')
+    return [_picture(f'Candidates of round {number}', f'round{number}', figures.candidates_of(step, number),
+                     LOADS if any(trial.effect.kind == 'payload' for trial in step.added) else '')
             for number, step in enumerate(diagnosis.steps, start=1)]
 
 
