@@ -62,8 +62,8 @@ def _unseen(body: RigidBody, samples: Samples) -> list[str]:
     if not names:
         return []
     return [f'The motion does not show how heavy every part is: masses or centres of mass of {_listed(names)} stay at '
-            'the robot description, and effects that act like them cannot be seen. Move the joints before them '
-            'through more of their range.']
+            'the robot description, and effects that act like them cannot be seen. Move more joints through more '
+            'of their range.']
 
 
 def unseen_bodies(body: RigidBody, samples: Samples) -> list[str]:

@@ -9,7 +9,8 @@ import numpy as np
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.plausibility import channel_scale, dissipation, nuisances
+from semiparam_ros.diagnosis.mounting import mounting_problem, turned_over
+from semiparam_ros.diagnosis.plausibility import channel_scale, dissipation, equations, misfit, nuisances
 from semiparam_ros.diagnosis.setup_problem import SetupProblem
 
 OPPOSITE, LIKE = -0.7, 0.7
@@ -24,13 +25,20 @@ PUSHING = -0.85
 size 3 reaches -0.8; a real UR3's base and wrists 0.86 to 0.98 as they are."""
 
 
-def output_problems(body: RigidBody, samples: Samples) -> tuple[list[SetupProblem], Samples]:
-    """Signs and units of the outputs that are wrong, and the samples put right."""
+FRICTION_SPEAKS = 0.5
+"""Sum over the joints of the effort's share that is friction, from where on its direction settles a sign."""
+
+
+def output_problems(body: RigidBody, samples: Samples) -> tuple[list[SetupProblem], RigidBody, Samples]:
+    """Signs and units of the outputs that are wrong, and the body and the samples put right."""
     wrench = body.outputs == 'wrench'
     slopes, likeness = _slopes(body, samples)
     found, factors = [], np.ones(body.n_outputs)
     blocks = [('force', slice(0, 3)), ('torque', slice(3, 6))] if wrench else [('effort', slice(None))]
-    if likeness[-1] < OPPOSITE:
+    if likeness[-1] < OPPOSITE and _is_turned_over(body, samples):
+        body = turned_over(body)
+        found.append(mounting_problem('upside down'))
+    elif likeness[-1] < OPPOSITE:
         found.append(_sign(body))
         factors *= -1.0
     for (name, channels), slope, like in zip(blocks, slopes, likeness, strict=False):
@@ -38,17 +46,27 @@ def output_problems(body: RigidBody, samples: Samples) -> tuple[list[SetupProble
         if abs(like) > LIKE and unit is not None:
             found.append(_unit(body, name, unit))
             factors[channels] /= unit
-    right = replace(samples, outputs=samples.outputs * factors)
-    return (found, right) if wrench else _by_friction(body, right, found)
+    return found, body, replace(samples, outputs=samples.outputs * factors)
 
 
-def _by_friction(body: RigidBody, samples: Samples, found: list[SetupProblem]) -> tuple[list[SetupProblem], Samples]:
+def _is_turned_over(body: RigidBody, samples: Samples) -> bool:
+    """Whether opposite outputs come from a base that hangs rather than from a sign: inertia and friction do not turn
+    over with gravity."""
+    if body.outputs == 'effort':
+        friction = float(dissipation(body, samples).sum())
+        if abs(friction) > FRICTION_SPEAKS:
+            return friction > 0.0
+    negated = misfit(equations(body, samples), -samples.outputs, body.outputs == 'wrench')
+    hanging = misfit(equations(turned_over(body), samples), samples.outputs, body.outputs == 'wrench')
+    return hanging.total < negated.total
+
+
+def friction_problems(body: RigidBody, samples: Samples) -> list[SetupProblem]:
     """Joints whose effort would drive them where friction holds them back."""
     wrong = dissipation(body, samples) < PUSHING
-    said = [SetupProblem('effort_sign', name, (
+    return [SetupProblem('effort_sign', name, (
         f"The effort of '{name}' goes with its motion as no friction can: it has the opposite sign of its velocity's; "
         'negate it in the driver.')) for name, flag in zip(body.joints, wrong, strict=True) if flag]
-    return found + said, replace(samples, outputs=samples.outputs * np.where(wrong, -1.0, 1.0))
 
 
 def _slopes(body: RigidBody, samples: Samples) -> tuple[Array, Array]:
