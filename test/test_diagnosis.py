@@ -1,0 +1,458 @@
+"""The loop on simulated recordings with known hidden causes, on the measured iCub arm, and its numbers one by one."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import icub, smooth_motion
+
+from semiparam_ros.cli.main import main
+from semiparam_ros.cli.options import write_json
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.diagnosis.blocks import BLOCKS, FOLDS, folds, interleaved_split, leading_split, ranges
+from semiparam_ros.diagnosis.candidates import added_columns, best_start
+from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
+from semiparam_ros.diagnosis.judgement import judge_here, judge_there
+from semiparam_ros.diagnosis.noise import correlation_times, noise_floor
+from semiparam_ros.diagnosis.ranking import Trial, declare, score
+from semiparam_ros.diagnosis.regression import fit
+from semiparam_ros.effects import Effect, effect_to_text, kinds
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.report.diagnosis_tables import relative_floor
+from semiparam_ros.report.scoreboard import body_of, samples_of
+from semiparam_ros.settings import load_params
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+
+SAMPLES = 1500
+START_S = 30.0
+"""Within a block that fits: where a block held out hides the start, it is known to five seconds only."""
+
+
+def hidden(kind, outputs='wrench', seed=1, size=1.0, **where):
+    return simulate(Scenario(samples=SAMPLES, outputs=outputs, seed=seed,
+                             effects=(EffectRequest(kind, size=size, **where),)))
+
+
+def found_in(simulated, **options):
+    return diagnose(body_of(simulated), samples_of(simulated), **options)
+
+
+# --- hidden causes: named, placed, measured ---
+
+PAYLOAD = hidden('payload', start_s=START_S)
+OFFSET = hidden('joint_offset', where='r_shoulder_yaw')
+FRICTION = hidden('viscous_friction', 'effort', where='r_elbow')
+
+
+@pytest.fixture(scope='module')
+def payload():
+    return found_in(PAYLOAD)
+
+
+@pytest.fixture(scope='module')
+def joint_offset():
+    return found_in(OFFSET)
+
+
+@pytest.fixture(scope='module')
+def friction():
+    return found_in(FRICTION)
+
+
+@pytest.fixture(scope='module')
+def nothing():
+    return found_in(simulate(Scenario(samples=SAMPLES, seed=1)))
+
+
+@pytest.fixture(scope='module')
+def nothing_either():
+    return found_in(simulate(Scenario(samples=SAMPLES, seed=2)))
+
+
+def truth_of(simulated):
+    return {name: entry['value'] for name, entry in simulated.truth[0]['parameters'].items()}
+
+
+def test_nothing_missing_is_said_when_nothing_is(nothing, nothing_either):
+    for diagnosis in (nothing, nothing_either):
+        assert diagnosis.verdict == 'nothing_missing'
+        assert diagnosis.findings == diagnosis.steps == []
+        assert diagnosis.as_dict()['before'] == diagnosis.as_dict()['after']
+        assert 0.8 < np.sqrt(np.mean((diagnosis.after.rmse / diagnosis.noise_floor_rmse) ** 2)) < 1.15
+
+
+def test_a_payload_is_named_with_its_start_and_mass(payload):
+    first = payload.findings[0]
+    assert payload.verdict == 'effect_found'
+    assert (first.effect.kind, first.effect.where) == ('payload', PAYLOAD.truth[0]['where'])
+    assert first.effect.start_s == pytest.approx(START_S, abs=0.2)
+    mass = first.parameters['mass']
+    assert (mass.unit, mass.value) == ('kg', pytest.approx(truth_of(PAYLOAD)['mass'], rel=0.1))
+    assert abs(mass.value - truth_of(PAYLOAD)['mass']) < 4.0 * mass.std
+
+
+def test_a_joint_offset_is_named_with_its_joint_and_angle(joint_offset):
+    first = joint_offset.findings[0]
+    assert (first.effect.kind, first.effect.where, first.effect.start_s) == ('joint_offset', 'r_shoulder_yaw', None)
+    angle = first.parameters['offset']
+    assert (angle.unit, angle.value) == ('rad', pytest.approx(truth_of(OFFSET)['offset'], rel=0.15))
+    assert abs(angle.value - truth_of(OFFSET)['offset']) < 5.0 * angle.std
+
+
+def test_friction_is_named_with_its_joint_and_coefficient(friction):
+    first = friction.findings[0]
+    assert (first.effect.kind, first.effect.where) == ('viscous_friction', 'r_elbow')
+    assert first.parameters['viscous'].unit == 'N m s/rad'
+    assert first.parameters['viscous'].value == pytest.approx(truth_of(FRICTION)['viscous'], rel=0.05)
+
+
+def test_the_held_out_error_falls_to_the_noise(payload, joint_offset, friction):
+    for diagnosis in (payload, joint_offset, friction):
+        before, after = diagnosis.before.nmse.mean(), diagnosis.after.nmse.mean()
+        assert diagnosis.before.interval()[0] > diagnosis.after.interval()[1]
+        assert diagnosis.after.interval()[0] <= after <= diagnosis.after.interval()[1] < before
+        floor = relative_floor(diagnosis).mean()
+        assert before - after > 0.85 * (before - floor)
+
+
+def test_few_effects_are_added_beside_the_true_one(payload, joint_offset, friction):
+    for diagnosis in (payload, joint_offset, friction):
+        assert len(diagnosis.findings) == 1, [finding.effect.kind for finding in diagnosis.findings]
+
+
+def test_what_is_declared_is_not_missing_any_more(payload):
+    again = found_in(PAYLOAD, effects=payload.final.effects)
+    assert again.verdict == 'nothing_missing'
+    assert again.before.nmse.mean() == pytest.approx(payload.after.nmse.mean(), rel=0.05)
+
+
+def test_only_named_kinds_are_considered():
+    found = found_in(PAYLOAD, only=('sensor_offset', 'viscous_drag'))
+    assert {trial.effect.kind for step in found.steps for trial in step.ranking} <= {'sensor_offset', 'viscous_drag'}
+
+
+class Magnet(Effect):
+    """A kind that the package does not know: pulls along the sensor's x axis near one angle of the elbow."""
+
+    kind = 'magnet'
+    outputs = ('wrench',)
+    sentence = 'a magnet near the table pulls the hand'
+    mistaken_for = ('cable_spring',)
+    separated_by = 'motion farther from the table'
+
+    @property
+    def n_columns(self):
+        return 1
+
+    def coefficients(self, body):
+        from semiparam_ros.effects import Coefficient
+        return (Coefficient('pull', 'N'),)
+
+    def basis(self, body, samples, memory):
+        columns = np.zeros((len(samples), 6, 1))
+        columns[:, 0, 0] = np.exp(-((samples.position[:, 3] - samples.position[0, 3]) / 0.1) ** 2)
+        return columns, None
+
+
+def test_a_kind_of_another_package_takes_part(monkeypatch):
+    from semiparam_ros.effects import registry
+
+    monkeypatch.setattr(registry, 'BUILT_IN', (*registry.BUILT_IN, Magnet))
+    registry._all_kinds.cache_clear()
+    try:
+        simulated = simulate(Scenario(samples=800, seed=4))
+        samples = samples_of(simulated)
+        pull, _ = Magnet(None, {}).columns(body_of(simulated), samples, None)
+        pulled = replace(samples, outputs=samples.outputs + 0.8 * pull[:, :, 0])
+        found = diagnose(body_of(simulated), pulled, only=('magnet', 'viscous_drag', 'sensor_drift'))
+        assert [finding.effect.kind for finding in found.findings] == ['magnet']
+        assert found.findings[0].parameters['pull'].value == pytest.approx(0.8, rel=0.1)
+    finally:
+        registry._all_kinds.cache_clear()
+
+
+# --- the report ---
+
+KEYS = {'verdict', 'effects', 'before', 'after', 'noise_floor_rmse', 'held_out'}
+EFFECT_KEYS = {'kind', 'where', 'start_s', 'parameters', 'log_evidence_gain', 'indistinguishable_from'}
+ERROR_KEYS = {'nmse', 'rmse', 'eps_force', 'eps_torque'}
+
+
+@pytest.mark.parametrize('name', ['payload', 'joint_offset', 'friction', 'nothing'])
+def test_the_report_is_json_without_nan_and_has_every_key(name, request, tmp_path):
+    diagnosis = request.getfixturevalue(name)
+    write_json(tmp_path / 'report.json', diagnosis.as_dict())  # refuses what is not finite
+    report = json.loads((tmp_path / 'report.json').read_text())
+    assert report['schema'] == 1
+    assert report.keys() >= KEYS
+    assert report['verdict'] in VERDICTS
+    n = diagnosis.first.body.n_outputs
+    for side in ('before', 'after'):
+        assert report[side].keys() >= ERROR_KEYS
+        assert len(report[side]['nmse']) == len(report[side]['rmse']) == len(report['noise_floor_rmse']) == n
+        assert (report[side]['eps_force'] is None) == (diagnosis.first.body.outputs == 'effort')
+        assert report[side]['eps_torque'] > 0.0
+    for effect in report['effects']:
+        assert effect.keys() >= EFFECT_KEYS
+        assert all(quantity.keys() == {'value', 'std', 'unit'} for quantity in effect['parameters'].values())
+        assert all(rival.keys() >= {'kind', 'where', 'odds', 'separated_by'}
+                   for rival in effect['indistinguishable_from'])
+    assert report['held_out']['recording'] is None
+    assert sum(end - start for start, end in report['held_out']['ranges']) == diagnosis.held_out.sum()
+
+
+def test_progress_is_told_in_words_and_shares():
+    told = []
+    found_in(PAYLOAD, only=('payload', 'viscous_drag'), progress=lambda words, share: told.append((words, share)))
+    assert all(0.0 <= share <= 1.0 for _, share in told)
+    assert any(words.startswith('round 1: payload') for words, _ in told)
+    assert told[-1][0] == 'what is left'
+
+
+# --- recordings from which little can be told ---
+
+MOTION = smooth_motion(4, 400)
+BODY = icub()
+NOISE = np.random.default_rng(0)
+RECORDED = replace(MOTION, outputs=BODY.regressors(MOTION) @ BODY.base_parameters
+                   + 0.02 * NOISE.standard_normal((400, 6)))
+
+
+def test_too_short_a_recording_is_refused():
+    with pytest.raises(SemiparamError, match='holds 150 complete samples; a diagnosis needs at least 200'):
+        diagnose(BODY, RECORDED[:150])
+
+
+def test_a_recording_without_motion_is_refused():
+    still = replace(RECORDED, position=np.full((400, 4), 0.3), velocity=np.zeros((400, 4)),
+                    acceleration=np.zeros((400, 4)))
+    with pytest.raises(SemiparamError, match='no joint moves'):
+        diagnose(BODY, still)
+
+
+def test_an_unknown_kind_is_refused_by_name():
+    with pytest.raises(SemiparamError, match="'poltergeist' does not act on wrench; expected some of payload"):
+        diagnose(BODY, RECORDED, only=('poltergeist',))
+
+
+def test_a_kind_of_the_other_outputs_is_refused_by_name():
+    with pytest.raises(SemiparamError, match="'viscous_friction' does not act on wrench"):
+        diagnose(BODY, RECORDED, only=('viscous_friction',))
+
+
+def test_a_joint_that_stood_still_is_named_and_blamed_for_nothing():
+    held = {name: getattr(MOTION, name).copy() for name in ('position', 'velocity', 'acceleration')}
+    for name, values in held.items():
+        values[:, 2] = 0.4 if name == 'position' else 0.0
+    samples = replace(MOTION, **held)
+    samples = replace(samples, outputs=BODY.regressors(samples) @ BODY.base_parameters
+                      + 0.02 * np.random.default_rng(1).standard_normal((400, 6)))
+    found = diagnose(BODY, samples, only=('joint_offset', 'cable_spring', 'viscous_drag'))
+    assert any('r_shoulder_yaw stood still' in note for note in found.notes)
+    assert found.verdict == 'nothing_missing'
+
+
+def test_a_gap_is_named_and_what_is_beside_it_takes_no_part():
+    late = replace(RECORDED, stamps=RECORDED.stamps + np.where(np.arange(400) >= 200, 30_000_000_000, 0))
+    found = diagnose(BODY, late, only=('viscous_drag',))
+    assert any('gap' in note for note in found.notes)
+    assert not found.first.use[190:210].any()
+    assert not found.held_out[190:210].any()
+    assert found.verdict == 'nothing_missing'
+
+
+# --- the measured iCub arm ---
+
+PARAMS = """
+estimator:
+  ros__parameters:
+    joints: [r_shoulder_pitch, r_shoulder_roll, r_shoulder_yaw, r_elbow]
+    sensor_frame: r_arm_ft_sensor
+    wrench_convention: reaction
+    variant: P
+    robot_description_file: {urdf}
+"""
+
+
+@pytest.fixture(scope='module')
+def measured(shared_data, repository, tmp_path_factory):
+    """Diagnosed on the training file alone, judged on the test file: the folder and the report."""
+    folder, source = tmp_path_factory.mktemp('icub'), shared_data / 'icub_arm'
+    for name in ('train', 'test'):
+        assert main(['convert', str(source / f'icubdyn_{name}.dat'), str(folder / f'{name}.mcap'),
+                     '--columns', str(repository / 'config/icub_table.yaml')]) == 0
+    (folder / 'icub.yaml').write_text(PARAMS.format(urdf=source / 'iCubGenova01.urdf'))
+    assert main(['diagnose', str(folder / 'train.mcap'), '--judge', str(folder / 'test.mcap'), '--params',
+                 str(folder / 'icub.yaml'), '--json', str(folder / 'report.json'), '--output',
+                 str(folder / 'found.yaml'), '--html', str(folder / 'page.html')]) == 0
+    return folder, json.loads((folder / 'report.json').read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group('icub_diagnosis')
+def test_the_measured_arm_is_explained_better_by_what_was_found(measured):
+    _, report = measured
+    assert report['verdict'] == 'effect_found'
+    assert report['before']['nmse_mean'] == pytest.approx(0.0193, rel=0.05)
+    assert report['after']['nmse_mean'] <= 0.0138
+    assert report['held_out']['recording'].endswith('test.mcap')
+    errors = [report['before']['nmse_mean'], *(step['nmse_mean'] for step in report['by_step'])]
+    assert errors[-1] == report['after']['nmse_mean']
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group('icub_diagnosis')
+def test_offsets_of_joints_and_a_tilt_of_the_base_are_rivals_on_the_measured_arm(measured):
+    """The reference explains as much with joint offsets as with a tilt of the base by three degrees."""
+    _, report = measured
+    first = report['effects'][0]
+    named = {first['kind']} | {rival['kind'] for rival in first['indistinguishable_from']}
+    assert named >= {'joint_offset', 'gravity_tilt'}
+    assert all(rival['separated_by'] for rival in first['indistinguishable_from'])
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group('icub_diagnosis')
+def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured):
+    folder, report = measured
+    assert len(load_params(folder / 'found.yaml').effects) == len(report['effects'])
+    errors = []
+    for name in ('icub.yaml', 'found.yaml'):
+        assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--frozen',
+                     '--params', str(folder / name), '--json', str(folder / 'result.json')]) == 0
+        errors.append(json.loads((folder / 'result.json').read_text())['variants']['P']['nmse_mean'])
+    assert errors[0] == pytest.approx(0.0193, rel=0.02)
+    assert errors[1] < 0.8 * errors[0]
+    assert '<svg' in (folder / 'page.html').read_text()
+
+
+# --- the numbers one by one ---
+
+EVERYTHING = np.ones(len(RECORDED), dtype=bool)
+
+
+def state_of(samples, effects=(), use=EVERYTHING):
+    return fit(BODY, samples, list(effects), use, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1]))
+
+
+def test_blocks_cover_everything_and_held_out_ones_span_the_recording():
+    use = interleaved_split(1500)
+    assert use.mean() == pytest.approx(2.0 / 3.0)
+    parts = ranges(~use)
+    assert len(parts) == BLOCKS // 3
+    assert parts[0][0] < 300 and parts[-1][1] > 1200
+    assert leading_split(10, 0.6).tolist() == [True] * 6 + [False] * 4
+    assert ranges(np.array([True, False, False, True, True])) == [(0, 1), (3, 5)]
+
+
+def test_folds_are_contiguous_and_leave_out_what_is_not_in_use():
+    use = interleaved_split(1000)
+    labels = folds(use)
+    assert (labels[~use] == -1).all()
+    assert set(labels[use]) == set(range(FOLDS))
+    assert (np.diff(labels[use]) >= 0).all()
+
+
+def test_the_noise_floor_sees_white_noise_beside_slow_variation():
+    rng, time = np.random.default_rng(2), np.arange(20_000)
+    slow = 40.0 * np.sin(0.02 * time)
+    values = np.column_stack([3.0 * rng.standard_normal(20_000), 3.0 * rng.standard_normal(20_000) + slow])
+    assert noise_floor(values) == pytest.approx([3.0, 3.0], rel=0.03)
+
+
+def test_correlation_times_are_those_of_an_autoregression():
+    """A first-order autoregression with coefficient a has the integrated time (1 + a) / (1 - a)."""
+    rng = np.random.default_rng(3)
+    white = rng.standard_normal((50_000, 2))
+    coloured = white.copy()
+    for index in range(1, len(white)):
+        coloured[index] += np.array([0.0, 0.8]) * coloured[index - 1]
+    assert correlation_times(coloured) == pytest.approx([1.0, 9.0], rel=0.15)
+    assert correlation_times(np.ones((100, 1))).tolist() == [1.0]
+
+
+def test_explaining_by_columns_is_declaring_them():
+    """What added columns would leave is what a fit with them leaves, but for the weak prior on their coefficients."""
+    effect = kinds()['viscous_drag']('r_hand', {})
+    state = state_of(RECORDED)
+    explained = state.explain(added_columns(state, effect))
+    declared = state_of(RECORDED, [effect])
+    np.testing.assert_allclose(explained.residual, declared.residual, atol=1e-5)
+    assert explained.rank == 1
+    assert explained.coefficients[0] == pytest.approx(declared.theta[-1], abs=1e-3)
+
+
+def test_columns_that_the_model_holds_already_explain_nothing():
+    state = state_of(RECORDED)
+    explained = state.explain(np.broadcast_to(np.eye(6), (400, 6, 6)).copy())  # a constant offset
+    assert explained.rank == 0
+    np.testing.assert_allclose(explained.residual, state.residual)
+
+
+def test_the_start_is_where_a_search_over_all_samples_puts_it():
+    true = 251
+    jumped = RECORDED.outputs + 0.3 * (np.arange(400) >= true)[:, None]
+    state = state_of(replace(RECORDED, outputs=jumped))
+    columns = added_columns(state, kinds()['sensor_offset'](None, {}))
+    start, gain, always = best_start(state, columns)
+    late = {index: np.sum(((state.residual - state.explain(
+        columns * (np.arange(400) >= index)[:, None, None]).residual) / state.scale) ** 2)
+        for index in range(true - 3, true + 4)}
+    assert start == max(late, key=late.get) == true
+    assert gain > 10.0 * abs(always)
+
+
+def test_a_calibration_is_settled_by_gauss_newton():
+    offset = kinds()['joint_offset']('r_shoulder_yaw', {'offset': 0.12})
+    moved, _ = CoupledColumns(BODY, [offset]).batch(MOTION)
+    theta = np.concatenate([BODY.base_parameters, np.zeros(6)])
+    samples = replace(MOTION, outputs=moved @ theta)
+    settled = declare(state_of(samples), [offset.with_shape(offset=0.0)])
+    assert settled.effects[0].value('offset') == pytest.approx(0.12, abs=1e-4)
+    assert np.abs(settled.residual).max() < 1e-3 * np.abs(samples.outputs).max()
+
+
+def test_parameters_cost_evidence_and_correlated_samples_count_less():
+    state = state_of(RECORDED)
+    trial = Trial(kinds()['viscous_drag']('r_hand', {}), 0.9 * state.residual, 1)
+    white, slow = np.ones(6), np.full(6, 10.0)
+    one = score(state, trial, white).evidence
+    assert one == pytest.approx(-6 * 400 * np.log(0.9) - 0.5 * np.log(2400))
+    assert score(state, replace(trial, free=5), white).evidence == pytest.approx(one - 2.0 * np.log(2400))
+    assert score(state, trial, slow).evidence == pytest.approx(-6 * 40 * np.log(0.9) - 0.5 * np.log(240))
+    assert score(state, replace(trial, residual=state.residual), white).evidence < 0.0
+
+
+def test_errors_are_over_the_variance_and_over_the_horizon():
+    state = state_of(RECORDED)
+    held_out = ~interleaved_split(400)
+    judged = judge_here(state, held_out)
+    assert judged.nmse == pytest.approx(np.mean(state.residual[held_out]**2, 0) / RECORDED.outputs[held_out].var(0))
+    assert judged.rmse**2 == pytest.approx(np.mean(state.residual[held_out]**2, axis=0))
+    start = ranges(held_out)[0][0]
+    first = np.sum(state.residual[start:start + 25]**2, 0) / np.sum(RECORDED.outputs[start:start + 25]**2, 0)
+    part = replace(judged, parts=((0, 25),))
+    assert part.eps == pytest.approx(first)
+    assert sum(end - start for start, end in judged.parts) == held_out.sum()
+
+
+def test_what_belongs_to_one_recording_is_not_carried_to_another():
+    """A drift does not go on in a later recording; a load that was picked up is there from its start."""
+    drift, load = kinds()['sensor_drift'](None, {}), kinds()['payload']('r_hand', {'start_s': 10.0})
+    state = state_of(RECORDED, [drift, load])
+    blocks = CoupledColumns(BODY, [drift, load]).blocks
+    theta = state.theta.copy()
+    theta[blocks['0']], theta[blocks['1']] = 5.0, np.eye(10)[0]
+    judged = judge_there(replace(state, theta=theta), RECORDED, EVERYTHING)
+    always, _ = CoupledColumns(BODY, [load.with_shape(start_s=-1.0)]).batch(RECORDED)
+    kept = np.delete(theta, np.arange(blocks['0'].start, blocks['0'].stop))
+    np.testing.assert_allclose(judged.residual, RECORDED.outputs - always @ kept, atol=1e-9)
+
+
+def test_found_effects_are_written_in_the_form_that_parameters_hold(payload, friction):
+    from semiparam_ros.effects import effect_from_text
+
+    for effect in (*payload.final.effects, *friction.final.effects):
+        assert effect_from_text(effect_to_text(effect)) == effect
