@@ -105,7 +105,8 @@ def test_every_import_is_declared(folder, extras):
     imported = {name.split('.')[0] for path in sources for name in imports(path)}
     outside = imported - {'semiparam_ros', *sys.stdlib_module_names, *(path.stem for path in sources)}
     mentioned = {plain(requirement) for extra in extras for requirement in declared()[extra]}
-    owners = {name: {owner.lower() for owner in packages_distributions().get(name, [name])} for name in outside}
+    installed = packages_distributions()
+    owners = {name: {owner.lower() for owner in installed.get(name, [name])} for name in outside}
     undeclared = {name for name, found in owners.items()
                   if not found & mentioned and not from_ros(name) and name not in optional()}
     assert undeclared == set()
