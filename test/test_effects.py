@@ -8,6 +8,7 @@ import importlib
 import json
 import math
 import re
+import sys
 import textwrap
 from dataclasses import replace
 
@@ -22,6 +23,7 @@ from semiparam_ros.diagnosis.regression import fit
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds, registry
 from semiparam_ros.effects.base import FLAGS
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.report.effects_table import BEGIN, END, with_tables
 from semiparam_ros.report.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
@@ -270,8 +272,9 @@ def install(tmp_path, monkeypatch):
     """Puts a package with entry points where an installer would; gone again after the test."""
     monkeypatch.syspath_prepend(tmp_path)
 
-    def installed(**points: str) -> None:
-        (tmp_path / 'own_effects.py').write_text(textwrap.dedent(OWN_KIND))
+    def installed(code: str = textwrap.dedent(OWN_KIND), **points: str) -> None:
+        (tmp_path / 'own_effects.py').write_text(code)
+        monkeypatch.delitem(sys.modules, 'own_effects', raising=False)
         info = tmp_path / 'own_effects-1.0.dist-info'
         info.mkdir()
         (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: own-effects\nVersion: 1.0\n')
@@ -475,3 +478,32 @@ def test_text_forms_are_json_of_numbers():
     text = effect_to_text(kinds()['thermal_drift'](None, {'time_constant_s': 12.5}))
     assert text == 'thermal_drift{"time_constant_s": 12.5}'
     assert json.loads(text.removeprefix('thermal_drift')) == {'time_constant_s': 12.5}
+
+
+# --- docs/diagnosis.md ---
+
+@pytest.fixture(scope='module')
+def page(repository):
+    return (repository / 'docs' / 'diagnosis.md').read_text(encoding='utf-8')
+
+
+def test_the_documented_tables_are_those_of_the_classes(page):
+    assert with_tables(page) == page, 'run python -m semiparam_ros.report.effects_table'
+    tried = {name for name in {**kinds('wrench'), **kinds('effort')} if name != 'terms'}
+    assert set(re.findall(r'^\| `(\w+)` \|', page[page.index(BEGIN):page.index(END)], re.MULTILINE)) == tried
+
+
+def test_the_documented_kind_is_one(page, install):
+    install(re.search(r'```python\n(.*?)```', page, re.DOTALL)[1], table_magnet='TableMagnet')
+    assert '[project.entry-points."semiparam_ros.effects"]\ntable_magnet = ' in page
+    effect = kinds('wrench')['table_magnet'](None, {'angle': 0.3})
+    check_effect(BODIES['wrench'], effect)
+
+
+def test_the_documented_texts_are_read(page):
+    texts = re.findall(r"'([^']*)'", page[page.index('effects: ['):page.index("'sensor_drift']") + 16])
+    assert len(texts) == 5
+    assembly = CoupledColumns(BODIES['wrench'], [effect_from_text(text) for text in texts])
+    columns, _ = assembly.batch(MOTION)
+    assert columns.shape[2] == assembly.n_columns
+    assert effect_from_text(re.search(r'`(terms@fx\{.*?\})`', page)[1]).n_columns == 1
