@@ -6,8 +6,7 @@ import pytest
 
 from semiparam_ros.cli.main import main
 
-# One worker makes the evaluation, and all tests of it.
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group('icub_reference')]
+pytestmark = pytest.mark.slow
 
 PARAMS = """
 estimator:

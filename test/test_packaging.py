@@ -164,7 +164,6 @@ def prefix(tmp_path_factory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group('pip')
 def test_pip_puts_the_programs_into_bin(prefix):
     for program in PROGRAMS:
         assert 'usage:' in run(prefix / 'bin' / program, '--help')
@@ -172,7 +171,6 @@ def test_pip_puts_the_programs_into_bin(prefix):
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group('pip')
 def test_pip_installs_its_own_copy_with_the_data(prefix):
     where = run(prefix / 'bin/python', '-c', 'import semiparam_ros; print(semiparam_ros.__file__)', cwd=prefix)
     assert Path(where.strip()).is_relative_to(prefix)
@@ -202,7 +200,6 @@ def environment() -> dict[str, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group('colcon')
 def test_colcon_makes_every_command_reachable_by_ros2_run(workspace):
     programs = workspace / 'install/semiparam_ros/lib/semiparam_ros'
     assert {path.name for path in programs.iterdir()} == {*PROGRAMS, *COMMANDS}
@@ -214,7 +211,6 @@ def test_colcon_makes_every_command_reachable_by_ros2_run(workspace):
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group('colcon')
 def test_colcon_installs_what_ros_looks_for(workspace):
     install = workspace / 'install/semiparam_ros'
     assert (install / 'share/ament_index/resource_index/packages/semiparam_ros').is_file()
@@ -259,7 +255,6 @@ def test_launch_files_describe_something_to_the_real_launch(path):
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group('colcon')
 def test_colcon_test_runs_the_tests(workspace):
     """One test of the suite, found and run by colcon in the workspace's own copy."""
     colcon = Path(sys.executable).with_name('colcon')
