@@ -291,7 +291,6 @@ def measured(shared_data, repository, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group('icub_diagnosis')
 def test_the_measured_arm_is_explained_better_by_what_was_found(measured):
     _, report = measured
     assert report['verdict'] == 'effect_found'
@@ -303,7 +302,6 @@ def test_the_measured_arm_is_explained_better_by_what_was_found(measured):
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group('icub_diagnosis')
 def test_offsets_of_joints_and_a_tilt_of_the_base_are_rivals_on_the_measured_arm(measured):
     """The reference explains as much with joint offsets as with a tilt of the base by three degrees."""
     _, report = measured
@@ -314,7 +312,6 @@ def test_offsets_of_joints_and_a_tilt_of_the_base_are_rivals_on_the_measured_arm
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group('icub_diagnosis')
 def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured):
     folder, report = measured
     assert len(load_params(folder / 'found.yaml').effects) == len(report['effects'])
