@@ -84,9 +84,9 @@ def bells(values: Array) -> Array:
     return np.column_stack([values, np.exp(-0.5 * ((values[:, None] - centres) / width) ** 2)])
 
 
-def fold_labels(count: int) -> Stamps:
-    """(M,) fold of each sample: short blocks dealt out in turn."""
-    return np.arange(count) * BLOCKS // max(count, 1) % FOLDS
+def fold_labels(count: int, blocks: int = BLOCKS) -> Stamps:
+    """(M,) fold of each sample: blocks dealt out in turn."""
+    return np.arange(count) * blocks // max(count, 1) % FOLDS
 
 
 def block_sums(values: Array) -> Array:

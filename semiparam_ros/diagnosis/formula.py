@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
@@ -15,6 +16,10 @@ from semiparam_ros.diagnosis.flexible import FOLDS, fold_labels
 from semiparam_ros.effects.terms import Terms, term_unit, term_values
 
 MOST_TERMS = 6
+LEAST_SHARE = 0.05
+"""Of the residual, that a formula must explain on unseen blocks to be worth a reader's time."""
+LONG_BLOCKS = 15
+"""A formula is judged on longer blocks than the question whether anything is left: it is meant to carry over."""
 ENOUGH = 0.9
 """The shortest formula that explains this share of what the best one explains of unseen blocks."""
 QUANTILES = (0.02, 0.15, 0.3, 0.5, 0.7, 0.85, 0.98)
@@ -100,18 +105,15 @@ def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, va
     names, columns = [name for name, keep in zip(names, usable, strict=True) if keep], columns[:, usable]
     if not names:
         return None
-    order = _pursuit(columns, values)
-    shares = [_held_out_share(columns[:, order[:count]], values) for count in range(1, len(order) + 1)]
-    best = max(shares, default=0.0)
-    if best <= 0.0:
+    shares = _held_out_shares(columns, values)
+    if shares.max() < LEAST_SHARE:
         return None
-    count = 1 + next(index for index, share in enumerate(shares) if share >= ENOUGH * best)
-    kept = order[:count]
-    found = _with_constant(columns[:, kept])
-    coefficients = np.linalg.lstsq(found, values, rcond=1e-10)[0][:-1]
+    count = 1 + int(np.argmax(shares >= ENOUGH * shares.max()))
+    kept = _pursuit(columns, values)[:count]
+    coefficients = _least_squares(columns[:, kept], values)[:-1]
     summands = tuple(Summand(names[index], float(value), term_unit(names[index], body, channel))
                      for index, value in zip(kept, coefficients, strict=True))
-    return Formula(body.output_names[channel], summands, shares[count - 1])
+    return Formula(body.output_names[channel], summands, float(shares[count - 1]))
 
 
 def _pursuit(columns: Array, values: Array) -> list[int]:
@@ -119,24 +121,33 @@ def _pursuit(columns: Array, values: Array) -> list[int]:
     from sklearn.linear_model import orthogonal_mp  # a second of loading, for the few who need it
 
     moved = columns - columns.mean(axis=0)
-    moved /= np.linalg.norm(moved, axis=0)
+    moved /= np.linalg.norm(moved, axis=0) + 1e-12
     steps = min(MOST_TERMS, moved.shape[1])
-    path = orthogonal_mp(moved, values - values.mean(), n_nonzero_coefs=steps, return_path=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', RuntimeWarning)  # terms that depend on one another end the pursuit early
+        path = orthogonal_mp(moved, values - values.mean(), n_nonzero_coefs=steps, return_path=True)
     present = np.atleast_2d(path.reshape(moved.shape[1], -1) != 0.0)
     entered = np.where(present.any(axis=1), present.argmax(axis=1), steps + 1)
     return [int(index) for index in np.argsort(entered, kind='stable') if entered[index] <= steps]
 
 
-def _held_out_share(columns: Array, values: Array) -> float:
-    """Share of the variance of values that least squares on the other folds predicts."""
-    labels, design = fold_labels(len(values)), _with_constant(columns)
-    left = np.empty_like(values)
+def _held_out_shares(columns: Array, values: Array) -> Array:
+    """(MOST_TERMS,) share of the variance of values that formulas of 1, 2, ... terms predict of unseen blocks.
+
+    Each fold chooses its own terms: a choice that has seen the blocks which judge it flatters itself.
+    """
+    labels = fold_labels(len(values), LONG_BLOCKS)
+    squares = np.zeros(MOST_TERMS)
     for fold in range(FOLDS):
         held = labels == fold
-        found = np.linalg.lstsq(design[~held], values[~held], rcond=1e-10)[0]
-        left[held] = values[held] - design[held] @ found
-    return float(1.0 - left @ left / (np.sum((values - values.mean()) ** 2) + 1e-300))
+        order = _pursuit(columns[~held], values[~held])
+        for count in range(1, MOST_TERMS + 1):
+            kept = order[:count]
+            found = _least_squares(columns[~held][:, kept], values[~held])
+            squares[count - 1] += np.sum((values[held] - columns[held][:, kept] @ found[:-1] - found[-1]) ** 2)
+    return np.asarray(1.0 - squares / (np.sum((values - values.mean()) ** 2) + 1e-300))
 
 
-def _with_constant(columns: Array) -> Array:
-    return np.column_stack([columns, np.ones(len(columns))])
+def _least_squares(columns: Array, values: Array) -> Array:
+    """Coefficients, and a constant after them."""
+    return np.asarray(np.linalg.lstsq(np.column_stack([columns, np.ones(len(columns))]), values, rcond=1e-10)[0])

@@ -23,7 +23,8 @@ from semiparam_ros.diagnosis.setup_problem import SetupProblem
 
 BAD_FIT, FAR_BETTER, GOOD_FIT = 0.03, 0.6, 0.25
 """With any effect of three times the usual size on any simulated motion the best wrong alternative reaches 1.04 J or
-more (117 recordings), on the real iCub, UR3 and Franka arms 0.98 J; mistakes put into these make J grow 2 to 70 times."""
+more (117 recordings), on the real iCub, UR3 and Franka arms 0.98 J; mistakes put into these make J grow twice to
+seventy times."""
 UNEXPLAINED = 0.4
 """Share of variance that the best inertias leave when the description is not this robot's. The worst effect of three
 times the usual size leaves 0.32, other arms' descriptions and sensor frames 0.43 to 1."""

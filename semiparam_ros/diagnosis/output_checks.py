@@ -20,9 +20,10 @@ UNIT_TOLERANCE = 2.0
 """A ratio within this factor of a unit's is that unit; the real UR3's efforts are 1.7 times the description's."""
 UNITS = {1.0 / 9.81: 'kilograms-force', 9.81: 'newtons taken for kilograms-force', 1e3: 'thousandths (mN, N mm)',
          1e-3: 'thousands (kN, kN m)', 1e2: 'hundredths (N cm)'}
-PUSHING = -0.85
-"""Least share of a joint's effort that goes against all friction before its sign is doubted. A delay or a resonance of
-size 3 reaches -0.8; a real UR3's base and wrists 0.86 to 0.98 as they are."""
+PUSHING, BRAKING = -0.85, 0.3
+"""Share of a joint's effort that goes against all friction, and the other joints' median, before its sign is doubted.
+A delay or a resonance of size 3 can push as much, but then it brakes no other joint; a real UR3's joints brake by 0.42
+to 0.98."""
 
 
 FRICTION_SPEAKS = 0.5
@@ -63,7 +64,9 @@ def _is_turned_over(body: RigidBody, samples: Samples) -> bool:
 
 def friction_problems(body: RigidBody, samples: Samples) -> list[SetupProblem]:
     """Joints whose effort would drive them where friction holds them back."""
-    wrong = dissipation(body, samples) < PUSHING
+    share = dissipation(body, samples)
+    others = np.array([np.median(np.delete(share, joint)) if len(share) > 1 else 0.0 for joint in range(len(share))])
+    wrong = (share < PUSHING) & (others > BRAKING)
     return [SetupProblem('effort_sign', name, (
         f"The effort of '{name}' goes with its motion as no friction can: it has the opposite sign of its velocity's; "
         'negate it in the driver.')) for name, flag in zip(body.joints, wrong, strict=True) if flag]

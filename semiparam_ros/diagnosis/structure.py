@@ -20,9 +20,13 @@ MOST_SAMPLES = 4000
 LEAST_SAMPLES = 300
 SHARE, DEVIATIONS = 0.015, 2.0
 """Of all channels together: least share of the residual, and least mean gain of a block in its standard errors."""
+LARGE_SHARE, FEW_DEVIATIONS = 0.06, 0.9
+"""The same where few blocks hold most of the residual, as when something is touched now and then."""
 CHANNEL_SHARE, CHANNEL_DEVIATIONS = 0.05, 3.0
 """The same of one channel alone."""
 FORMULA_VARIABLES = 4
+DECLARED_SHARE = 0.25
+"""Of a channel's residual, that a formula must explain on unseen blocks before it is offered as an effect."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +47,8 @@ class Structure:
 
     @property
     def effects(self) -> tuple[Terms, ...]:
-        """The formulas as effects that can be declared."""
-        return tuple(formula.effect for formula in self.formulas)
+        """The formulas that are worth it, as effects that can be declared."""
+        return tuple(formula.effect for formula in self.formulas if formula.share > DECLARED_SHARE)
 
     @property
     def sentence(self) -> str:
@@ -80,7 +84,8 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, use:
     gains, power = block_sums(guarded**2 - (guarded - found) ** 2), np.sum(guarded**2, axis=0) + 1e-300
     share, shares = float(gains.sum() / power.sum()), gains.sum(axis=0) / power
     affected = (shares > CHANNEL_SHARE) & (_standard_errors(gains) > CHANNEL_DEVIATIONS)
-    together = share > SHARE and float(_standard_errors(gains.sum(axis=1, keepdims=True))[0]) > DEVIATIONS
+    deviations = float(_standard_errors(gains.sum(axis=1, keepdims=True))[0])
+    together = (share > SHARE and deviations > DEVIATIONS) or (share > LARGE_SHARE and deviations > FEW_DEVIATIONS)
     if not together and not affected.any():
         return Structure(share, shares, False, (), (), (), families)
     if not affected.any():
