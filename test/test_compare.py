@@ -52,9 +52,9 @@ def quick(compare):
 
 def without_times(document):
     """Everything that must not depend on where and how fast it ran."""
-    for variant in document['variants'].values():
-        variant.pop('fit_seconds')
-    return document
+    variants = {name: {key: value for key, value in variant.items() if key != 'fit_seconds'}
+                for name, variant in document['variants'].items()}
+    return {**document, 'variants': variants}
 
 
 def test_the_document_holds_every_figure(quick):
@@ -118,6 +118,14 @@ def test_all_seven_models_are_compared_unless_told(compare, folder):
     assert document['verdict'] in page
 
 
+def test_one_recording_serves_as_both(folder):
+    document = folder / 'both.json'
+    bag = str(folder / 'train.mcap')
+    assert main(['compare', bag, bag, '--params', str(folder / 'arm.yaml'), '--variant', 'P', '--train-samples', '200',
+                 '--test-from', '200', '--subsets', '2', '-o', str(folder / 'p.html'), '--json', str(document)]) == 0
+    assert json.loads(document.read_text())['subsets'] == [[200, 250], [250, 300]]
+
+
 def test_the_fitted_file_gives_what_was_fitted(folder):
     fitted, document = folder / 'fitted.yaml', folder / 'fit.json'
     assert main(['fit', str(folder / 'train.mcap'), '--params', str(folder / 'arm.yaml'), '-o', str(fitted), '--json',
@@ -155,7 +163,8 @@ def complaint(capsys, *arguments):
 @pytest.mark.parametrize(('options', 'sentence'), [
     (['--subsets', '0'], '0 subsets'), (['--subsets', '40'], 'more than the horizon of 5'),
     (['--subset-samples', '100'], 'more than the 160'), (['--train-samples', '100'], 'initial window'),
-    (['--seeds', '0'], '--seeds is 0'), (['--jobs', '0'], '--jobs is 0'),
+    (['--test-from', '160'], 'start at sample 160'), (['--seeds', '0'], '--seeds is 0'),
+    (['--jobs', '0'], '--jobs is 0'),
     (['--grid-tau', '1', '--grid-ratio', '0.1'], 'one point'), (['--variant', 'SPX'], "'SPX' is unknown"),
     (['-o', '/nowhere/page.html'], 'no folder /nowhere')])
 def test_a_senseless_request_is_refused_in_one_sentence(folder, capsys, options, sentence):
@@ -232,7 +241,7 @@ def invented(**levels):
         traces = [[trace(level * (1.0 + 0.1 * np.sin(np.arange(1000))))]]
         indices = {'eps_force': index_figures(traces, slice(0, 3)), 'eps_torque': index_figures(traces, slice(3, 6))}
         mode = mode_figures(traces)._replace(nmse=Spread(level, None, (level,)))
-        found[name] = VariantFigures(name, (0,), mode, mode, indices,
+        found[name] = VariantFigures(name, (0,), mode, mode, mode, indices,
                                      (Hyperparameters(1.0, 1.0, (1.0,), 1.0, (1.0,) * 6),), 0.0)
     return found
 

@@ -45,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                        help='parts of TEST, each started from the model that TRAIN left (default: 5)')
     split.add_argument('--subset-samples', metavar='N', type=int, help='length of each part (default: all of TEST)')
     split.add_argument('--train-samples', metavar='N', type=int, help='how much of TRAIN to use (default: all)')
+    split.add_argument('--test-from', metavar='N', type=int, default=0,
+                       help='first sample of TEST to use, so that one recording may serve as both (default: 0)')
     split.add_argument('--seeds', metavar='N', type=int, default=3,
                        help='feature draws, from features.seed on: a single one proves nothing (default: 3)')
     add_estimation_options(parser)
@@ -90,7 +92,8 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
     train, test = load_bags([args.train, args.test], settings)
     seeds = range(settings.features_seed, settings.features_seed + args.seeds)
     return scenario_from(settings, train, test, subsets=args.subsets, subset_samples=args.subset_samples,
-                         train_samples=args.train_samples, variants=variants, seeds=seeds, estimation=estimation)
+                         train_samples=args.train_samples, test_from=args.test_from, variants=variants, seeds=seeds,
+                         estimation=estimation)
 
 
 def command_line(args: argparse.Namespace) -> list[str]:
@@ -102,6 +105,7 @@ def command_line(args: argparse.Namespace) -> list[str]:
     for variant in args.variants or []:
         words += ['--variant', variant]
     words += ['--subsets', str(args.subsets), '--seeds', str(args.seeds)]
+    words += ['--test-from', str(args.test_from)] if args.test_from else []
     words += ['--method', args.method] if args.method != 'quasi-newton' else []
     words += ['--starts', str(args.starts)] if args.starts != 4 else []
     words += ['--white-noise'] if args.white_noise else []

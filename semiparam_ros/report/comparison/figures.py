@@ -55,6 +55,7 @@ class VariantFigures:
 
     variant: str
     seeds: tuple[int, ...]
+    first: ModeFigures  # the rest of the first recording, predicted and learnt
     adaptive: ModeFigures
     frozen: ModeFigures
     indices: dict[str, IndexFigures]
@@ -69,7 +70,8 @@ def figures_of(outputs: str, learnt: Sequence[Learnt], followed: Sequence[Follow
     adaptive = [[run.adaptive for run in runs] for runs in by_seed]
     frozen = [[run.frozen for run in runs] for runs in by_seed]
     indices = {name: index_figures(adaptive, channels) for name, channels in channel_groups(outputs).items()}
-    return VariantFigures(learnt[0].model.variant, seeds, mode_figures(adaptive), mode_figures(frozen), indices,
+    first = mode_figures([[one.trace] for one in learnt])
+    return VariantFigures(learnt[0].model.variant, seeds, first, mode_figures(adaptive), mode_figures(frozen), indices,
                           tuple(one.hyperparameters for one in learnt),
                           float(np.mean([one.fit_seconds for one in learnt])))
 

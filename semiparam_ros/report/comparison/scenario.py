@@ -40,12 +40,12 @@ class Scenario:
 
 def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subsets: int = 5,
                   subset_samples: int | None = None, train_samples: int | None = None,
-                  variants: Sequence[str] = tuple(VARIANTS), seeds: Sequence[int] = (0, 1, 2),
-                  estimation: Estimation | None = None) -> Scenario:
+                  test_from: int = 0, variants: Sequence[str] = tuple(VARIANTS),
+                  seeds: Sequence[int] = (0, 1, 2), estimation: Estimation | None = None) -> Scenario:
     """Check that the two recordings fit each other and are long enough.
 
     :param subset_samples: length of each part of ``test``; by default all of it is divided.
-    :param train_samples: how much of ``train`` to use; by default all.
+    :param train_samples: how much of ``train`` to use; by default all. :param test_from: first row of ``test`` to use.
     """
     _require_same_robot(train, test)
     learnt = train.samples[:train_samples] if train_samples else train.samples
@@ -54,9 +54,9 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
                              f'{settings.initial_samples} of the initial window (parameter initial.samples).')
     if not seeds:
         raise SemiparamError('the comparison has no feature seed; expected at least one.')
-    return Scenario(settings, learnt, test.samples, train.robot_description or test.robot_description,
-                    _split(len(test.samples), subsets, subset_samples, settings.horizon_length), tuple(variants),
-                    tuple(seeds), estimation or Estimation())
+    split = _split(len(test.samples), test_from, subsets, subset_samples, settings.horizon_length)
+    return Scenario(settings, learnt, test.samples, train.robot_description or test.robot_description, split,
+                    tuple(variants), tuple(seeds), estimation or Estimation())
 
 
 def _require_same_robot(train: LoadedBag, test: LoadedBag) -> None:
@@ -71,9 +71,12 @@ def _require_same_robot(train: LoadedBag, test: LoadedBag) -> None:
         raise SemiparamError('the recordings carry different robot descriptions; expected two of the same robot.')
 
 
-def _split(available: int, subsets: int, samples: int | None, horizon: int) -> tuple[tuple[int, int], ...]:
+def _split(total: int, begin: int, subsets: int, samples: int | None, horizon: int) -> tuple[tuple[int, int], ...]:
     if subsets < 1:
         raise SemiparamError(f'{subsets} subsets were asked for; expected at least 1.')
+    if not 0 <= begin < total:
+        raise SemiparamError(f'the subsets would start at sample {begin} of the {total} of the second recording.')
+    available = total - begin
     length = samples or available // subsets
     if length <= horizon:
         raise SemiparamError(f'each of {subsets} subsets of the second recording ({available} samples) has {length} '
@@ -81,4 +84,4 @@ def _split(available: int, subsets: int, samples: int | None, horizon: int) -> t
     if length * subsets > available:
         raise SemiparamError(f'{subsets} subsets of {length} samples are more than the {available} of the second '
                              'recording.')
-    return tuple((start, start + length) for start in range(0, length * subsets, length))
+    return tuple((start, start + length) for start in range(begin, begin + length * subsets, length))

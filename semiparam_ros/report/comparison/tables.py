@@ -39,6 +39,7 @@ def columns(comparison: Comparison) -> list[Column]:
             chosen.append(Column(SYMBOLS[name], detail, _index(name, field)))
     chosen += [Column('nMSE', 'learning', lambda one: one.adaptive.nmse),
                Column('nMSE', 'frozen', lambda one: one.frozen.nmse),
+               Column('band', 'first', lambda one: one.first.coverage, percent=True, best=_nearest_band),
                Column('band', 'learning', lambda one: one.adaptive.coverage, percent=True, best=_nearest_band),
                Column('band', 'frozen', lambda one: one.frozen.coverage, percent=True, best=_nearest_band),
                Column('log density', 'learning', lambda one: one.adaptive.log_density, best=max),
@@ -76,7 +77,8 @@ def _estimation(comparison: Comparison) -> dict[str, Any]:
 
 
 def _variant(one: VariantFigures) -> dict[str, Any]:
-    return {'seeds': list(one.seeds), 'learning': _mode(one.adaptive), 'frozen': _mode(one.frozen),
+    return {'seeds': list(one.seeds), 'first_recording': _mode(one.first),
+            'learning': _mode(one.adaptive), 'frozen': _mode(one.frozen),
             **{name: _index_dictionary(index) for name, index in one.indices.items()},
             'hyperparameters': [asdict(hyperparameters) for hyperparameters in one.hyperparameters],
             'fit_seconds': one.fit_seconds}
