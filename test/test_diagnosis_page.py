@@ -11,13 +11,17 @@ from matplotlib.colors import to_hex
 from test_page import browse  # noqa: F401 - a fixture
 
 from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.diagnosis.dependence import Dependence
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.formula import Formula, Summand
 from semiparam_ros.diagnosis.ranking import Trial
 from semiparam_ros.diagnosis.regression import fit
 from semiparam_ros.diagnosis.search import Rival, Step
+from semiparam_ros.diagnosis.structure import Structure
 from semiparam_ros.diagnosis.words import in_words
 from semiparam_ros.effects import kinds
 from semiparam_ros.report import diagnosis_figures as figures
+from semiparam_ros.report.diagnosis_clouds import suspicions
 from semiparam_ros.report.diagnosis_page import diagnosis_page
 from semiparam_ros.report.diagnosis_tables import causes, odds_text, output_rows, relative_floor, square_intervals
 from semiparam_ros.report.scoreboard import body_of, samples_of
@@ -83,7 +87,7 @@ def page_of(diagnosis):
 def pictures(diagnosis):
     """Over time (here and elsewhere), one for each finding and round, spectrum, outputs, and what is unexplained."""
     structure = diagnosis.structure is not None and diagnosis.structure.significant
-    return (3 + (diagnosis.judged is not None) + len(diagnosis.findings) + len(diagnosis.steps) + structure)
+    return 3 + (diagnosis.judged is not None) + len(suspicions(diagnosis)) + len(diagnosis.steps) + structure
 
 
 def test_the_page_opens_without_an_error_in_the_console(browse, loaded):  # noqa: F811
@@ -165,7 +169,7 @@ def test_every_finding_is_listed_with_its_numbers(loaded):
     assert [parameter.name for parameter in cause.parameters] == list(finding.parameters)
     text = page_of(loaded)
     for parameter in cause.parameters:
-        assert f'{parameter.name}</th><td>{parameter.value}</td><td>{parameter.std or "–"}</td>' in text
+        assert f'{parameter.name}</td><td>{parameter.value}</td><td>{parameter.std or "–"}</td>' in text
 
 
 def test_a_wrong_sign_of_the_wrench_is_shown_with_its_remedy():
@@ -175,6 +179,29 @@ def test_a_wrong_sign_of_the_wrench_is_shown_with_its_remedy():
     assert found.setup
     assert html.escape(found.setup[0].sentence, quote=True) in page_of(found).replace('&#39;', '&#x27;').replace(
         '&#34;', '&quot;')
+
+
+def test_findings_that_one_picture_shows_share_it(rubbing):
+    both = [rubbing.findings[0], replace(rubbing.findings[0], effect=kinds()['coulomb_friction']('r_elbow', {}))]
+    shown = suspicions(replace(rubbing, findings=both))
+    assert [len(suspicion.findings) for suspicion in shown] == [2]
+    text = page_of(replace(rubbing, findings=both))
+    assert 'viscous_friction at r_elbow and coulomb_friction at r_elbow' in text
+
+
+def test_what_no_kind_explains_has_a_section_with_its_formulas(clean):
+    good = Formula('fx', (Summand('abs(dq_r_elbow)', 0.5, 'N s/rad'),), 0.4)
+    poor = Formula('fy', (Summand('q_r_elbow^2', 0.1, 'N/rad^2'),), 0.001)
+    structure = Structure(0.3, np.array([0.5, 0.1, 0, 0, 0, 0]), True, ('fx', 'fy'),
+                          (Dependence('dq_r_elbow', 0.3), Dependence('time', 0.1)), (good, poor), {})
+    text = page_of(replace(clean, structure=structure, verdict='unexplained'))
+    assert 'Something is missing that none of the known effects explains.' in text
+    assert html.unescape(text).count('terms@fx{"abs(dq_r_elbow)": 0.5}') == 1
+    assert 'terms@fy' not in text
+    assert '<code>q_r_elbow^2</code>' in text
+    assert 'mean of the last third' in text
+    alone = replace(structure, variables=(Dependence('time', 0.3),))
+    assert 'mean of the last third' not in page_of(replace(clean, structure=alone))
 
 
 # --- against what a residual is drawn ---

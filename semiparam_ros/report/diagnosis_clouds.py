@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,29 +20,52 @@ from semiparam_ros.report.suspected_variable import Variable, suspected_variable
 from semiparam_ros.report.svg import INK, page_style
 
 HEIGHT = 2.7
-MOST_POINTS = 700
+MOST_POINTS = 900
+CLOUD_DPI = 200
 BINS = 40
 MOST_VARIABLES = 2
 QUANTITIES = {'q': 'position of {} [rad]', 'dq': 'velocity of {} [rad/s]', 'ddq': 'acceleration of {} [rad/s²]'}
 
 
-def against_suspected(diagnosis: Diagnosis, finding: Finding) -> tuple[Figure, str]:
-    """The residual of the channel that an effect explains most, before and after it, and the channel's name."""
-    step = diagnosis.steps[finding.round_number - 1]
-    channel = telling_channel(step, diagnosis.final, finding)
-    explained = step.before.residual[:, channel] - step.after.residual[:, channel]
-    variable = suspected_variable(finding.effect, step.before, explained, channel)
-    sides = (('before', step.before, BEFORE), ('after', diagnosis.final, AFTER))
+class Suspicion(NamedTuple):
+    """Findings of one round that show in the same output against the same variable."""
+
+    findings: list[Finding]
+    step: Step
+    channel: int
+    variable: Variable
+    explained: Array
+
+
+def suspicions(diagnosis: Diagnosis) -> list[Suspicion]:
+    """All findings, those together that one picture shows."""
+    found: dict[tuple[int, int, str], Suspicion] = {}
+    for finding in diagnosis.findings:
+        step = diagnosis.steps[finding.round_number - 1]
+        channel = telling_channel(step, diagnosis.final, finding)
+        explained = step.before.residual[:, channel] - step.after.residual[:, channel]
+        variable = suspected_variable(finding.effect, step.before, explained, channel)
+        key = finding.round_number, channel, variable.label
+        found.setdefault(key, Suspicion([], step, channel, variable, explained)).findings.append(finding)
+    return list(found.values())
+
+
+def against_suspected(diagnosis: Diagnosis, suspicion: Suspicion) -> Figure:
+    """The residual of an output before and after what was found in it, at the samples that fitted."""
+    channel, use = suspicion.channel, diagnosis.first.use
+    variable = Variable(suspicion.variable.label, suspicion.variable.values[use])
+    sides = (('before', suspicion.step.before.residual[use, channel], BEFORE),
+             ('after', diagnosis.final.residual[use, channel], AFTER))
     with page_style():
-        figure = Figure(figsize=(WIDTH, HEIGHT))
+        figure = Figure(figsize=(WIDTH, HEIGHT), dpi=CLOUD_DPI)
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
-        for panel, (title, state, colour) in zip(panels, sides, strict=True):
-            _cloud(panel, variable, state.residual[:, channel], colour)
+        for panel, (title, residual, colour) in zip(panels, sides, strict=True):
+            _cloud(panel, variable, residual, colour)
             panel.set_title(title)
-        _course(panels[0], variable, explained, 'what the effect explains')
+        _course(panels[0], variable, suspicion.explained[use], 'what the effect explains')
         panels[0].set_ylabel(_residual_label(diagnosis.first, channel))
-        panels[0].set_ylim(*limits(*(state.residual[:, channel] for _, state, _ in sides)))
-    return figure, diagnosis.first.body.output_names[channel]
+        panels[0].set_ylim(*limits(*(residual for _, residual, _ in sides)))
+    return figure
 
 
 def telling_channel(step: Step, final: Fit, finding: Finding) -> int:
@@ -56,15 +81,15 @@ def against_unexplained(state: Fit, structure: Structure) -> tuple[Figure, str]:
 
     Where time is among the variables, the beginning and the end of the recording have courses of their own.
     """
-    channel = int(np.argmax(structure.channel_shares))
-    residual, time = state.residual[:, channel], state.samples.time
+    channel, use = int(np.argmax(structure.channel_shares)), state.use
+    residual, time = state.residual[use, channel], state.samples.time[use]
     names = [each.name for each in structure.variables]
     chosen = sorted(names, key=lambda name: name == 'time')[:MOST_VARIABLES] or ['time']
     with page_style():
-        figure = Figure(figsize=(WIDTH, HEIGHT))
+        figure = Figure(figsize=(WIDTH, HEIGHT), dpi=CLOUD_DPI)
         panels = np.atleast_1d(figure.subplots(1, len(chosen), sharey=True))
         for panel, name in zip(panels, chosen, strict=True):
-            variable = Variable(_quantity(name), variable_values(name, state.body, state.samples))
+            variable = Variable(_quantity(name), variable_values(name, state.body, state.samples)[use])
             _cloud(panel, variable, residual, AFTER)
             for label, rows, colour in _periods(time, 'time' in names and name != 'time'):
                 _course(panel, Variable(variable.label, variable.values[rows]), residual[rows], label, colour)
@@ -93,7 +118,7 @@ def _residual_label(state: Fit, channel: int) -> str:
 def _cloud(panel: Axes, variable: Variable, residual: Array, colour: str) -> None:
     chosen = np.unique(np.linspace(0, len(residual) - 1, MOST_POINTS).astype(int))
     panel.plot(variable.values[chosen], residual[chosen], linestyle='none', marker='o', markersize=2.4, color=colour,
-               markeredgewidth=0, alpha=0.6)
+               markeredgewidth=0, alpha=0.6, rasterized=True)  # a point in SVG takes a hundred bytes
     panel.axhline(0.0, color=INK, linewidth=0.7)
     panel.set_xlabel(variable.label)
 

@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from semiparam_ros import __version__
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.diagnose import Diagnosis
-from semiparam_ros.diagnosis.findings import Finding
+from semiparam_ros.diagnosis.formula import Formula
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.structure import Structure
 from semiparam_ros.diagnosis.words import in_words, place
 from semiparam_ros.effects import effect_to_text
 from semiparam_ros.report import diagnosis_figures as figures
-from semiparam_ros.report.diagnosis_clouds import against_suspected, against_unexplained
+from semiparam_ros.report.diagnosis_clouds import Suspicion, against_suspected, against_unexplained, suspicions
 from semiparam_ros.report.diagnosis_tables import causes, output_rows, relative_floor, round_rows, variant_rows
 from semiparam_ros.report.rendering import environment
 from semiparam_ros.report.svg import inline_svg
@@ -49,7 +49,7 @@ def diagnosis_page(diagnosis: Diagnosis, result: dict[str, Any], title: str) -> 
         headline=_headline(diagnosis), outputs=_outputs(diagnosis), rows=output_rows(diagnosis),
         rounds=round_rows(diagnosis), over_time=_over_time(diagnosis), findings=_against_variables(diagnosis),
         structure=structure, unexplained=_unexplained(diagnosis.final, structure) if structure else None,
-        formulas=[effect_to_text(effect) for effect in structure.effects] if structure else [],
+        formulas=_formulas(structure) if structure else [],
         spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
         variants=variant_rows(result.get('variants') or {}), open=SHOWN_OPEN, facts=_facts(diagnosis),
         effects=[effect_to_text(effect) for effect in diagnosis.final.effects])
@@ -98,16 +98,17 @@ def _over_time_elsewhere(diagnosis: Diagnosis, time: Array) -> Picture:
 
 
 def _against_variables(diagnosis: Diagnosis) -> list[Picture]:
-    return [_against_variable(diagnosis, finding, number) for number, finding in enumerate(diagnosis.findings)]
+    return [_against_variable(diagnosis, suspicion, number)
+            for number, suspicion in enumerate(suspicions(diagnosis))]
 
 
-def _against_variable(diagnosis: Diagnosis, finding: Finding, number: int) -> Picture:
-    figure, channel = against_suspected(diagnosis, finding)
-    effect = finding.effect
-    return _picture(place(effect.kind, effect.where), f'variable{number}', figure,
-                    f'Residual of {channel}, the output in which this effect shows most. Left: without it, and without '
-                    'what later rounds found. Right: with everything found. The points should follow the line on the '
-                    'left and lie flat on the right.')
+def _against_variable(diagnosis: Diagnosis, suspicion: Suspicion, number: int) -> Picture:
+    names = ' and '.join(place(finding.effect.kind, finding.effect.where) for finding in suspicion.findings)
+    channel = diagnosis.first.body.output_names[suspicion.channel]
+    return _picture(names, f'variable{number}', against_suspected(diagnosis, suspicion),
+                    f'Residual of {channel}, the output in which this shows most. Left: without it, and without what '
+                    'later rounds found. Right: with everything found. The points should follow the line on the left '
+                    'and lie flat on the right.')
 
 
 def _unexplained(state: Fit, structure: Structure) -> Picture:
@@ -115,6 +116,13 @@ def _unexplained(state: Fit, structure: Structure) -> Picture:
     return _picture('What no kind explains', 'unexplained', figure,
                     f'What is left of {channel}, the output with most structure, against what it depends on most. A '
                     'course that is not flat is something that the model lacks.')
+
+
+def _formulas(structure: Structure) -> list[tuple[Formula, str]]:
+    """Each formula, and the effect that declares it where it is worth declaring."""
+    worth = structure.effects
+    return [(formula, effect_to_text(formula.effect) if formula.effect in worth else '')
+            for formula in structure.formulas]
 
 
 def _spectra(diagnosis: Diagnosis) -> Picture:

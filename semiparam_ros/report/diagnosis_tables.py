@@ -60,12 +60,10 @@ class Cause(NamedTuple):
     """One finding for reading."""
 
     name: str
-    sentence: str
     since: str
     evidence: float
     parameters: list[Parameter]
     alternatives: list[Alternative]
-    mistaken_for: str
     separated_by: str
 
 
@@ -107,19 +105,18 @@ def round_rows(diagnosis: Diagnosis) -> list[RoundRow]:
 
 def causes(diagnosis: Diagnosis) -> list[Cause]:
     """Every finding with its numbers and its rivals."""
-    return [_cause(finding, diagnosis.first.body.outputs) for finding in diagnosis.findings]
+    return [_cause(finding) for finding in diagnosis.findings]
 
 
-def _cause(finding: Finding, outputs: str) -> Cause:
+def _cause(finding: Finding) -> Cause:
     effect = finding.effect
     since = 'from the beginning' if effect.start_s is None else f'since {effect.start_s:.1f} s'
     parameters = [Parameter(name, f'{quantity.value:.4g}', '' if quantity.std is None else f'{quantity.std:.2g}',
                             quantity.unit.replace('^2', '²')) for name, quantity in finding.parameters.items()]
     alternatives = [Alternative(place(rival.kind, rival.where), odds_text(rival.odds),
                                 kinds()[rival.kind].separated_by) for rival in finding.rivals]
-    possible = [name for name in effect.mistaken_for if name in kinds(outputs)]
-    return Cause(place(effect.kind, effect.where), effect.sentence, since, finding.log_evidence_gain, parameters,
-                 alternatives, ', '.join(possible), effect.separated_by)
+    return Cause(place(effect.kind, effect.where), since, finding.log_evidence_gain, parameters,
+                 alternatives, effect.separated_by)
 
 
 def odds_text(odds: float) -> str:
