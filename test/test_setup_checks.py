@@ -201,6 +201,25 @@ def test_effects_of_three_times_the_usual_size_raise_no_alarm(outputs, kind, mot
     assert setup_problems(*simulated(outputs, kind, motion, 5)) == []
 
 
+def test_dead_outputs_are_said_to_be_dead_and_one_dead_channel_is_noted():
+    body, samples = simulated()
+    assert whats(body, replace(samples, outputs=np.full_like(samples.outputs, 3.0))) == ['outputs_constant']
+    partly = scaled(samples, 0.0, 'outputs', joint=4)
+    assert setup_problems(body, partly) == []
+    assert unidentifiable(body, partly) == ['No change was measured in ty: what acts there cannot be seen.']
+
+
+def test_a_robot_that_stands_still_says_nothing_about_its_setup():
+    body, samples = simulated()
+    assert setup_problems(body, scaled(samples, 0.0, *ROLES)) == []
+
+
+def test_stamps_that_repeat_or_jump_do_no_harm():
+    body, samples = simulated()
+    setup_problems(body, replace(samples, stamps=np.repeat(samples.stamps[::2], 2)))
+    assert setup_problems(body, samples[np.sort(np.random.default_rng(0).choice(1000, 150, replace=False))]) == []
+
+
 def test_too_short_a_recording_is_not_judged():
     body, samples = simulated()
     assert setup_problems(body, replace(samples, outputs=-samples.outputs)[:40]) == []

@@ -23,7 +23,7 @@ NEGLIGIBLE = 1e-6
 
 def unidentifiable(body: RigidBody, samples: Samples) -> list[str]:
     """Sentences about joints that do not move, gaps, too short recordings, and bodies whose inertias do not show."""
-    notes = _short(samples) + _still(body, samples) + _gaps(samples)
+    notes = _short(samples) + _still(body, samples) + _dead(body, samples) + _gaps(samples)
     return notes + _unseen(body, samples) if len(samples) > 1 else notes
 
 
@@ -44,6 +44,15 @@ def _still(body: RigidBody, samples: Samples) -> list[str]:
     if slow:
         notes.append(f'{_listed(slow)} hardly moved: what is said of {_it(slow)} is uncertain.')
     return notes
+
+
+def _dead(body: RigidBody, samples: Samples) -> list[str]:
+    """Outputs that never change."""
+    if len(samples) < 2:
+        return []
+    reach = np.ptp(samples.outputs, axis=0)
+    dead = [name for name, value in zip(body.output_names, reach, strict=True) if value == 0.0]
+    return [f'No change was measured in {_listed(dead)}: what acts there cannot be seen.'] if dead else []
 
 
 def _gaps(samples: Samples) -> list[str]:

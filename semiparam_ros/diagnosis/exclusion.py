@@ -46,7 +46,14 @@ def gaps(samples: Samples) -> list[Gap]:
     time = samples.time
     steps = np.diff(time)
     return [Gap(int(at), float(time[at]), float(steps[at]))
-            for at in np.flatnonzero(steps > GAP_STEPS * np.median(steps))]
+            for at in np.flatnonzero(steps > GAP_STEPS * typical_step(time))]
+
+
+def typical_step(time: Array) -> float:
+    """Median time between samples [s], those with the same stamp aside."""
+    steps = np.diff(time)
+    forward = steps[steps > 0.0]
+    return float(np.median(forward)) if len(forward) else 1e-9
 
 
 def excluded(samples: Samples) -> Mask:

@@ -16,6 +16,7 @@ from scipy.signal import savgol_filter
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.exclusion import typical_step
 
 WINDOWS = (9, 15)
 """Samples of a moving polynomial of degree DEGREE: at 20 Hz about half a second and three quarters."""
@@ -40,7 +41,7 @@ def without_input_errors(body: RigidBody, samples: Samples, residual: Array, use
 
 def resmoothed(samples: Samples, window: int) -> Samples:
     """Positions and velocities by a moving polynomial, accelerations as the derivative of the velocities."""
-    step = float(np.median(np.diff(samples.time)))
+    step = typical_step(samples.time)
     return replace(samples, position=savgol_filter(samples.position, window, DEGREE, axis=0),
                    velocity=savgol_filter(samples.velocity, window, DEGREE, axis=0),
                    acceleration=savgol_filter(samples.velocity, window, DEGREE, deriv=1, delta=step, axis=0))

@@ -15,7 +15,7 @@ import numpy as np
 
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.exclusion import GAP_STEPS
+from semiparam_ros.diagnosis.exclusion import GAP_STEPS, typical_step
 from semiparam_ros.diagnosis.setup_problem import SetupProblem
 
 SPAN_S = 0.2
@@ -81,7 +81,7 @@ def motion_problems(joints: Sequence[str], samples: Samples) -> tuple[list[Setup
 def _spans(time: Array, values: Array, rates: Array) -> tuple[Array, Array]:
     """(M, k) changes of values (N, k) over SPAN_S, and the integrals of their rates over the same spans."""
     steps = np.diff(time)
-    typical = float(np.median(steps))
+    typical = typical_step(time)
     width = int(np.clip(round(SPAN_S / typical), 1, max(len(time) // LEAST_SPANS, 1)))
     pieces = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)])
@@ -131,7 +131,7 @@ def _clock(samples: Samples, ratios: list[Ratio]) -> list[SetupProblem]:
     factor = float(np.median(telling))
     if 1.0 / TOLERANCE < factor < TOLERANCE or any(Ratio(factor, 1.0).near(known) for known in UNITS):
         return []
-    step = float(np.median(np.diff(samples.time)))
+    step = typical_step(samples.time)
     return [SetupProblem('clock', None, (
         f'The stamps are {step:.4g} s apart, but positions and velocities agree with {factor * step:.4g} s: correct '
         f'the stamps (for a text table: semiparam convert --period {factor * step:.4g}, or --time-unit).'))]
