@@ -88,13 +88,11 @@ class Learner:
         contact = self.gate.judge(sample.stamp, innovation, self.settings)
         learn = self.settings.learning and not contact
         answer = Answer(self._as_measured(prediction), sample.outputs - prediction.mean, innovation, learn, contact)
+        self._emit(answer)  # before learning, which takes as long as predicting
         if learn and completes_window(self.estimator):
-            self._emit(answer)
             self._finish_window(prediction)
         else:
-            errors = self.estimator.observe(prediction, learn)
-            self._emit(answer)
-            self._complete(errors)
+            self._complete(self.estimator.observe(prediction, learn))
 
     def _complete(self, errors: HorizonErrors | None) -> None:
         if errors is not None:

@@ -8,6 +8,7 @@ The node is a process of its own; this process publishes, receives the predictio
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import subprocess
@@ -57,6 +58,7 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
     with _node_process(settings) as process, _peer() as peer:
+        gc.disable()  # a pause of this process would send a burst, and count as the node's latency
         peer.wait_for_estimator(process)
         peer.send(motion, WINDOW, rate_hz)
         peer.send(motion, 1, rate_hz)  # answered when the hyperparameters are there
