@@ -2,7 +2,7 @@
 
 All outputs share phi, so after whitening by ``output_scale`` the covariance of the stacked outputs is
 V = I_n x A + C Gamma C' with A = sigma^2 N + rho^2 Phi Phi'. Only A (through min(t, D)) and a p x p matrix are
-ever factored. The gradient runs backwards: dL/dA once, and from it every length scale (DESIGN, section 2).
+ever factored. The gradient runs backwards: dL/dA once, and from it every length scale (docs/mathematics.md, Evidence).
 N = I is the paper's white noise; with a drift, N = I + kappa R (see ``drift``).
 """
 

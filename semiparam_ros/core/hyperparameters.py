@@ -1,4 +1,4 @@
-"""Hyperparameters of every model class, estimated from the initial window and then kept (DESIGN, section 2)."""
+"""Hyperparameters of every model class, estimated from the initial window and then kept (Romeres et al. 2016)."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _by_validation(kind: str, window: Window, noise: Noise, grid: Grid | None,
 
 
 def _window_of_kind(kind: str, window: Window, pi: Array | None) -> Window:
-    """The window with only the terms that the class has (the table of DESIGN, section 2)."""
+    """The window with only the terms that the class has (the table in core.variants)."""
     steps, n, _ = window.coupled.shape
     without = (np.zeros((steps, n, 0)), np.zeros(0))
     inputs, spectrum, groups = window.inputs, window.spectrum, window.groups
