@@ -1,7 +1,11 @@
 """`semiparam fit` and `semiparam compare` on recordings of a simulated arm: figures, places to run, and mistakes."""
 
+import contextlib
 import json
 import os
+import socket
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -11,6 +15,7 @@ from recordings import FRAME, JOINTS, write_arm
 from semiparam_ros.cli.main import main
 from semiparam_ros.core.hyperparameters import Hyperparameters
 from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.report.comparison import parallel
 from semiparam_ros.report.comparison.figures import Spread, VariantFigures, index_figures, mode_figures
 from semiparam_ros.report.comparison.findings import findings_of, verdict
@@ -162,16 +167,37 @@ def complaint(capsys, *arguments):
 
 @pytest.mark.parametrize(('options', 'sentence'), [
     (['--subsets', '0'], '0 subsets'), (['--subsets', '40'], 'more than the horizon of 5'),
-    (['--subset-samples', '100'], 'more than the 160'), (['--train-samples', '100'], 'initial window'),
+    (['--subset-samples', '100'], 'more than the 160'), (['--subset-samples', '0'], 'has 0 samples'),
+    (['--train-samples', '100'], 'initial window'), (['--train-samples', '-5'], '-5 samples of the first'),
     (['--test-from', '160'], 'start at sample 160'), (['--seeds', '0'], '--seeds is 0'),
-    (['--jobs', '0'], '--jobs is 0'),
-    (['--grid-tau', '1', '--grid-ratio', '0.1'], 'one point'), (['--variant', 'SPX'], "'SPX' is unknown"),
-    (['-o', '/nowhere/page.html'], 'no folder /nowhere')])
+    (['--jobs', '0'], '--jobs is 0'), (['--starts', '0'], '--starts is 0'),
+    (['--grid-tau', '1', '--grid-ratio', '0.1'], 'one point'),
+    (['--grid-tau', '1', '1', '--grid-ratio', '0.1'], 'one point'),
+    (['--grid-tau', 'nan', '1'], 'grid holds nan'), (['--variant', 'SPX'], "'SPX' is unknown"),
+    (['-o', '/nowhere/page.html'], 'no folder /nowhere'), (['--json', '/'], 'it is a folder')])
 def test_a_senseless_request_is_refused_in_one_sentence(folder, capsys, options, sentence):
     page = folder / 'refused.html'
     assert sentence in complaint(capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params',
                                  folder / 'arm.yaml', '-o', page, *options)
     assert not page.exists()
+
+
+@pytest.mark.parametrize(('options', 'sentence'), [
+    (['-o', '/nowhere/fitted.yaml'], 'no folder /nowhere'), (['-o', '/'], 'it is a folder'),
+    (['--grid-tau', '1', '--grid-ratio', '0.1'], 'one point'), (['--grid-ratio', '-1', '1'], 'grid holds -1'),
+    (['--starts', '0'], '--starts is 0'), (['--variant', 'SPX'], "'SPX' is unknown")])
+def test_a_senseless_fit_is_refused_in_one_sentence(folder, capsys, options, sentence):
+    written = folder / 'refused.yaml'
+    assert sentence in complaint(capsys, 'fit', folder / 'train.mcap', '--params', folder / 'arm.yaml', '-o', written,
+                                 '--variant', 'NP-VS', *options)
+    assert not written.exists()
+
+
+def test_a_recording_too_short_for_a_fit_is_refused(folder, capsys, tmp_path):
+    short = write_arm(tmp_path / 'short.mcap', 10)
+    assert 'holds 10 samples; expected at least 20' in complaint(
+        capsys, 'fit', short, '--params', folder / 'arm.yaml', '-o', tmp_path / 'p.yaml')
+    assert not (tmp_path / 'p.yaml').exists()
 
 
 def test_recordings_of_different_robots_are_refused(folder, capsys, tmp_path, monkeypatch):
@@ -182,27 +208,75 @@ def test_recordings_of_different_robots_are_refused(folder, capsys, tmp_path, mo
         capsys, 'compare', folder / 'train.mcap', other, '--params', folder / 'arm.yaml', '-o', tmp_path / 'p.html')
 
 
-def test_a_channel_that_stands_still_is_named(capsys, tmp_path):
+@pytest.fixture(scope='module')
+def still(tmp_path_factory):
+    """Recordings of noise in which one output stands still, and all of them, with a parameter file."""
+    folder = tmp_path_factory.mktemp('still')
     table = np.random.default_rng(0).normal(size=(300, 18))
-    table[:, 14] = 3.0
-    np.savetxt(tmp_path / 'still.dat', table)
-    still = tmp_path / 'still.mcap'
-    layout = recordings.URDF.with_name('icub_table.yaml')
-    assert main(['convert', str(tmp_path / 'still.dat'), str(still), '--columns', str(layout)]) == 0
+    for name, constant in (('one', slice(14, 15)), ('all', slice(12, 18))):
+        fixed = table.copy()
+        fixed[:, constant] = 3.0
+        np.savetxt(folder / f'{name}.dat', fixed)
+        assert main(['convert', str(folder / f'{name}.dat'), str(folder / f'{name}.mcap'), '--columns',
+                     str(recordings.URDF.with_name('icub_table.yaml'))]) == 0
     settings = Settings.from_mapping(PARAMETERS | {'robot_description_file': str(recordings.URDF)})
-    dump_params(settings, tmp_path / 'arm.yaml')
-    assert 'output 2 (counted from 0) is constant' in complaint(
-        capsys, 'fit', still, '--params', tmp_path / 'arm.yaml', '-o', tmp_path / 'p.yaml')
-    assert not (tmp_path / 'p.yaml').exists()
+    dump_params(settings, folder / 'arm.yaml')
+    return folder
 
 
-def test_a_cluster_that_does_not_answer_is_named(folder, capsys, monkeypatch):
+def test_a_channel_that_stands_still_is_named(still, capsys, tmp_path):
+    result, params = tmp_path / 'result', ['--params', still / 'arm.yaml']
+    sentence = 'output 2 (counted from 0) is constant'
+    assert sentence in complaint(capsys, 'fit', still / 'one.mcap', *params, '-o', result)
+    assert sentence in complaint(capsys, 'compare', still / 'one.mcap', still / 'one.mcap', *params, '--variant', 'P',
+                                 '--subsets', '1', '--jobs', '1', '-o', result)
+    assert not result.exists()
+
+
+def test_outputs_without_any_variance_are_refused_before_the_work(still, folder, capsys, tmp_path):
+    assert 'every output of the second recording is constant' in complaint(
+        capsys, 'compare', folder / 'train.mcap', still / 'all.mcap', '--params', still / 'arm.yaml', '-o',
+        tmp_path / 'p.html')
+    assert not (tmp_path / 'p.html').exists()
+
+
+@contextlib.contextmanager
+def silent_listener():
+    """The address of something that takes connections and never says a word."""
+    with socket.create_server(('127.0.0.1', 0)) as listener:
+        yield f'tcp://127.0.0.1:{listener.getsockname()[1]}'
+
+
+@pytest.mark.parametrize('address', ['tcp://127.0.0.1:9', 'nonsense', 'silent'])
+def test_a_cluster_that_does_not_answer_is_named(folder, capsys, monkeypatch, address):
     pytest.importorskip('distributed')
     monkeypatch.setattr(parallel, 'ANSWER_S', 0.5)
-    assert "no Dask scheduler answers at 'tcp://127.0.0.1:9'" in complaint(
-        capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml', '--scheduler',
-        'tcp://127.0.0.1:9', '-o', folder / 'unanswered.html')
+    with silent_listener() if address == 'silent' else contextlib.nullcontext(address) as asked:
+        assert f"no Dask scheduler answers at '{asked}'" in complaint(
+            capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml',
+            '--scheduler', asked, '-o', folder / 'unanswered.html')
     assert not (folder / 'unanswered.html').exists()
+
+
+def test_a_cluster_without_workers_is_named(folder, capsys):
+    distributed = pytest.importorskip('distributed')
+    with distributed.LocalCluster(n_workers=0, dashboard_address=None, host='127.0.0.1') as cluster:
+        assert 'has no worker' in complaint(
+            capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml',
+            '--scheduler', cluster.scheduler_address, '-o', folder / 'idle.html')
+    assert not (folder / 'idle.html').exists()
+
+
+def test_a_cluster_that_goes_away_is_named():
+    distributed = pytest.importorskip('distributed')
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None,
+                                  host='127.0.0.1') as cluster:
+        leave = threading.Timer(1.0, cluster.close)
+        leave.start()
+        with pytest.raises(SemiparamError, match='went away before the work was done'), \
+                parallel.workers(1, cluster.scheduler_address):
+            parallel.run_all(time.sleep, [(30.0,)])
+        leave.join()
 
 
 def trace(eps, errors=None, std=1.0, dt=0.1):

@@ -17,6 +17,7 @@ from semiparam_ros.diagnosis.judgement import judge_here, judge_there
 from semiparam_ros.diagnosis.noise import correlation_times, noise_floor
 from semiparam_ros.diagnosis.ranking import Trial, declare, score
 from semiparam_ros.diagnosis.regression import fit
+from semiparam_ros.diagnosis.search import worth_refining
 from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.report.diagnosis_tables import relative_floor
@@ -409,6 +410,15 @@ def test_a_calibration_is_settled_by_gauss_newton():
     settled = declare(state_of(samples), [offset.with_shape(offset=0.0)])
     assert settled.effects[0].value('offset') == pytest.approx(0.12, abs=1e-4)
     assert np.abs(settled.residual).max() < 1e-3 * np.abs(samples.outputs).max()
+
+
+def test_calibrations_are_refined_however_little_their_linear_approximation_explains(friction):
+    first, nothing = friction.first, np.zeros((1, 4))
+    springs = [Trial(kinds()['cable_spring']('r_elbow', {}), nothing, 6, evidence=100.0 - rank) for rank in range(9)]
+    delay, faint = (Trial(kinds()['time_delay'](None, {'delay_s': 0.01}), nothing, 1, evidence=each)
+                    for each in (50.0, 2.0))
+    chosen = worth_refining(replace(first, body=icub()), [*springs, delay, faint])
+    assert delay in chosen and faint not in chosen and springs[0] in chosen and springs[8] not in chosen
 
 
 def test_parameters_cost_evidence_and_correlated_samples_count_less():

@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from semiparam_ros.cli.fit import add_estimation_options, estimation_of
+from semiparam_ros.cli.fit import add_estimation_options, estimation_of, require_places
 from semiparam_ros.cli.options import (
     add_json_option,
     add_params_option,
@@ -62,17 +62,16 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.report.comparison.parallel import workers
     from semiparam_ros.report.comparison.tables import as_dictionary
 
-    for path in (args.output, args.json):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise SemiparamError(f'cannot write {path}: there is no folder {path.absolute().parent}.')
+    require_places(args.output, args.json)
     scenario = scenario_of(args)
     with workers(args.jobs, args.scheduler), progress_bar() as bar:
         task = bar.add_task('comparing', total=steps(scenario))
         comparison = compare(scenario, lambda: bar.advance(task))
     command = shlex.join(['semiparam', 'compare', *command_line(args)])
-    write_text(args.output, page(comparison, args.train.name, args.test.name, command))
+    text = page(comparison, args.train.name, args.test.name, command)
     if args.json:
         write_json(args.json, {'train': str(args.train), 'test': str(args.test), **as_dictionary(comparison)})
+    write_text(args.output, text)
     show(comparison)
     output.print(f'page: {args.output}', highlight=False, markup=False, soft_wrap=True)
     return 0

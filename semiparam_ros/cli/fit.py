@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.report.initial_window import fitted_settings
     from semiparam_ros.settings import dump_params, load_params
 
+    require_places(args.output, args.json)
     settings = load_params(args.params)
     settings = replace(settings, variant=chosen_variants([args.variant] if args.variant else None, settings)[0])
     estimation = estimation_of(args)
@@ -83,6 +85,20 @@ def run(args: argparse.Namespace) -> int:
     _show(settings, found)
     output.print(f'parameter file: {args.output}', highlight=False, markup=False, soft_wrap=True)
     return 0
+
+
+def require_places(*paths: Path | None) -> None:
+    """Raises SemiparamError where a result could not be written, before minutes of work rather than after them."""
+    for path in paths:
+        if path is None:
+            continue
+        folder = path.absolute().parent
+        if not folder.is_dir():
+            raise SemiparamError(f'cannot write {path}: there is no folder {folder}.')
+        if path.is_dir():
+            raise SemiparamError(f'cannot write {path}: it is a folder; expected the name of a file.')
+        if not os.access(folder, os.W_OK):
+            raise SemiparamError(f'cannot write {path}: the folder {folder} may not be written to.')
 
 
 def result(args: argparse.Namespace, settings: Settings, found: Hyperparameters, samples: int) -> dict[str, Any]:

@@ -26,10 +26,11 @@ class Grid:
     fitting_share: float = 0.7
 
     def __post_init__(self) -> None:
-        if len(self.tau) * len(self.ratio) < 2:
+        if len(set(self.tau)) * len(set(self.ratio)) < 2:
             raise SemiparamError('the validation grid holds one point; expected at least two to choose from.')
-        if min(*self.tau, *self.ratio, 1.0) <= 0.0:
-            raise SemiparamError('the validation grid holds a value that is not positive.')
+        for value in (*self.tau, *self.ratio):
+            if not 0.0 < value < np.inf:
+                raise SemiparamError(f'the validation grid holds {value:g}; expected positive finite values.')
         if not 0.1 <= self.fitting_share <= 0.9:
             raise SemiparamError(f'{self.fitting_share} of the window would fit; expected 0.1 to 0.9.')
 

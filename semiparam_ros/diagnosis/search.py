@@ -95,14 +95,15 @@ def ranked(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> li
     if not trials:
         return []
     trials = _by_evidence(state, trials)
-    foremost = _foremost(state, trials)
-    rest = [trial for trial in trials if trial not in foremost]
-    return _by_evidence(state, [refined(state, trial) for trial in foremost] + rest)
+    chosen = worth_refining(state, trials)
+    rest = [trial for trial in trials if trial not in chosen]
+    return _by_evidence(state, [refined(state, trial) for trial in chosen] + rest)
 
 
-def _foremost(state: Fit, trials: list[Trial]) -> list[Trial]:
-    """Those worth refining: the best of all, and of efforts the best of each joint."""
+def worth_refining(state: Fit, trials: list[Trial]) -> list[Trial]:
+    """Those worth refining: the best, calibrations (which are linear only while small), and of efforts each joint's."""
     chosen = trials[:REFINED]
+    chosen += [trial for trial in trials[REFINED:] if trial.effect.is_calibration and trial.evidence > LEAST_EVIDENCE]
     for joint in state.body.joints if state.body.outputs == 'effort' else ():
         at_joint = [trial for trial in trials if trial.effect.where == joint]
         chosen += [trial for trial in at_joint[:REFINED_AT_JOINT] if trial not in chosen and trial.evidence > 0.0]

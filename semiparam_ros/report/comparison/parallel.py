@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -12,7 +14,7 @@ from semiparam_ros.errors import SemiparamError
 
 Result = TypeVar('Result')
 ANSWER_S = 10.0
-"""How long a cluster may take to answer."""
+"""How long a cluster may take to answer [s]."""
 
 
 @contextmanager
@@ -20,7 +22,7 @@ def workers(jobs: int, scheduler: str | None = None) -> Iterator[int]:
     """Where :func:`run_all` works within this block; yields how many calls run at a time.
 
     :param scheduler: address of a Dask scheduler, whose workers then do everything.
-    :raises SemiparamError: the cluster does not answer, has no worker, or dask is not installed.
+    :raises SemiparamError: the cluster does not answer, has no worker, goes away, or dask is not installed.
     """
     if scheduler is None:
         # one linear algebra thread for each process: two on a core only fight
@@ -28,12 +30,16 @@ def workers(jobs: int, scheduler: str | None = None) -> Iterator[int]:
             yield jobs
         return
     client = _client(scheduler)
+    from distributed import KilledWorker
+
     try:
         count = sum(client.nthreads().values())
         if not count:
             raise SemiparamError(f'the cluster at {scheduler} has no worker; expected at least one.')
         with parallel_config(backend='dask', n_jobs=count):
             yield count
+    except (OSError, asyncio.CancelledError, CancelledError, KilledWorker) as error:
+        raise SemiparamError(f'the cluster at {scheduler} went away before the work was done.') from error
     finally:
         client.close()
 
@@ -59,7 +65,16 @@ def _client(address: str) -> Any:
     except ImportError as error:
         raise SemiparamError("--scheduler needs Dask: pip install 'semiparam_ros[dask]'.") from error
     try:
+        asyncio.run(asyncio.wait_for(_greet(address), ANSWER_S))
         return Client(address, timeout=ANSWER_S)
-    except (OSError, TimeoutError, ValueError) as error:
+    except (OSError, TimeoutError, asyncio.TimeoutError, ValueError) as error:
         raise SemiparamError(f"no Dask scheduler answers at '{address}'; expected an address such as "
                              'tcp://host:8786.') from error
+
+
+async def _greet(address: str) -> None:
+    """Shake hands once: a client waits for ever for something that listens but is no scheduler."""
+    from distributed.comm.core import connect
+
+    comm = await connect(address, timeout=ANSWER_S)
+    await comm.close()

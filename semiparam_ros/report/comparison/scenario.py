@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from semiparam_ros.bags.loading import LoadedBag
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.variants import VARIANTS
@@ -48,13 +50,18 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     :param train_samples: how much of ``train`` to use; by default all. :param test_from: first row of ``test`` to use.
     """
     _require_same_robot(train, test)
-    learnt = train.samples[:train_samples] if train_samples else train.samples
+    if train_samples is not None and train_samples < 1:
+        raise SemiparamError(f'{train_samples} samples of the first recording were asked for; expected at least 1.')
+    learnt = train.samples[:train_samples]
     if len(learnt) <= settings.initial_samples:
         raise SemiparamError(f'the first recording has {len(learnt)} samples to learn from; expected more than the '
                              f'{settings.initial_samples} of the initial window (parameter initial.samples).')
     if not seeds:
         raise SemiparamError('the comparison has no feature seed; expected at least one.')
     split = _split(len(test.samples), test_from, subsets, subset_samples, settings.horizon_length)
+    if not np.ptp(test.samples.outputs[test_from:split[-1][1]], axis=0).any():
+        raise SemiparamError('every output of the second recording is constant; expected outputs that vary, for errors '
+                             'are measured against their variance.')
     return Scenario(settings, learnt, test.samples, train.robot_description or test.robot_description, split,
                     tuple(variants), tuple(seeds), estimation or Estimation())
 
@@ -77,7 +84,7 @@ def _split(total: int, begin: int, subsets: int, samples: int | None, horizon: i
     if not 0 <= begin < total:
         raise SemiparamError(f'the subsets would start at sample {begin} of the {total} of the second recording.')
     available = total - begin
-    length = samples or available // subsets
+    length = available // subsets if samples is None else samples
     if length <= horizon:
         raise SemiparamError(f'each of {subsets} subsets of the second recording ({available} samples) has {length} '
                              f'samples; expected more than the horizon of {horizon}.')
