@@ -137,7 +137,7 @@ def test_a_validation_grid_has_a_length_scale_for_each_kind_at_most(draw):
 
 
 @pytest.mark.parametrize(('options', 'sentence'), [
-    ({'tau': (1.0,), 'ratio': (0.1,)}, 'one point'), ({'tau': (0.0, 1.0)}, 'not positive'),
+    ({'tau': (1.0,), 'ratio': (0.1,)}, 'one point'), ({'tau': (0.0, 1.0)}, 'expected positive finite values'),
     ({'fitting_share': 1.0}, 'would fit')])
 def test_a_senseless_grid_is_refused(options, sentence):
     with pytest.raises(SemiparamError, match=sentence):
