@@ -128,6 +128,8 @@ GOOD = [state(0), wrench(0), state(MS, 1.5), wrench(MS, 1.0), state(2 * MS, 1.7)
 BAD = {
     'not_finite': ('joint_state', 2 * MS, JOINTS, (math.nan, 0.0), (0.0, 0.0)),
     'not_finite of a wrench': ('wrench', 2 * MS, 'sensor', (0.0, math.inf, 0.0, 0.0, 0.0, 0.0)),
+    'out_of_range': ('joint_state', 2 * MS, JOINTS, (0.0, 0.0), (0.0, -1e160)),
+    'out_of_range of a wrench': ('wrench', 2 * MS, 'sensor', (0.0, 1e300, 0.0, 0.0, 0.0, 0.0)),
     'not_finite of opposite infinities': ('wrench', 2 * MS, 'sensor', (math.inf, -math.inf, 0.0, 0.0, 0.0, 0.0)),
     'missing_joint': ('joint_state', 2 * MS, ('hip', 'ankle'), (0.0, 0.0), (0.0, 0.0)),
     'missing_joint named twice': ('joint_state', 2 * MS, ('hip', 'knee', 'hip'), (0.0,) * 3, (0.0,) * 3),

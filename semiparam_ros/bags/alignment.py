@@ -21,6 +21,9 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 CAPACITY = 20_000
+LARGEST = 1e9
+"""No robot has such an angle [rad], speed, acceleration, force [N] or torque [N m]; memory that was never written does,
+and one such value would leave nothing of a model."""
 
 
 class Differentiator(Protocol):
@@ -38,9 +41,9 @@ class SampleStream:
 
     A message that cannot be used is refused: it is counted in ``faults`` by its reason, ``last_fault`` says in one
     sentence what was wrong, and everything else stays as if it had never come. Reasons: 'missing_joint',
-    'wrong_length', 'not_finite', 'duplicate_stamp', 'backward_stamp', 'wrong_frame'; 'unmatched' counts wrenches
-    without a joint state (or acceleration) near enough, 'overflow' messages given up because another topic stays
-    silent.
+    'wrong_length', 'not_finite', 'out_of_range', 'duplicate_stamp', 'backward_stamp', 'wrong_frame'; 'unmatched' counts
+    wrenches without a joint state (or acceleration) near enough, 'overflow' messages given up because another topic
+    stays silent.
     """
 
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
@@ -153,10 +156,14 @@ class SampleStream:
         return True
 
     def _acceptable(self, what: str, stamp: int, values: Sequence[float]) -> bool:
-        """Whether values are finite and the stamp is later than the topic's last one, which it then becomes."""
+        """Whether values are possible and the stamp is later than the topic's last one, which it then becomes."""
         # One NaN or infinity makes the sum one too: four times faster than asking each value.
         if not isfinite(sum(values)):
             self._refuse('not_finite', f'{what} at {_seconds(stamp)} s holds a value that is not finite.')
+            return False
+        if values and not (min(values) > -LARGEST and max(values) < LARGEST):
+            self._refuse('out_of_range', f'{what} at {_seconds(stamp)} s holds {max(values, key=abs):g}; expected '
+                                         f'values within {LARGEST:g}.')
             return False
         last = self._last.get(what)
         if last is not None and stamp <= last:

@@ -15,6 +15,7 @@ from semiparam_ros.ros.estimates import quantities
 from semiparam_ros.ros.excitation import Excitation, conditioning
 from semiparam_ros.ros.inputs import Inputs
 from semiparam_ros.ros.learner import Learner
+from semiparam_ros.ros.refusals import Refusals
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENCE_S = 1.0
@@ -57,11 +58,12 @@ class Tally:
 class InputReport:
     """Rates, silence, and what was refused."""
 
-    def __init__(self, inputs: Inputs) -> None:
-        self._inputs = inputs
+    def __init__(self, inputs: Inputs, refusals: Refusals) -> None:
+        self._inputs, self._refusals = inputs, refusals
         self._since = time.monotonic()
         self._before: Counter[str] = Counter()
-        self._refused = 0
+        self._refused = self._elsewhere = 0
+        self._last = ''
 
     def make(self) -> Report:
         """Since the last report."""
@@ -75,11 +77,18 @@ class InputReport:
         self._before = Counter(counts)
         stream = self._inputs.stream
         faults: Counter[str] = stream.faults if stream else Counter()
-        values |= {f'refused: {reason}': count for reason, count in sorted(faults.items())}
-        values['last refusal'] = stream.last_fault if stream else ''
+        values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._refusals.counts).items())}
+        self._last, self._elsewhere = self._latest(sum(faults.values())), self._refusals.on_topics
+        values['last refusal'] = self._last
         values['waiting for their counterpart'] = stream.pending if stream else 0
         values['lost before the robot was known'] = counts['given up']
-        return self._judged(now, sum(faults.values()), values)
+        return self._judged(now, sum(faults.values()) + self._refusals.on_topics, values)
+
+    def _latest(self, in_stream: int) -> str:
+        if self._refusals.on_topics > self._elsewhere:
+            return self._refusals.last
+        stream = self._inputs.stream
+        return stream.last_fault if stream and in_stream > self._refused - self._elsewhere else self._last
 
     def _judged(self, now: float, refused: int, values: Mapping[str, Any]) -> Report:
         news, self._refused = refused - self._refused, refused

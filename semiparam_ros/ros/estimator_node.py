@@ -30,6 +30,7 @@ from semiparam_ros.ros.learner import Learner
 from semiparam_ros.ros.messages import inertia_message
 from semiparam_ros.ros.outputs import Outputs
 from semiparam_ros.ros.parameters import Parameters
+from semiparam_ros.ros.refusals import DESCRIPTION, PARAMETERS, TRAJECTORY, Refusals
 from semiparam_ros.ros.robot import Robot
 from semiparam_ros.ros.services import Services
 from semiparam_ros.settings.snapshot import Settings, unknown_name
@@ -50,6 +51,7 @@ class EstimatorNode(Node):
         super().__init__(NAME)
         self.learner: Learner | None = None
         self._news = ''
+        self._refusals = Refusals()
         self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
                                       self._accept, self._change)
         settings = self._live.settings
@@ -59,16 +61,17 @@ class EstimatorNode(Node):
             later(lambda: self._guarded(function))
 
         self._background = ProcessBackground(in_executor)
-        self._robot = Robot(settings, self._begin, self._say)
+        self._robot = Robot(settings, self._begin, lambda sentence: self._refuse(DESCRIPTION, sentence))
         self._inputs = Inputs(self, settings, Sinks(self._guarded_offer, self._set_frame, self._robot.from_topic,
                                                     self._clear_pending))
-        self._input_report = diagnostics.InputReport(self._inputs)
+        self._input_report = diagnostics.InputReport(self._inputs, self._refusals)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = self.create_publisher(InertiaStamped, '~/payload', 10)
         self._held_replies = HeldReplies(self, self._announcement)
         Services(self, self._live, self._the_learner)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor)
-        DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id, self._guarded)
+        DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
+                          lambda answer: self._guarded(answer, TRAJECTORY))
         self._watch_clock()
         self._robot.from_parameters()
         # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
@@ -83,6 +86,12 @@ class EstimatorNode(Node):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """As every node does, but a refusal names the nearest parameter, and success tells what happens now."""
+        result = self._set_together(parameter_list)
+        if not result.successful:
+            self._refusals.add(PARAMETERS, result.reason)
+        return result
+
+    def _set_together(self, parameter_list: list[Parameter]) -> SetParametersResult:
         for parameter in parameter_list:
             if parameter.name not in BY_NAME and not self.has_parameter(parameter.name):
                 return SetParametersResult(successful=False, reason=unknown_name(parameter.name))
@@ -192,11 +201,17 @@ class EstimatorNode(Node):
         self._news = sentence
         self.get_logger().info(sentence)
 
-    def _guarded(self, function: Callable[[], Any]) -> None:
+    def _refuse(self, where: str, sentence: str) -> None:
+        self._refusals.add(where, sentence)
+        self._say(sentence)
+
+    def _guarded(self, function: Callable[[], Any], where: str = '') -> None:
         """Nothing that comes in may end the node: a sentence in the log, and the model as it was."""
         try:
             function()
         except SemiparamError as error:
+            if where:
+                self._refusals.add(where, str(error))
             self.get_logger().error(str(error), throttle_duration_sec=1.0)
         except Exception as error:
             self.get_logger().error(f'internal error, {type(error).__name__}: {error}', throttle_duration_sec=1.0)

@@ -1,0 +1,27 @@
+"""What the node would not take, beside messages that no sample can be made of: for /diagnostics."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+DESCRIPTION, TRAJECTORY, PARAMETERS = 'robot_description', 'desired_trajectory', 'parameters'
+TOPICS = (DESCRIPTION, TRAJECTORY)
+
+
+class Refusals:
+    """Counts by where they came in, and the last sentence of a topic; callers of services have theirs in the reply."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.last = ''
+
+    def add(self, where: str, sentence: str) -> None:
+        """One more."""
+        self.counts[where] += 1
+        if where in TOPICS:
+            self.last = sentence
+
+    @property
+    def on_topics(self) -> int:
+        """How many messages."""
+        return sum(self.counts[topic] for topic in TOPICS)
