@@ -214,10 +214,10 @@ def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
 
 def test_all_variants_and_back_while_data_flow(client):
     """No sample lost, no prediction missing, and each model as if it had been there from the start."""
-    samples, switched = fresh(1400), []
+    samples, switched = fresh(2400), []  # enough for a busy machine
     client.play(samples[:100], JOINTS)
     player = threading.Thread(target=lambda: [client.play(samples[index:index + 1], JOINTS) or time.sleep(0.005)
-                                              for index in range(100, 1400)])
+                                              for index in range(100, 2400)])
     player.start()
     for variant in ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'NP-VS', 'SP2-VS', 'SPK-ML'):
         start = time.monotonic()
