@@ -100,13 +100,16 @@ class Client:
 
     def connect(self, outputs='wrench'):
         """Hear every answer, and prove with one service call that the node knows it."""
+        self.listen_to_answers(outputs)
+        self.wait(lambda: self.node.count_publishers(f'{self.target}/residual'), 'the node appears')
+        self.get('variant')
+        time.sleep(0.3)
+
+    def listen_to_answers(self, outputs='wrench'):
         kind = WrenchStamped if outputs == 'wrench' else JointState
         self.listen(kind, f'predicted_{outputs}', f'predicted_{outputs}_std', 'residual')
         self.listen(JointState, 'horizon_error')
         self.listen(DiagnosticArray, '/diagnostics')
-        self.wait(lambda: self.node.count_publishers(f'{self.target}/residual'), 'the node appears')
-        self.get('variant')
-        time.sleep(0.3)
 
     def wait(self, condition, what='', timeout_s=PATIENCE_S):
         end = time.monotonic() + timeout_s
@@ -149,12 +152,16 @@ class Client:
 
     # Services and parameters
 
-    def call(self, kind, name, request):
+    def begin(self, kind, name, request):
+        """Call a service; a future of its answer."""
         key = (kind, name)
         if key not in self.clients:
             self.clients[key] = self.node.create_client(kind, f'{self.target}/{name}')
         self.wait(self.clients[key].service_is_ready, f'service {name}')
-        future = self.clients[key].call_async(request)
+        return self.clients[key].call_async(request)
+
+    def call(self, kind, name, request):
+        future = self.begin(kind, name, request)
         self.wait(future.done, f'answer of {name}')
         return future.result()
 
@@ -192,14 +199,19 @@ class Client:
             messages_heard.clear()
 
     def report(self, title):
-        """(level, message, values) of the latest report."""
-        self.wait(lambda: self.heard['/diagnostics'], 'diagnostics')
-        status = next(status for status in self.heard['/diagnostics'][-1].status if status.name.endswith(f': {title}'))
+        """(level, message, values) of the node's latest report; others report on the same topic."""
+        name = f'{self.node.get_namespace()}/{self.target}: {title}'.lstrip('/')
+
+        def found():
+            return [status for heard in self.heard['/diagnostics'][-10:] for status in heard.status
+                    if status.name == name]
+        self.wait(found, f'report {name}')
+        status = found()[-1]
         return status.level, status.message, {entry.key: entry.value for entry in status.values}
 
     def wait_report(self, title, condition):
         """The first report from now on that fulfils a condition."""
-        self.wait(lambda: self.heard['/diagnostics'] and condition(*self.report(title)), f'report {title}')
+        self.wait(lambda: condition(*self.report(title)), f'report {title}')
         return self.report(title)
 
     def __enter__(self):

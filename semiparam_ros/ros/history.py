@@ -86,7 +86,7 @@ def arrays_of(chapter: Chapter) -> dict[str, Array | Stamps]:
 
 
 def chapter_from(arrays: Mapping[str, Array], n_joints: int) -> Chapter:
-    """The chapter of :func:`arrays_of`."""
+    """The chapter of :func:`arrays_of`. Raises KeyError and ValueError where these are not its arrays."""
     learnt = arrays['learnt']
     if not len(learnt):
         return Chapter(None, learnt)

@@ -44,7 +44,8 @@ def save(path: Path, state: SavedState) -> None:
     """Write the whole file or nothing. Raises SemiparamError when it cannot be written."""
     arrays = {'meta': np.array(json.dumps(_meta(state))), 'bias': state.bias, 'probe': probe(state.estimator.body)}
     arrays |= {f'history.{name}': values for name, values in arrays_of(state.chapter).items()}
-    arrays |= {f'recursion.{name}': values for name, values in state.estimator.model.recursion.state().items()}
+    if known_of(state.estimator) is not None:  # before that, the samples say everything
+        arrays |= {f'recursion.{name}': values for name, values in state.estimator.model.recursion.state().items()}
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
         with os.fdopen(handle, 'wb') as stream:
@@ -65,7 +66,12 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         meta = _meta_of(path, arrays)
         _check_robot(path, arrays, meta, settings, body)
         settings = settings.changed({name: meta['settings'][name] for name in ADOPTED}, where=str(path))
+        for name, values in arrays.items():
+            if name != 'meta' and not np.isfinite(values).all():
+                raise SemiparamError(f"{path} holds a value in '{name}' that is not finite.")
         chapter = chapter_from(_group(arrays, 'history'), body.n_joints)
+        if arrays['bias'].shape != (body.n_outputs,):
+            raise SemiparamError(f"{path} holds a 'bias' of shape {arrays['bias'].shape}; expected ({body.n_outputs},).")
         return SavedState(settings, _estimator(settings, body, arrays, meta, chapter), chapter, arrays['bias'])
     except SemiparamError:
         raise
