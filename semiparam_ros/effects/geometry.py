@@ -86,8 +86,10 @@ def _joined(before: _Past, after: _Past) -> _Past:
 
 
 def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, Array, Array]:
-    """Inputs at ``wanted`` [ns] by cubic Hermite pieces that end no later than the sample numbered ``newest``.
+    """Inputs at ``wanted`` [ns] by pieces that end no later than the sample numbered ``newest``.
 
+    Positions and velocities by cubics through values and slopes, accelerations by straight lines: the derivative of the
+    cubics would take in the velocities' noise, least where a delay is a whole number of samples, and so draw it there.
     The last piece extrapolates, so that one sample at a time gives what the whole recording gives.
     """
     first = newest == 0
@@ -96,8 +98,9 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, A
     right = np.minimum(left + 1, len(past.stamps) - 1)
     step = np.where(first, 1, past.stamps[right] - past.stamps[left])[:, None] * 1e-9
     ahead = (wanted - past.stamps[left])[:, None] * 1e-9
-    position, _ = _hermite(past.position, past.velocity, left, right, step, ahead / step)
-    velocity, acceleration = _hermite(past.velocity, past.acceleration, left, right, step, ahead / step)
+    position = _hermite(past.position, past.velocity, left, right, step, ahead / step)
+    velocity = _hermite(past.velocity, past.acceleration, left, right, step, ahead / step)
+    acceleration = past.acceleration[left] + ahead / step * (past.acceleration[right] - past.acceleration[left])
     if first.any():
         start = slice(0, 1)
         position[start] = past.position[start] + ahead[start] * past.velocity[start]
@@ -106,9 +109,9 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, A
     return position, velocity, acceleration
 
 
-def _hermite(values: Array, slopes: Array, left: Stamps, right: Stamps, step: Array, u: Array) -> tuple[Array, Array]:
-    """Value and derivative of the cubic through two values with two slopes, at the share u of the step."""
+def _hermite(values: Array, slopes: Array, left: Stamps, right: Stamps, step: Array, u: Array) -> Array:
+    """Value of the cubic through two values with two slopes, at the share u of the step."""
     start, end = values[left], values[right]
     rise, fall = slopes[left] * step, slopes[right] * step
     square, cube = 3 * (end - start) - 2 * rise - fall, 2 * (start - end) + rise + fall
-    return start + u * (rise + u * (square + u * cube)), (rise + u * (2 * square + 3 * u * cube)) / step
+    return np.asarray(start + u * (rise + u * (square + u * cube)))
