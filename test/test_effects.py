@@ -507,3 +507,22 @@ def test_the_documented_texts_are_read(page):
     columns, _ = assembly.batch(MOTION)
     assert columns.shape[2] == assembly.n_columns
     assert effect_from_text(re.search(r'`(terms@fx\{.*?\})`', page)[1]).n_columns == 1
+
+
+@pytest.mark.parametrize('size', [1.0, 2.0])
+def test_a_delay_is_not_drawn_to_whole_samples_by_noise_of_the_encoders(size):
+    clean = Scenario(motion='circle_xy', samples=1500, rate_hz=20.0, seed=1)
+    recording = simulate(replace(clean, effects=(EffectRequest('time_delay', size=size),)))
+    body, samples = body_of(recording), samples_of(recording)
+    scale = samples.outputs.std(axis=0)
+    offset = np.broadcast_to(np.eye(6), (len(samples), 6, 6))
+
+    def left(delay_s: float) -> float:
+        columns, _ = CoupledColumns(body, [kinds()['time_delay'](None, {'delay_s': delay_s})]).batch(samples)
+        matrix = (np.concatenate([columns, offset], axis=2) / scale[:, None])[2:].reshape(-1, columns.shape[2] + 6)
+        outputs = (samples.outputs / scale)[2:].ravel()
+        return share(outputs - matrix @ np.linalg.lstsq(matrix, outputs, rcond=None)[0], outputs)
+
+    delays = np.arange(0.0, 0.0501, 0.001)
+    assert abs(delays[np.argmin([left(delay) for delay in delays])] - recording.truth[0]['parameters']['delay_s'][
+        'value']) < 0.0015

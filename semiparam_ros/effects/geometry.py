@@ -88,8 +88,9 @@ def _joined(before: _Past, after: _Past) -> _Past:
 def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, Array, Array]:
     """Inputs at ``wanted`` [ns] by pieces that end no later than the sample numbered ``newest``.
 
-    Positions and velocities by cubics through values and slopes, accelerations by straight lines: the derivative of the
-    cubics would take in the velocities' noise, least where a delay is a whole number of samples, and so draw it there.
+    Positions and velocities by cubics through values and slopes, accelerations by parabolas through three values: the
+    derivative of the cubics would take in the velocities' noise, least where a delay is a whole number of samples, and
+    so draw it there.
     The last piece extrapolates, so that one sample at a time gives what the whole recording gives.
     """
     first = newest == 0
@@ -100,13 +101,26 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, A
     ahead = (wanted - past.stamps[left])[:, None] * 1e-9
     position = _hermite(past.position, past.velocity, left, right, step, ahead / step)
     velocity = _hermite(past.velocity, past.acceleration, left, right, step, ahead / step)
-    acceleration = past.acceleration[left] + ahead / step * (past.acceleration[right] - past.acceleration[left])
+    acceleration = _parabola(past.acceleration, past.stamps, left, right, ahead)
     if first.any():
         start = slice(0, 1)
         position[start] = past.position[start] + ahead[start] * past.velocity[start]
         velocity[start] = past.velocity[start] + ahead[start] * past.acceleration[start]
         acceleration[start] = past.acceleration[start]
     return position, velocity, acceleration
+
+
+def _parabola(values: Array, stamps: Stamps, left: Stamps, right: Stamps, ahead: Array) -> Array:
+    """Value, ``ahead`` [s] of ``left``, of the parabola through left, right and the one before; a line where none is."""
+    before = np.maximum(left - 1, 0)
+
+    def slope(start: Stamps, end: Stamps) -> tuple[Array, Array]:
+        step = np.where(end > start, stamps[end] - stamps[start], 1)[:, None] * 1e-9
+        return (values[end] - values[start]) / step, step
+
+    (rise, step), (earlier, step_before) = slope(left, right), slope(before, left)
+    bend = np.where((left > before)[:, None], (rise - earlier) / (step + step_before), 0.0)
+    return np.asarray(values[left] + ahead * (rise + (ahead - step) * bend))
 
 
 def _hermite(values: Array, slopes: Array, left: Stamps, right: Stamps, step: Array, u: Array) -> Array:
