@@ -1,5 +1,6 @@
 """The loop on simulated recordings with known hidden causes, on the measured iCub arm, and its numbers one by one."""
 
+import argparse
 import json
 from dataclasses import replace
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from arms import icub, smooth_motion
 
+from semiparam_ros.cli.diagnose import diagnose_bag
 from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
@@ -22,6 +24,7 @@ from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.report.diagnosis_tables import relative_floor
 from semiparam_ros.report.scoreboard import body_of, samples_of
+from semiparam_ros.report.variants_with_effects import judge_variants
 from semiparam_ros.settings import load_params
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -324,6 +327,25 @@ def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured)
     assert errors[0] == pytest.approx(0.0193, rel=0.02)
     assert errors[1] < 0.8 * errors[0]
     assert '<svg' in (folder / 'page.html').read_text()
+
+
+@pytest.mark.slow
+def test_features_with_the_effects_carry_over_better_than_features_alone(measured):
+    """The same draws without and with the effects, judged as the node runs them."""
+    folder, _ = measured
+    settings = load_params(folder / 'icub.yaml')
+    diagnosis = diagnose_bag(argparse.Namespace(bag=folder / 'train.mcap', judge=folder / 'test.mcap', split=None,
+                                                kinds=['joint_offset']), settings)
+    shown = []
+    judged = judge_variants(replace(settings, features_count=200), diagnosis, ['P', 'SPK-ML'], 2,
+                            lambda done, total: shown.append((done, total)))
+    assert shown == [(count, 12) for count in range(1, 13)]
+    assert len(judged['P']['draws']['before']) == 1
+    assert judged['P']['after']['nmse_mean'] < 0.8 * judged['P']['before']['nmse_mean']
+    draws = judged['SPK-ML']['draws']
+    assert len(draws['before']) == 5 and np.ptp(draws['before']) > 0.0
+    assert np.mean(draws['after']) < np.mean(draws['before'])
+    assert judged['SPK-ML']['after']['nmse_mean'] == pytest.approx(np.mean(draws['after']))
 
 
 # --- the numbers one by one ---

@@ -157,9 +157,10 @@ def test_the_recording_that_judges_has_a_figure_of_its_own(drifting, loaded):
 
 
 def test_other_models_have_a_table_when_they_were_judged(clean):
-    judged = {'SPK-ML': {'before': {'nmse': [0.25, 0.75]}, 'after': {'nmse': [0.125, 0.125]}}}
+    judged = {'SPK-ML': {'before': {'nmse_mean': 0.5}, 'after': {'nmse_mean': 0.125},
+                         'draws': {'before': [0.5, 0.5], 'after': [0.125, 0.51]}}}
     text = diagnosis_page(clean, clean.as_dict() | {'variants': judged}, TITLE)
-    assert 'SPK-ML</th><td>0.5</td><td>0.125</td>' in text
+    assert 'SPK-ML (lower in 1 of 2 draws)</th><td>0.5</td><td>0.125</td>' in text
     assert 'SPK-ML' not in page_of(clean)
 
 

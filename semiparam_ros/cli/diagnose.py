@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from semiparam_ros.cli.options import (
     add_json_option,
     add_params_option,
@@ -42,6 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--html', metavar='FILE.html', type=Path, help='write a page with figures')
     parser.add_argument('--variants', metavar='V', nargs='+', default=[],
                         help='also learn these variants with and without the effects, and judge them')
+    parser.add_argument('--jobs', metavar='N', type=int, default=2,
+                        help='variants, or diagnoses of the scoreboard, at a time (default: 2)')
     add_json_option(parser)
     scoreboard = parser.add_argument_group('scoreboard')
     scoreboard.add_argument('--benchmark', action='store_true',
@@ -50,7 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scoreboard.add_argument('--sizes', metavar='S', type=float, nargs='+', default=[0.5, 1.0, 2.0])
     scoreboard.add_argument('--seeds', metavar='N', type=int, default=10, help='recordings of each kind and size')
     scoreboard.add_argument('--samples', metavar='N', type=int, default=4000)
-    scoreboard.add_argument('--jobs', metavar='N', type=int, default=2, help='diagnoses at a time (default: 2)')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -116,14 +115,15 @@ def _judge_variants(args: argparse.Namespace, settings: Settings, diagnosis: Dia
 
     with progress_bar() as bar:
         task = bar.add_task('variants', total=None)
-        return judge_variants(settings, diagnosis, chosen_variants(args.variants, settings),
-                              lambda words: bar.update(task, description=words))
+        return judge_variants(settings, diagnosis, chosen_variants(args.variants, settings), args.jobs,
+                              lambda done, total: bar.update(task, completed=done, total=total))
 
 
 def _show(diagnosis: Diagnosis, variants: dict[str, Any]) -> None:
     from rich.table import Table
 
     from semiparam_ros.diagnosis.words import in_words
+    from semiparam_ros.report.diagnosis_tables import variant_rows
 
     for line in in_words(diagnosis):
         output.print(line, highlight=False, markup=False, soft_wrap=True)
@@ -134,9 +134,9 @@ def _show(diagnosis: Diagnosis, variants: dict[str, Any]) -> None:
     for name, unit, *figures, floor in rows:
         table.add_row(f'{name} [{unit}]'.replace('[', r'\['), *(f'{value:.4f}' for value in figures), f'{floor:.4f}')
     output.print(table)
-    for name, entry in variants.items():
-        output.print(f'{name}: held-out nMSE {np.mean(entry["before"]["nmse"]):.4f} without the effects, '
-                     f'{np.mean(entry["after"]["nmse"]):.4f} with them.', highlight=False, markup=False)
+    for name, before, after, lower in variant_rows(variants):
+        output.print(f'{name}: held-out nMSE {before:.5f} without the effects, {after:.5f} with them{lower}.',
+                     highlight=False, markup=False, soft_wrap=True)
 
 
 def _benchmark(args: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,15 @@ LEAST_MOTION = 1e-3
 VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
 
 
+class Recorded(NamedTuple):
+    """The recordings as they came, before smoothing: what may fit (``fitting`` (N,)), and what judges (``valid``)."""
+
+    samples: Samples
+    fitting: Mask
+    judged: Samples
+    valid: Mask
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """What was found, and everything needed to show it. ``before`` and ``after`` judge on ``held_out`` samples."""
@@ -44,6 +53,7 @@ class Diagnosis:
     structure: Structure | None
     setup: list[SetupProblem]
     notes: list[str]
+    recorded: Recorded
     judged_by_step: list[Judgement] = field(default_factory=list)
     judged_elsewhere: str | None = None
     judged: Samples | None = None
@@ -90,9 +100,10 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     check(samples, body)
     setup = setup_problems(body, samples)
     clean = ~excluded(samples)
-    inputs = best_inputs(body, samples, effects, clean & _fitting(samples, use, other is not None))
+    may_fit = _fitting(samples, use, other is not None)
+    inputs = best_inputs(body, samples, effects, clean & may_fit)
     chosen, valid = inputs.prepare(samples), inputs.mask(clean)
-    fitting = valid & inputs.mask(_fitting(samples, use, other is not None))
+    fitting = valid & inputs.mask(may_fit)
     if body.outputs == 'effort':
         fitting &= ~resting(chosen)
     first = starting_fit(body, chosen, effects, fitting)
@@ -100,9 +111,11 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
     structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale)
-    held_out = valid & ~inputs.mask(_fitting(samples, use, other is not None))
+    held_out = valid & ~inputs.mask(may_fit)
+    recorded = Recorded(samples, clean & may_fit, *((samples, clean & ~may_fit) if other is None
+                                                    else (other[1], ~excluded(other[1]))))
     judged = None if other is None else inputs.prepare(other[1])
-    judged_valid = None if other is None else inputs.mask(~excluded(other[1]))
+    judged_valid = None if other is None else inputs.mask(recorded.valid)
 
     def judge(state: Fit) -> Judgement:
         if judged is None or judged_valid is None:
@@ -114,7 +127,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     after = by_step[-1] if by_step else before
     notes = unidentifiable(body, samples) + _left_out(clean)
     return Diagnosis(verdict(first, final, steps, structure, setup), findings(final, steps), steps, first, final,
-                     held_out, before, after, inputs, structure, setup, notes, by_step,
+                     held_out, before, after, inputs, structure, setup, notes, recorded, by_step,
                      other[0] if other else None, judged, judged_valid)
 
 

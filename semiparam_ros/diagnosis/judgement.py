@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.blocks import ranges
@@ -69,14 +70,18 @@ def _horizon_shares(residual: Array, outputs: Array) -> Array:
     return np.asarray(sums[0] / np.maximum(sums[1], 1e-300))
 
 
-def judge_here(state: Fit, held_out: Mask) -> Judgement:
-    """The model on held-out samples of its own recording."""
+def judgement_of(body: RigidBody, outputs: Array, residual: Array, valid: Mask) -> Judgement:
+    """The errors (N, n) of the samples that count."""
     parts, start = [], 0
-    for low, high in ranges(held_out):
+    for low, high in ranges(valid):
         parts.append((start, start + high - low))
         start += high - low
-    return Judgement(state.samples.outputs[held_out], state.residual[held_out], tuple(parts),
-                     state.body.outputs == 'wrench')
+    return Judgement(outputs[valid], residual[valid], tuple(parts), body.outputs == 'wrench')
+
+
+def judge_here(state: Fit, held_out: Mask) -> Judgement:
+    """The model on held-out samples of its own recording."""
+    return judgement_of(state.body, state.samples.outputs, state.residual, held_out)
 
 
 def judge_there(state: Fit, samples: Samples, valid: Mask) -> Judgement:

@@ -98,7 +98,7 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, A
     left = np.clip(left, 0, np.maximum(newest - 1, 0))
     right = np.minimum(left + 1, len(past.stamps) - 1)
     step = np.where(first, 1, past.stamps[right] - past.stamps[left])[:, None] * 1e-9
-    ahead = (wanted - past.stamps[left])[:, None] * 1e-9
+    ahead = np.asarray((wanted - past.stamps[left])[:, None] * 1e-9, dtype=float)
     position = _hermite(past.position, past.velocity, left, right, step, ahead / step)
     velocity = _hermite(past.velocity, past.acceleration, left, right, step, ahead / step)
     acceleration = _parabola(past.acceleration, past.stamps, left, right, ahead)
@@ -111,7 +111,7 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, A
 
 
 def _parabola(values: Array, stamps: Stamps, left: Stamps, right: Stamps, ahead: Array) -> Array:
-    """Value, ``ahead`` [s] of ``left``, of the parabola through left, right and the one before; a line where none is."""
+    """Value, ``ahead`` [s] of ``left``, of the parabola through left, right and the one before; else of a line."""
     before = np.maximum(left - 1, 0)
 
     def slope(start: Stamps, end: Stamps) -> tuple[Array, Array]:

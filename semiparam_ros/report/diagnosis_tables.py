@@ -128,7 +128,12 @@ def odds_text(odds: float) -> str:
     return f'{number} : 1' if odds >= 1.0 else f'1 : {number}'
 
 
-def variant_rows(variants: Mapping[str, Any]) -> list[tuple[str, float, float]]:
-    """Variant, mean held-out error without the effects, and with them."""
-    return [(name, float(np.mean(entry['before']['nmse'])), float(np.mean(entry['after']['nmse'])))
-            for name, entry in variants.items()]
+def variant_rows(variants: Mapping[str, Any]) -> list[tuple[str, float, float, str]]:
+    """Variant, mean held-out error without the effects and with them, and in how many draws of features it fell."""
+    rows = []
+    for name, entry in variants.items():
+        pairs = list(zip(entry['draws']['before'], entry['draws']['after'], strict=True))
+        lower = f' (lower in {sum(after < before for before, after in pairs)} of {len(pairs)} draws)' \
+            if len(pairs) > 1 else ''
+        rows.append((name, entry['before']['nmse_mean'], entry['after']['nmse_mean'], lower))
+    return rows

@@ -1,7 +1,9 @@
 """Every variant learnt without and with the effects found, judged where the diagnosis judged.
 
 Features can swallow an effect: their residual is small where they learnt, and the effect shows only in how they carry
-over to other motion.
+over to other motion. Features are drawn by chance, and a draw's luck is as large as what is looked for: several are
+drawn, the same ones without and with the effects. They learn from the recording as the node does, sample by sample with
+the accelerations that came with it, not from the smoothed motion that causes are looked for in.
 """
 
 from __future__ import annotations
@@ -13,35 +15,60 @@ from typing import Any
 import numpy as np
 
 from semiparam_ros.core.model import Estimator
-from semiparam_ros.diagnosis.diagnose import Diagnosis
-from semiparam_ros.diagnosis.judgement import Judgement
+from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.variants import variant_named
+from semiparam_ros.diagnosis.diagnose import Diagnosis, Recorded
+from semiparam_ros.diagnosis.judgement import judgement_of
 from semiparam_ros.effects import Effect
+from semiparam_ros.report.comparison.parallel import run_all, workers
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import model_options
 
+DRAWS = 5
+LABELS = ('before', 'after')
 
-def judge_variants(settings: Settings, diagnosis: Diagnosis, variants: Sequence[str],
-                   progress: Callable[[str], None]) -> dict[str, Any]:
-    """``{variant: {'before': ..., 'after': ...}}`` on the held-out samples, learning only those that fitted."""
-    judged = {}
+
+def judge_variants(settings: Settings, diagnosis: Diagnosis, variants: Sequence[str], jobs: int,
+                   progress: Callable[[int, int], None]) -> dict[str, Any]:
+    """``{variant: {'before': ..., 'after': ..., 'draws': {'before': [...], 'after': [...]}}}`` on the held-out samples.
+
+    Figures are means over the draws of the features; ``draws`` holds the normalised error of each.
+
+    :param jobs: how many to learn at a time.
+    :param progress: called with the number of models learnt, and of all.
+    """
+    body, effects = diagnosis.first.body, (diagnosis.first.effects, diagnosis.final.effects)
+    keys = [(variant, label, draw) for variant in variants for label in (0, 1) for draw in range(_draws(variant))]
+    calls = [(replace(settings, variant=variant, features_seed=settings.features_seed + draw), body, diagnosis.recorded,
+              effects[label])
+             for variant, label, draw in keys]
+    done = iter(range(1, len(calls) + 1))
+    with workers(jobs):
+        judgements = dict(zip(keys, run_all(_judge, calls, lambda: progress(next(done), len(calls))), strict=True))
+    judged: dict[str, Any] = {}
     for variant in variants:
-        entry = {}
-        for label, effects in (('before', diagnosis.first.effects), ('after', diagnosis.final.effects)):
-            progress(f'{variant} {label}')
-            entry[label] = _judge(replace(settings, variant=variant), diagnosis, effects).as_dict()
-        judged[variant] = entry
+        draws = [[judgements[variant, label, draw] for draw in range(_draws(variant))] for label in (0, 1)]
+        judged[variant] = {name: mean_of(each) for name, each in zip(LABELS, draws, strict=True)} | {
+            'draws': {name: [one['nmse_mean'] for one in each] for name, each in zip(LABELS, draws, strict=True)}}
     return judged
 
 
-def _judge(settings: Settings, diagnosis: Diagnosis, effects: Sequence[Effect]) -> Judgement:
-    body, samples, use = diagnosis.first.body, diagnosis.first.samples, diagnosis.first.use
+def mean_of(judgements: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Every figure's mean."""
+    return {name: None if first is None else np.mean([each[name] for each in judgements], axis=0).tolist()
+            for name, first in judgements[0].items()}
+
+
+def _draws(variant: str) -> int:
+    return DRAWS if variant_named(variant).features else 1
+
+
+def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Sequence[Effect]) -> dict[str, Any]:
     options = model_options(settings)
-    estimator = Estimator(body, replace(options, initial_samples=min(options.initial_samples, int(use.sum()))),
-                          effects)
-    for sample, learn in zip(samples, use, strict=True):
+    window = min(options.initial_samples, int(recorded.fitting.sum()))
+    estimator = Estimator(body, replace(options, initial_samples=window), effects)
+    for sample, learn in zip(recorded.samples, recorded.fitting, strict=True):
         estimator.step(sample, bool(learn))
     estimator.clear_pending()
-    judged, mask = (samples, diagnosis.held_out) if diagnosis.judged is None or diagnosis.judged_valid is None \
-        else (diagnosis.judged, diagnosis.judged_valid)
-    residual = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in judged])
-    return Judgement(judged.outputs[mask], residual[mask], diagnosis.after.parts, diagnosis.after.wrench)
+    residual = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in recorded.judged])
+    return judgement_of(body, recorded.judged.outputs, residual, recorded.valid).as_dict()

@@ -70,9 +70,10 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
             if name != 'meta' and not np.isfinite(values).all():
                 raise SemiparamError(f"{path} holds a value in '{name}' that is not finite.")
         chapter = chapter_from(_group(arrays, 'history'), body.n_joints)
-        if arrays['bias'].shape != (body.n_outputs,):
-            raise SemiparamError(f"{path} holds a 'bias' of shape {arrays['bias'].shape}; expected ({body.n_outputs},).")
-        return SavedState(settings, _estimator(settings, body, arrays, meta, chapter), chapter, arrays['bias'])
+        bias = arrays['bias']
+        if bias.shape != (body.n_outputs,):
+            raise SemiparamError(f"{path} holds a 'bias' of shape {bias.shape}; expected ({body.n_outputs},).")
+        return SavedState(settings, _estimator(settings, body, arrays, meta, chapter), chapter, bias)
     except SemiparamError:
         raise
     except (KeyError, IndexError, TypeError, ValueError) as error:
