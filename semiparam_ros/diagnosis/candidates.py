@@ -81,7 +81,8 @@ def rigid_prediction(state: Fit, effects: list[Effect]) -> Array:
 def best_start(state: Fit, columns: Array) -> tuple[int, float, float]:
     """Sample number where columns (N, n, c) should begin, and what they explain from there and from the beginning.
 
-    Sums over time make every start cheap; explained squares are in scaled units.
+    Sums over time make every start cheap; explained squares are in scaled units. Between two samples that fit nothing
+    tells one start from another: halfway errs least.
     """
     used = columns[state.use] / state.scale[:, None]
     declared = state.columns[state.use] / state.scale[:, None]
@@ -104,7 +105,8 @@ def best_start(state: Fit, columns: Array) -> tuple[int, float, float]:
     for finer in (max(step // 8, 1), 1):
         near = range(max(rough - step, 1), min(rough + step + 1, count), finer)
         rough, step = max(near, key=gain), 2 * finer
-    return int(np.flatnonzero(state.use)[rough]), gain(rough), gain(0)
+    fitting = np.flatnonzero(state.use)
+    return int(fitting[rough - 1] + fitting[rough] + 1) // 2, gain(rough), gain(0)
 
 
 def _suffix(values: Array) -> Array:
