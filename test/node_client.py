@@ -156,7 +156,8 @@ class Client:
         """Call a service; a future of its answer."""
         key = (kind, name)
         if key not in self.clients:
-            self.clients[key] = self.node.create_client(kind, f'{self.target}/{name}')
+            self.clients[key] = self.node.create_client(
+                kind, name if name.startswith('/') else f'{self.target}/{name}')
         self.wait(self.clients[key].service_is_ready, f'service {name}')
         return self.clients[key].call_async(request)
 

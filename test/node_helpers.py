@@ -5,6 +5,8 @@ from collections import deque
 
 import numpy as np
 
+from semiparam_ros.bags import recording_layout as layout
+from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
@@ -73,3 +75,25 @@ class DelayedBackground:
                 except Exception as caught:
                     result, error = None, caught
                 done(result, error)
+
+
+def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measured=True, wrench_late_ns=0):
+    """The recording of a robot that measures accelerations or not, its wrenches between the joint states or not."""
+    with BagWriter(path) as bag:
+        if description:
+            bag.write(layout.ROBOT_DESCRIPTION, 'std_msgs/msg/String', {'data': description}, samples[0].stamp)
+        for sample in samples:
+            header = {'stamp': layout.stamp_fields(sample.stamp), 'frame_id': frame}
+            late = {'stamp': layout.stamp_fields(sample.stamp + wrench_late_ns), 'frame_id': frame}
+            force, torque = (dict(zip('xyz', part.tolist(), strict=True)) for part in np.split(sample.outputs, 2))
+            point = {'accelerations': sample.acceleration.tolist()}
+            bag.write(layout.JOINT_STATES, layout.TYPES[layout.JOINT_STATES], {
+                'header': header, 'name': list(joints), 'position': sample.position.tolist(),
+                'velocity': sample.velocity.tolist(), 'effort': []}, sample.stamp)
+            if measured:
+                bag.write(layout.JOINT_ACCELERATIONS, layout.TYPES[layout.JOINT_ACCELERATIONS],
+                          {'header': header, 'joint_names': list(joints), 'points': [point]}, sample.stamp)
+            if not wrench_late_ns or sample is not samples[-1]:
+                bag.write(layout.WRENCH, layout.TYPES[layout.WRENCH],
+                          {'header': late, 'wrench': {'force': force, 'torque': torque}}, sample.stamp + wrench_late_ns)
+    return path

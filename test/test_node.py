@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from dataclasses import replace
@@ -16,16 +15,14 @@ from conftest import _free_domain
 from geometry_msgs.msg import WrenchStamped
 from node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
 from node_faults import Fuzzer, with_gaps
-from node_helpers import JOINTS, SETTINGS, URDF, motion
+from node_helpers import JOINTS, SETTINGS, URDF, motion, write_bag
 from rcl_interfaces.msg import ParameterType
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.ros.feedforward import Desired
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator
@@ -102,28 +99,6 @@ def refusals(client):
     values = client.report('inputs')[2]
     return Counter({name.removeprefix('refused: '): int(value) for name, value in values.items()
                     if name.startswith('refused: ')})
-
-
-def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measured=True, wrench_late_ns=0):
-    """The recording of a robot that measures accelerations or not, its wrenches between the joint states or not."""
-    with BagWriter(path) as bag:
-        if description:
-            bag.write(layout.ROBOT_DESCRIPTION, 'std_msgs/msg/String', {'data': description}, samples[0].stamp)
-        for sample in samples:
-            header = {'stamp': layout.stamp_fields(sample.stamp), 'frame_id': frame}
-            late = {'stamp': layout.stamp_fields(sample.stamp + wrench_late_ns), 'frame_id': frame}
-            force, torque = (dict(zip('xyz', part.tolist(), strict=True)) for part in np.split(sample.outputs, 2))
-            point = {'accelerations': sample.acceleration.tolist()}
-            bag.write(layout.JOINT_STATES, layout.TYPES[layout.JOINT_STATES], {
-                'header': header, 'name': list(joints), 'position': sample.position.tolist(),
-                'velocity': sample.velocity.tolist(), 'effort': []}, sample.stamp)
-            if measured:
-                bag.write(layout.JOINT_ACCELERATIONS, layout.TYPES[layout.JOINT_ACCELERATIONS],
-                          {'header': header, 'joint_names': list(joints), 'points': [point]}, sample.stamp)
-            if not wrench_late_ns or sample is not samples[-1]:
-                bag.write(layout.WRENCH, layout.TYPES[layout.WRENCH],
-                          {'header': late, 'wrench': {'force': force, 'torque': torque}}, sample.stamp + wrench_late_ns)
-    return path
 
 
 def replay(bag, *options):
@@ -211,31 +186,6 @@ def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
     _, _, values = client.wait_report('inputs', lambda level, message, values: all(
         int(values.get(f'refused: {reason}', 0)) >= count for reason, count in wanted.items()))
     assert {reason: int(values[f'refused: {reason}']) for reason in wanted} == wanted
-
-
-def test_all_variants_and_back_while_data_flow(client):
-    """No sample lost, no prediction missing, and each model as if it had been there from the start."""
-    samples, switched = fresh(2400), []  # enough for a busy machine
-    client.play(samples[:100], JOINTS)
-    player = threading.Thread(target=lambda: [client.play(samples[index:index + 1], JOINTS) or time.sleep(0.005)
-                                              for index in range(100, 2400)])
-    player.start()
-    for variant in ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'NP-VS', 'SP2-VS', 'SPK-ML'):
-        start = time.monotonic()
-        answer = client.set(variant=variant)[0]
-        assert answer.successful and time.monotonic() - start < 2.0
-        if 'is being built' in answer.reason:
-            client.wait_report('learning', lambda level, message, values, v=variant: message == f'learning with {v}.')
-        else:
-            assert f'{variant} takes over from' in answer.reason
-        switched.append((variant, len(client.heard['residual']) + 3))
-        client.wait(lambda: len(client.heard['residual']) > switched[-1][1] + 10, 'more data')
-    player.join()
-    assert client.stamps('residual') == [sample.stamp for sample in samples]
-    found = np.array(client.values('predicted_wrench'))
-    for variant, since in switched:
-        wanted = expected(samples[:since + 7], replace(LIVE, variant=variant))
-        np.testing.assert_allclose(found[since:since + 7], wanted[since:], rtol=0, atol=1e-6)
 
 
 def test_pause_tare_save_and_load(client):
