@@ -39,7 +39,6 @@ EXTRAS = {
         'types-PyYAML',
         'idyntree',
         'cyclonedds',
-        'roslibpy',
         'colcon-common-extensions',
         'setuptools<80',
     ],

@@ -49,7 +49,6 @@ ROSDEP = {
     'types-pyyaml': 'python3-types-pyyaml',
     'idyntree': None,  # not released into Jazzy: its tests skip there
     'cyclonedds': None,  # Jazzy has the C library alone; its tests skip without the wheel
-    'roslibpy': 'roslibpy-pip',
     'colcon-common-extensions': 'python3-colcon-common-extensions',
     'setuptools': 'python3-setuptools',
 }

@@ -1,0 +1,9 @@
+"""The fuzzer of docs/robustness.md for a few seconds."""
+
+import node_fuzz
+import pytest
+
+
+@pytest.mark.slow
+def test_a_node_under_fire_equals_one_that_gets_only_the_good_samples(ros_domain):
+    assert node_fuzz.main(['--seconds', '8', '--seed', '2', '--features', '100', '--window', '300']) == 0
