@@ -51,6 +51,7 @@ def test_bench_reports_every_contender_side_by_side(tmp_path, capsys):
     for row in document['sizes']:
         assert set(row['microseconds']) == set(MEANING)
         assert row['unknowns'] == row['columns'] + 6 * row['features']
+        assert 0.0 < row['evidence_seconds'] < 60.0
         assert row['of_potter'] == pytest.approx(row['microseconds']['SPK'] / row['microseconds']['Potter'])
     assert 'dense / SPK' in capsys.readouterr().out
 

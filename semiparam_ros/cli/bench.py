@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
 def size(body: RigidBody, count: int, rounds: int, tick: Callable[[], None]) -> dict[str, Any]:
     """Figures of D = ``count``: micro-seconds a sample of each contender, and the ratios to ours."""
     from semiparam_ros.cli.bench_arm import estimator, motion
+    from semiparam_ros.cli.bench_evidence import evidence_seconds
 
     model = estimator(body, count)
     cases = [case(model, sample) for sample in motion(body, SAMPLES)]
@@ -94,7 +95,8 @@ def size(body: RigidBody, count: int, rounds: int, tick: Callable[[], None]) -> 
             'unknowns': model.columns.n_columns + count * body.n_outputs, 'microseconds': median,
             'of_potter': median[OURS] / median[POTTER], 'of_covariance': median[OURS] / median[COVARIANCE],
             'dense_over_ours': median[DENSE] / median[OURS],
-            'dense_together_over_ours': median[TOGETHER] / median[OURS]}
+            'dense_together_over_ours': median[TOGETHER] / median[OURS],
+            'evidence_seconds': evidence_seconds(body, count)}
 
 
 def case(model: Estimator, sample: Sample) -> Case:
@@ -158,6 +160,9 @@ def show(sizes: Sequence[dict[str, Any]]) -> None:
     table.add_section()
     for name, key in RATIOS.items():
         table.add_row(name, *(f'{row[key]:.3g}' for row in sizes))
+    table.add_section()
+    table.add_row('evidence of 1000 samples [s]', *(f'{row["evidence_seconds"]:.2f}' for row in sizes))
     output.print(table)
     for name, meaning in MEANING.items():
         output.print(f'{name}: {meaning}', highlight=False, soft_wrap=True)
+    output.print('evidence: log marginal likelihood of the initial window and its gradient, once', soft_wrap=True)
