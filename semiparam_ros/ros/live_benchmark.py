@@ -41,7 +41,7 @@ from semiparam_ros.settings.build import build_rigid_body
 
 WINDOW = 500
 CYCLE = 4000
-START_S, READY_S, QUIET_S = 30.0, 120.0, 5.0
+START_S, READY_S, QUIET_S, IDLE_S = 30.0, 120.0, 5.0, 30.0
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=0)
 URDF = 'package://semiparam_ros/config/icub_right_arm.urdf'
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
@@ -49,6 +49,8 @@ JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 
 def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500) -> dict[str, Any]:
     """Publish for ``seconds`` at ``rate_hz``; what was sent, answered and lost, latencies [ms], memory [MB], cpu [%].
+
+    Beside them how late the same machine is, right afterwards, with an empty loop that is busy for as long.
 
     Raises SemiparamError when the node does not start or does not answer.
     """
@@ -67,7 +69,32 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
         first = peer.sent
         peer.send(motion, round(rate_hz * seconds), rate_hz, watch=lambda: _usage(process.pid))
         peer.wait_for_answers(process, QUIET_S, complain=False)
-        return peer.account(first, before, _usage(process.pid), rate_hz, features)
+        result = peer.account(first, before, _usage(process.pid), rate_hz, features)
+    share = min(result['cpu_percent'] / 100.0, 0.95)
+    return result | {'idle_loop': {'busy_share': share, **_quantiles(idle_loop(rate_hz, share, min(seconds, IDLE_S)))}}
+
+
+def idle_loop(rate_hz: float, share: float, seconds: float) -> Array:
+    """How late [ms] this machine is with nothing but a loop that is busy for ``share`` of every period.
+
+    Each value is the end of a period's work after its beginning, as a node's answer: no program that works as much is
+    earlier here.
+    """
+    period = 1.0 / rate_hz
+    late, start = [], time.perf_counter()
+    for index in range(round(rate_hz * seconds)):
+        due = start + index * period
+        time.sleep(max(0.0, due - time.perf_counter()))
+        end = time.perf_counter() + share * period
+        while time.perf_counter() < end:
+            pass
+        late.append(1e3 * (time.perf_counter() - due))
+    return np.array(late)
+
+
+def _quantiles(milliseconds: Array) -> dict[str, float]:
+    values = np.quantile(milliseconds, (0.5, 0.99, 1.0)) if len(milliseconds) else (np.nan,) * 3
+    return dict(zip(('median', 'p99', 'max'), map(float, values), strict=True))
 
 
 class Motion:
@@ -135,12 +162,11 @@ class Peer(Node):
         stamps = [stamp for number, stamp in enumerate(self._sent_at) if number >= first]
         latency = np.array([self._latency[stamp] for stamp in stamps if stamp in self._latency]) * 1e3
         span = (self._sent_at[stamps[-1]] - self._sent_at[stamps[0]]) * 1e-9
-        median, p99, worst = np.quantile(latency, (0.5, 0.99, 1.0)) if len(latency) else (np.nan,) * 3
         half = len(self._memory) // 2
         return {
             'rate_hz': rate_hz, 'reached_rate_hz': (len(stamps) - 1) / span, 'features': features,
             'seconds': span, 'sent': len(stamps), 'answered': len(latency), 'lost': len(stamps) - len(latency),
-            'latency_ms': {'median': float(median), 'p99': float(p99), 'max': float(worst)},
+            'latency_ms': _quantiles(latency),
             'memory_mb': {'start': before[0], 'middle': self._memory[half], 'end': after[0]},
             'cpu_percent': 100.0 * (after[1] - before[1]) / span}
 
