@@ -20,6 +20,7 @@ from semiparam_ros.diagnosis.noise import correlation_times, noise_floor
 from semiparam_ros.diagnosis.ranking import Trial, declare, score
 from semiparam_ros.diagnosis.regression import fit
 from semiparam_ros.diagnosis.search import worth_refining
+from semiparam_ros.diagnosis.words import in_words
 from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.report.diagnosis_tables import relative_floor
@@ -292,6 +293,16 @@ def measured(shared_data, repository, tmp_path_factory):
                  str(folder / 'icub.yaml'), '--json', str(folder / 'report.json'), '--output',
                  str(folder / 'found.yaml'), '--html', str(folder / 'page.html')]) == 0
     return folder, json.loads((folder / 'report.json').read_text())
+
+
+@pytest.mark.slow
+def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found():
+    """A force that acts in a small part of the workspace looks a little like many kinds, and like none."""
+    recording = simulate(Scenario(motion='circle_xy', samples=4000, seed=1, effects=(EffectRequest('bump', size=2.0),)))
+    diagnosis = diagnose(body_of(recording), samples_of(recording))
+    assert diagnosis.verdict == 'unexplained'
+    assert diagnosis.structure.formulas and diagnosis.structure.variables
+    assert in_words(diagnosis)[0].startswith('Something is missing that')
 
 
 @pytest.mark.slow

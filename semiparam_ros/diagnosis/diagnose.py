@@ -25,6 +25,8 @@ from semiparam_ros.errors import SemiparamError
 
 LEAST_SAMPLES = 200
 LEAST_MOTION = 1e-3
+PATCH_ROUNDS, PATCH_SHARE = 2, 1.0 / 3.0
+"""So many rounds that leave so much structure resemble a cause of another kind, and do not explain it."""
 VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
 
 
@@ -159,7 +161,7 @@ def _fitting(samples: Samples, use: Mask | None, judged_elsewhere: bool) -> Mask
 
 def verdict(first: Fit, final: Fit, steps: list[Step], structure: Structure | None, setup: list[SetupProblem]) -> str:
     """One of VERDICTS: an effect counts as found only when it explains more than what stays unexplained."""
-    if setup:
+    if setup or patched(steps, structure):
         return 'unexplained'
     left = 0.0
     if structure is not None and structure.significant:
@@ -168,6 +170,12 @@ def verdict(first: Fit, final: Fit, steps: list[Step], structure: Structure | No
     if left > removed:
         return 'unexplained'
     return 'effect_found' if steps else 'nothing_missing'
+
+
+def patched(steps: list[Step], structure: Structure | None) -> bool:
+    """Whether effect was added after effect, and still much of what is left is no noise."""
+    return len(steps) >= PATCH_ROUNDS and structure is not None and structure.significant \
+        and structure.share > PATCH_SHARE
 
 
 def _left_out(valid: Mask) -> list[str]:
