@@ -210,9 +210,9 @@ class Client:
         status = found()[-1]
         return status.level, status.message, {entry.key: entry.value for entry in status.values}
 
-    def wait_report(self, title, condition):
+    def wait_report(self, title, condition, timeout_s=PATIENCE_S):
         """The first report from now on that fulfils a condition."""
-        self.wait(lambda: condition(*self.report(title)), f'report {title}')
+        self.wait(lambda: condition(*self.report(title)), f'report {title}', timeout_s)
         return self.report(title)
 
     def __enter__(self):

@@ -21,18 +21,28 @@ from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.settings import dump_params, load_params
 from semiparam_ros.settings.build import build_estimator
 
-COMPARED = 20
+COMPARED, SLOW_MACHINE_S = 20, 120.0
 ORDER = [*(variant for variant in VARIANTS if variant != 'SPK-ML'), 'SPK-ML']
 
 
+def in_turn(*recordings):
+    """Their samples as one motion at 20 Hz, one recording after the other."""
+    samples, start = [], 0
+    for recording in recordings:
+        shift = start - recording.samples.stamps[0]
+        samples += [sample._replace(stamp=int(sample.stamp + shift)) for sample in recording.samples]
+        start = samples[-1].stamp + 50_000_000
+    return samples
+
+
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_every_variant_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_path, ros_domain, repository):
     """No sample lost, no prediction missing, each model as if it had been there from the start."""
-    settings = replace(load_params(repository / 'config/icub_right_arm.yaml'), features_count=500, initial_samples=150)
+    settings = replace(load_params(repository / 'config/icub_right_arm.yaml'), features_count=500, initial_samples=100)
     dump_params(settings, tmp_path / 'p.yaml')
     circles = [load_samples(repository / f'bags/icub_{plane}.mcap', settings) for plane in ('xy', 'xz')]
-    length = circles[0].samples.stamps[-1] - circles[0].samples.stamps[0] + 50_000_000
-    samples = [*circles[0].samples, *(sample._replace(stamp=sample.stamp + length) for sample in circles[1].samples)]
+    samples = in_turn(*circles, *circles)  # longer than a busy machine needs
     bag = write_bag(tmp_path / 'both.mcap', samples, settings.joints, circles[0].robot_description,
                     settings.sensor_frame)
     switched = []
@@ -50,7 +60,7 @@ def test_every_variant_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_pat
             assert answer.successful and replied < 2.0
             if 'is being built' in answer.reason:
                 client.wait_report('learning', lambda level, message, values, v=variant:
-                                   message == f'learning with {v}.')
+                                   message == f'learning with {v}.', SLOW_MACHINE_S)
             took = time.monotonic() - start
             print(f'{variant}: answered after {1e3 * replied:.0f} ms, takes over within {took:.1f} s')
             switched.append((variant, len(client.heard['residual']) + 3))

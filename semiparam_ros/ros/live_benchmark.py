@@ -35,6 +35,7 @@ from sensor_msgs.msg import JointState
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.lateness import idle_loop, quantiles
 from semiparam_ros.ros.messages import NANOSECONDS, WrenchMessage, set_stamp
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_rigid_body
@@ -71,30 +72,7 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
         peer.wait_for_answers(process, QUIET_S, complain=False)
         result = peer.account(first, before, _usage(process.pid), rate_hz, features)
     share = min(result['cpu_percent'] / 100.0, 0.95)
-    return result | {'idle_loop': {'busy_share': share, **_quantiles(idle_loop(rate_hz, share, min(seconds, IDLE_S)))}}
-
-
-def idle_loop(rate_hz: float, share: float, seconds: float) -> Array:
-    """How late [ms] this machine is with nothing but a loop that is busy for ``share`` of every period.
-
-    Each value is the end of a period's work after its beginning, as a node's answer: no program that works as much is
-    earlier here.
-    """
-    period = 1.0 / rate_hz
-    late, start = [], time.perf_counter()
-    for index in range(round(rate_hz * seconds)):
-        due = start + index * period
-        time.sleep(max(0.0, due - time.perf_counter()))
-        end = time.perf_counter() + share * period
-        while time.perf_counter() < end:
-            pass
-        late.append(1e3 * (time.perf_counter() - due))
-    return np.array(late)
-
-
-def _quantiles(milliseconds: Array) -> dict[str, float]:
-    values = np.quantile(milliseconds, (0.5, 0.99, 1.0)) if len(milliseconds) else (np.nan,) * 3
-    return dict(zip(('median', 'p99', 'max'), map(float, values), strict=True))
+    return result | {'idle_loop': {'busy_share': share, **quantiles(idle_loop(rate_hz, share, min(seconds, IDLE_S)))}}
 
 
 class Motion:
@@ -166,7 +144,7 @@ class Peer(Node):
         return {
             'rate_hz': rate_hz, 'reached_rate_hz': (len(stamps) - 1) / span, 'features': features,
             'seconds': span, 'sent': len(stamps), 'answered': len(latency), 'lost': len(stamps) - len(latency),
-            'latency_ms': _quantiles(latency),
+            'latency_ms': quantiles(latency),
             'memory_mb': {'start': before[0], 'middle': self._memory[half], 'end': after[0]},
             'cpu_percent': 100.0 * (after[1] - before[1]) / span}
 
