@@ -12,8 +12,6 @@ from semiparam_ros.core.evidence import Point, Window, evidence
 from semiparam_ros.core.rigid_body import RigidBody
 
 WINDOW, EVALUATIONS = 1000, 5
-STRIDE = 10
-"""Of the motion at 1 kHz, so that the window holds ten seconds."""
 
 
 def evidence_seconds(body: RigidBody, count: int) -> float:
@@ -28,7 +26,7 @@ def evidence_seconds(body: RigidBody, count: int) -> float:
 
 
 def _window(body: RigidBody, count: int) -> tuple[Window, Point]:
-    samples = motion(body, WINDOW * STRIDE)[::STRIDE]
+    samples = motion(body, WINDOW)
     coupled = np.stack([body.regressor(*sample[1:4]) for sample in samples])
     inputs = np.stack([np.concatenate(sample[1:4]) for sample in samples])
     inputs = (inputs - inputs.mean(axis=0)) / inputs.std(axis=0)

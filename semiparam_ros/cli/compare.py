@@ -7,13 +7,14 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from semiparam_ros.cli.fit import add_estimation_options, estimation_of, require_places
+from semiparam_ros.cli.fit import add_estimation_options, estimation_of
 from semiparam_ros.cli.options import (
     add_json_option,
     add_params_option,
     console,
     output,
     progress_bar,
+    require_places,
     write_json,
     write_text,
 )

@@ -13,6 +13,7 @@ from semiparam_ros.cli.options import (
     console,
     output,
     progress_bar,
+    require_places,
     write_json,
     write_text,
 )
@@ -54,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose one recording, or the simulator's."""
+    require_places(args.json, args.output, args.html)
     if args.benchmark:
         return _benchmark(args)
     if args.bag is None:

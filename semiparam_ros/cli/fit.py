@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from semiparam_ros.cli.options import add_json_option, add_params_option, console, output, progress_bar, write_json
+from semiparam_ros.cli.options import (
+    add_json_option,
+    add_params_option,
+    console,
+    output,
+    progress_bar,
+    require_places,
+    write_json,
+)
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -85,20 +92,6 @@ def run(args: argparse.Namespace) -> int:
     _show(settings, found)
     output.print(f'parameter file: {args.output}', highlight=False, markup=False, soft_wrap=True)
     return 0
-
-
-def require_places(*paths: Path | None) -> None:
-    """Raises SemiparamError where a result could not be written, before minutes of work rather than after them."""
-    for path in paths:
-        if path is None:
-            continue
-        folder = path.absolute().parent
-        if not folder.is_dir():
-            raise SemiparamError(f'cannot write {path}: there is no folder {folder}.')
-        if path.is_dir():
-            raise SemiparamError(f'cannot write {path}: it is a folder; expected the name of a file.')
-        if not os.access(folder, os.W_OK):
-            raise SemiparamError(f'cannot write {path}: the folder {folder} may not be written to.')
 
 
 def result(args: argparse.Namespace, settings: Settings, found: Hyperparameters, samples: int) -> dict[str, Any]:

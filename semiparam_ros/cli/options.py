@@ -42,6 +42,20 @@ def progress_bar() -> Progress:
     return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
+def require_places(*paths: Path | None) -> None:
+    """Raises SemiparamError where a result could not be written, before minutes of work rather than after them."""
+    for path in paths:
+        if path is None:
+            continue
+        folder = path.absolute().parent
+        if not folder.is_dir():
+            raise SemiparamError(f'cannot write {path}: there is no folder {folder}.')
+        if path.is_dir():
+            raise SemiparamError(f'cannot write {path}: it is a folder; expected the name of a file.')
+        if not os.access(folder, os.W_OK):
+            raise SemiparamError(f'cannot write {path}: the folder {folder} may not be written to.')
+
+
 def write_json(path: Path, result: Mapping[str, Any]) -> None:
     """Write a result, versioned by "schema", atomically; a number that is not finite raises SemiparamError."""
     document = {'schema': SCHEMA, **_plain(result, '')}

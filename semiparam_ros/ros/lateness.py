@@ -9,7 +9,7 @@ import numpy as np
 from semiparam_ros.core.types import Array
 
 
-def idle_loop(rate_hz: float, share: float, seconds: float) -> Array:
+def empty_loop(rate_hz: float, share: float, seconds: float) -> Array:
     """How late [ms] this machine is with nothing but a loop that is busy for ``share`` of every period.
 
     Each value is the end of a period's work after its beginning, as a node's answer: no program that works as much is

@@ -35,14 +35,14 @@ from sensor_msgs.msg import JointState
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.lateness import idle_loop, quantiles
+from semiparam_ros.ros.lateness import empty_loop, quantiles
 from semiparam_ros.ros.messages import NANOSECONDS, WrenchMessage, set_stamp
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_rigid_body
 
 WINDOW = 500
 CYCLE = 4000
-START_S, READY_S, QUIET_S, IDLE_S = 30.0, 120.0, 5.0, 30.0
+START_S, READY_S, QUIET_S, EMPTY_S = 30.0, 120.0, 5.0, 30.0
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=0)
 URDF = 'package://semiparam_ros/config/icub_right_arm.urdf'
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
@@ -72,7 +72,8 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
         peer.wait_for_answers(process, QUIET_S, complain=False)
         result = peer.account(first, before, _usage(process.pid), rate_hz, features)
     share = min(result['cpu_percent'] / 100.0, 0.95)
-    return result | {'idle_loop': {'busy_share': share, **quantiles(idle_loop(rate_hz, share, min(seconds, IDLE_S)))}}
+    late = empty_loop(rate_hz, share, min(seconds, EMPTY_S))
+    return result | {'empty_loop': {'busy_share': share, **quantiles(late)}}
 
 
 class Motion:
