@@ -154,7 +154,7 @@ def in_parts(state: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
     saved = trial.free - len(plainer) - 1
     whole, parts = (score(without, Trial(effect, known.residual, free), correlation_times(state.residual[state.use]))
                     for known, free in ((state, trial.free), (simpler, trial.free - saved)))
-    if whole.evidence - parts.evidence > tolerance(without, whole):
+    if whole.evidence - parts.evidence > tolerance(without, whole, same_form=True):
         return [], state
     return [replace(trial, effect=part, residual=simpler.residual) for part in plainer], simpler
 
@@ -180,12 +180,13 @@ def _other_joints(state: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]
             and not trial.effect.is_calibration]
 
 
-def tolerance(state: Fit, chosen: Trial) -> float:
+def tolerance(state: Fit, chosen: Trial, same_form: bool = False) -> float:
     """Difference of evidence [nat] below which two trials are not told apart.
 
-    What stays correlated after the chosen effect shows that no trial is the whole truth, and widens it.
+    What stays correlated after the chosen effect shows that no trial is the whole truth, and widens it; where nothing
+    does, trials of the ``same_form`` (one is a special case of the other) may differ by chance alone.
     """
-    correlation = float(correlation_times(chosen.residual[state.use]).mean())
+    correlation = float(correlation_times(chosen.residual[state.use]).mean()) - same_form
     return max(RIVAL_NATS, min(RIVAL_SHARE * correlation, MOST_RIVAL_SHARE) * chosen.evidence)
 
 
