@@ -26,6 +26,8 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 PATIENCE_S = 40.0
+RECENT = 50
+"""Reports to look at: five a second from each of the nodes that talk on the topic."""
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=1)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -204,7 +206,7 @@ class Client:
         name = f'{self.node.get_namespace()}/{self.target}: {title}'.lstrip('/')
 
         def found():
-            return [status for heard in self.heard['/diagnostics'][-10:] for status in heard.status
+            return [status for heard in self.heard['/diagnostics'][-RECENT:] for status in heard.status
                     if status.name == name]
         self.wait(found, f'report {name}')
         status = found()[-1]

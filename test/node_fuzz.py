@@ -18,13 +18,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from node_client import Client, NodeProcess, stamp_of, values_of
+from node_client import RECENT, Client, NodeProcess, stamp_of, values_of
 from node_faults import Fuzzer, with_gaps
 from node_helpers import JOINTS, SETTINGS, URDF, motion
 from node_mischief import Mischief
 from std_msgs.msg import String
 
-from semiparam_ros.ros.estimator_node import REPORT_PERIOD_S
+from semiparam_ros.ros.reports import PERIOD_S
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.table import PARAMETERS
 
@@ -63,7 +63,7 @@ class Pair:
         self.answered = count
         for client in self.clients:
             for topic, heard in client.heard.items():
-                heard[:-10 if topic == '/diagnostics' else None] = []
+                heard[:-RECENT if topic == '/diagnostics' else None] = []
         self.memory.append([resident_mb(node.process.pid) for node in self.nodes])
 
     def states_apart(self):
@@ -140,7 +140,7 @@ def fuzz(folder, options):
 def counts_of(client, wanted):
     """What the node says that it has refused, once two reports agree or all is there."""
     client.heard['/diagnostics'].clear()
-    time.sleep(2.5 * REPORT_PERIOD_S)
+    time.sleep(2.5 * PERIOD_S)
     _, _, values = client.report('inputs')
     return {reason: (int(values.get(f'refused: {reason}', 0)), count) for reason, count in wanted.items()}
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import InertiaStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, JumpThreshold
-from rclpy.clock_type import ClockType
+from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -18,26 +15,23 @@ from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros import diagnostics
 from semiparam_ros.ros.answers import Answer, Outlets
 from semiparam_ros.ros.background import ProcessBackground
 from semiparam_ros.ros.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.diagnosing import Diagnosing
-from semiparam_ros.ros.estimates import payload
 from semiparam_ros.ros.held_replies import HeldReplies
 from semiparam_ros.ros.inputs import Inputs, Sinks
 from semiparam_ros.ros.learner import Learner
-from semiparam_ros.ros.messages import inertia_message
 from semiparam_ros.ros.outputs import Outputs
 from semiparam_ros.ros.parameters import Parameters
 from semiparam_ros.ros.refusals import DESCRIPTION, PARAMETERS, TRAJECTORY, Refusals
+from semiparam_ros.ros.reports import Reports
 from semiparam_ros.ros.robot import Robot
 from semiparam_ros.ros.services import Services
 from semiparam_ros.settings.snapshot import Settings, unknown_name
 from semiparam_ros.settings.table import BY_NAME
 
 NAME = 'estimator'
-REPORT_PERIOD_S = 1.0
 
 
 class EstimatorNode(Node):
@@ -50,7 +44,6 @@ class EstimatorNode(Node):
     def __init__(self, later: Callable[[Callable[[], None]], object]) -> None:
         super().__init__(NAME)
         self.learner: Learner | None = None
-        self._news = ''
         self._refusals = Refusals()
         self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
                                       self._accept, self._change)
@@ -64,9 +57,7 @@ class EstimatorNode(Node):
         self._robot = Robot(settings, self._begin, lambda sentence: self._refuse(DESCRIPTION, sentence))
         self._inputs = Inputs(self, settings, Sinks(self._guarded_offer, self._set_frame, self._robot.from_topic,
                                                     self._clear_pending))
-        self._input_report = diagnostics.InputReport(self._inputs, self._refusals)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._payload = self.create_publisher(InertiaStamped, '~/payload', 10)
+        self._reports = Reports(self, self._inputs, self._refusals, lambda: self.learner, self._guarded)
         self._held_replies = HeldReplies(self, self._announcement)
         Services(self, self._live, self._the_learner)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor)
@@ -74,9 +65,6 @@ class EstimatorNode(Node):
                           lambda answer: self._guarded(answer, TRAJECTORY))
         self._watch_clock()
         self._robot.from_parameters()
-        # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
-        self.create_timer(REPORT_PERIOD_S, lambda: self._guarded(self._report),
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
         """End the background processes and leave the graph."""
@@ -109,7 +97,7 @@ class EstimatorNode(Node):
     def _begin(self, body: RigidBody) -> None:
         """The robot is known: what was received so far is answered first."""
         self._outputs.open(body)
-        self._tally = diagnostics.Tally(body.joints)
+        self._reports.open(self._robot.name, body.joints)
         self.learner = Learner(self._live.settings, body, self._background, Outlets(
             self._answer, self._complete, self._outputs.publish_shadow, self._say, self._switched,
             self._live.write))
@@ -128,11 +116,11 @@ class EstimatorNode(Node):
     def _answer(self, answer: Answer) -> None:
         self._outputs.publish(answer)
         self._inputs.stopwatch.stop()
-        self._tally.add(answer)
+        self._reports.tally.add(answer)
 
     def _complete(self, errors: HorizonErrors) -> None:
         self._outputs.publish_errors(errors)
-        self._tally.errors = errors
+        self._reports.tally.errors = errors
 
     def _switched(self, success: bool, sentence: str) -> None:
         self._say(sentence)
@@ -172,34 +160,10 @@ class EstimatorNode(Node):
     def _change(self, settings: Settings) -> str:
         return '' if self.learner is None else self.learner.change(settings)
 
-    # Reports
-
-    def _report(self) -> None:
-        for topic in self._inputs.follow_reliability():
-            self._say(f'{topic} is offered as best_effort only, and received so.')
-        reports = {'inputs': self._input_report.make(), 'timing': diagnostics.timing_report(self._inputs)}
-        if self.learner is None:
-            reports['learning'] = diagnostics.Report(diagnostics.WARN, 'waiting for a robot description.', {})
-        else:
-            reports['learning'] = diagnostics.learning_report(self.learner, self._news)
-            reports['model'] = diagnostics.model_report(self.learner, self._tally)
-            reports['parameters'] = diagnostics.parameters_report(self.learner)
-            self._report_payload(self.learner)
-        message = DiagnosticArray()
-        message.header.stamp = self.get_clock().now().to_msg()
-        name = self.get_fully_qualified_name().lstrip('/')
-        message.status = [diagnostics.status(f'{name}: {title}', self._robot.name, report)
-                          for title, report in reports.items()]
-        self._diagnostics.publish(message)
-
-    def _report_payload(self, learner: Learner) -> None:
-        carried = payload(learner.estimator)
-        if carried is not None:
-            self._payload.publish(inertia_message(self.get_clock().now().to_msg(), carried))
+    # Words
 
     def _say(self, sentence: str) -> None:
-        self._news = sentence
-        self.get_logger().info(sentence)
+        self._reports.say(sentence)
 
     def _refuse(self, where: str, sentence: str) -> None:
         self._refusals.add(where, sentence)
