@@ -66,6 +66,11 @@ class EstimatorNode(Node):
         self._watch_clock()
         self._robot.from_parameters()
 
+    @property
+    def settings(self) -> Settings:
+        """The parameters as they stand."""
+        return self._live.settings
+
     def close(self) -> None:
         """End the background processes and leave the graph."""
         self._diagnosing.close()

@@ -48,7 +48,8 @@ URDF = 'package://semiparam_ros/config/icub_right_arm.urdf'
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 
 
-def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500) -> dict[str, Any]:
+def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500,
+             priority: int = 0) -> dict[str, Any]:
     """Publish for ``seconds`` at ``rate_hz``; what was sent, answered and lost, latencies [ms], memory [MB], cpu [%].
 
     Beside them how late the same machine is, right afterwards, with an empty loop that is busy for as long.
@@ -56,7 +57,7 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
     Raises SemiparamError when the node does not start or does not answer.
     """
     settings = Settings(robot_description_file=URDF, joints=JOINTS, sensor_frame='r_arm_ft_sensor',
-                        features_count=features, initial_samples=WINDOW)
+                        features_count=features, initial_samples=WINDOW, realtime_priority=priority)
     motion = Motion(build_rigid_body(settings), rate_hz)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
@@ -230,8 +231,9 @@ def main() -> int:
     parser.add_argument('--rate', type=float, default=1000.0, help='joint states and wrenches a second (default 1000)')
     parser.add_argument('--seconds', type=float, default=60.0, help='length of the measurement (default 60)')
     parser.add_argument('--features', type=int, default=500, help='number of random features (default 500)')
+    parser.add_argument('--realtime-priority', type=int, default=0, help='of the node (default 0: none)')
     options = parser.parse_args()
-    result = run_live(options.rate, options.seconds, options.features)
+    result = run_live(options.rate, options.seconds, options.features, options.realtime_priority)
     print(json.dumps(result, indent=2))
     return int(result['lost'] > 0)
 

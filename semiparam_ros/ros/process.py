@@ -15,6 +15,7 @@ from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.estimator_node import EstimatorNode
+from semiparam_ros.ros.realtime import take_priority
 
 SPIN_S = 0.2
 
@@ -29,6 +30,9 @@ def run_estimator(ros_arguments: Sequence[str]) -> int:
         node = EstimatorNode(executor.create_task)
         try:
             executor.add_node(node)
+            refused = take_priority(node.settings.realtime_priority)
+            if refused:
+                node.get_logger().warning(refused)
             _keep_collector_out()
             while ok() and not stop.asked:
                 executor.spin_once(timeout_sec=SPIN_S)

@@ -132,6 +132,9 @@ class Table:
     reliability: str = declare(
         'reliability', 'auto', 'Reliability asked of the input topics; auto: reliable, until a publisher offers only '
         'best_effort.', choices=('auto', 'reliable', 'best_effort'))
+    realtime_priority: int = declare(
+        'realtime_priority', 0, 'Priority by which the node runs before everything without one (SCHED_FIFO), for '
+        'robots of several hundred samples a second; the system must permit it. 0: none.', minimum=0, maximum=99)
     retained_samples: int = declare(
         'retained.samples', 60000, 'Latest samples kept, beside the initial window, to build another variant or to '
         'diagnose.', minimum=0, maximum=10000000)
