@@ -95,7 +95,7 @@ class HorizonIndex:
         y = self._outputs[self._start - 1:oldest]
         centred = y - y.sum(axis=0) / self.length
         floor = LEAST_POWER * self.length
-        power, spread = (np.maximum(np.einsum('tk,tk->k', values, values), floor) for values in (y, centred))
+        power, spread = (np.maximum((values * values).sum(axis=0), floor) for values in (y, centred))
         error = self._squared_error[oldest]
         return HorizonErrors(int(self._origins[oldest]), error / power, error / spread)
 

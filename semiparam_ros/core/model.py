@@ -48,14 +48,20 @@ class Prediction(NamedTuple):
 
     mean: Array  # (n,)
     std: Array  # (n,) predictive, noise included
-    log_density: float  # of the measured outputs [nat]; NaN outputs give NaN
     ready: bool  # the initial window is over
     horizon: HorizonErrors | None
     sample: Sample
     prior: Prior
     columns: Array
     fixed: Array
+    output_scale: Array
     memory: Memory
+
+    @property
+    def log_density(self) -> float:
+        """Of the measured outputs [nat]; NaN outputs give NaN."""
+        innovation = self.sample.outputs / self.output_scale - self.fixed - self.prior.mean
+        return log_density(innovation, self.prior.covariance) - float(np.log(self.output_scale).sum())
 
 
 class Remembered(NamedTuple):
@@ -103,9 +109,7 @@ class Estimator:
         prior, learnt, fixed = self.model.predict(x, columns)
         scale = self.model.output_scale
         mean, std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
-        density = log_density(sample.outputs / scale - fixed - prior.mean, prior.covariance)
-        return Prediction(mean, std, density - float(np.log(scale).sum()), self.ready, None, sample, prior, learnt,
-                          fixed, memory)
+        return Prediction(mean, std, self.ready, None, sample, prior, learnt, fixed, scale, memory)
 
     def observe(self, prediction: Prediction, learn: bool = True) -> HorizonErrors | None:
         """Charge the sample of the latest prediction to the horizon index, and learn it; the horizon it completed.
