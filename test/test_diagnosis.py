@@ -306,6 +306,24 @@ def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(('kind', 'seed'), [('gravity_tilt', 3), ('effort_offset', 6)])
+def test_an_effect_of_half_a_percent_of_the_error_is_found(kind, seed):
+    """The evidence for it is overwhelming, and it helps on every block."""
+    found = found_in(simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=seed,
+                                       effects=(EffectRequest(kind, size=0.5),))))
+    first = found.findings[0]
+    assert kind in {first.effect.kind, *(rival.kind for rival in first.rivals)}
+    assert 0.9 < found.after.nmse.mean() / found.before.nmse.mean() < 1.0
+
+
+@pytest.mark.slow
+def test_friction_that_differs_between_directions_is_not_split_where_that_explains_less():
+    found = found_in(simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=1,
+                                       effects=(EffectRequest('asymmetric_friction', size=0.5),))))
+    assert found.findings[0].effect.kind == 'asymmetric_friction'
+
+
+@pytest.mark.slow
 def test_the_measured_arm_is_explained_better_by_what_was_found(measured):
     _, report = measured
     assert report['verdict'] == 'effect_found'
