@@ -11,6 +11,7 @@ import argparse
 import gc
 import json
 import os
+import struct
 import subprocess
 import sys
 import tempfile
@@ -32,20 +33,18 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
-from semiparam_ros.core.rigid_body import RigidBody
-from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.lateness import empty_loop, quantiles
-from semiparam_ros.ros.messages import NANOSECONDS, WrenchMessage, set_stamp
+from semiparam_ros.ros.live_motion import CYCLE, JOINTS, SENSOR, Motion
+from semiparam_ros.ros.messages import NANOSECONDS
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_rigid_body
 
 WINDOW = 500
-CYCLE = 4000
+STAMP, STAMP_AT = struct.Struct('<iI'), 4  # of the header, in CDR
 START_S, READY_S, QUIET_S, EMPTY_S = 30.0, 120.0, 5.0, 30.0
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=0)
 URDF = 'package://semiparam_ros/config/icub_right_arm.urdf'
-JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 
 
 def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500,
@@ -56,20 +55,20 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
 
     Raises SemiparamError when the node does not start or does not answer.
     """
-    settings = Settings(robot_description_file=URDF, joints=JOINTS, sensor_frame='r_arm_ft_sensor',
+    settings = Settings(robot_description_file=URDF, joints=JOINTS, sensor_frame=SENSOR,
                         features_count=features, initial_samples=WINDOW, realtime_priority=priority)
-    motion = Motion(build_rigid_body(settings), rate_hz)
+    messages = Motion(build_rigid_body(settings), rate_hz).serialised()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
-    with _node_process(settings) as process, _peer() as peer:
+    with _node_process(settings) as process, _peer(messages) as peer:
         gc.disable()  # a pause of this process would send a burst, and count as the node's latency
         peer.wait_for_estimator(process)
-        peer.send(motion, WINDOW, rate_hz)
-        peer.send(motion, 1, rate_hz)  # answered when the hyperparameters are there
+        peer.send(WINDOW, rate_hz)
+        peer.send(1, rate_hz)  # answered when the hyperparameters are there
         peer.wait_for_answers(process, READY_S)
         before = _usage(process.pid)
         first = peer.sent
-        peer.send(motion, round(rate_hz * seconds), rate_hz, watch=lambda: _usage(process.pid))
+        peer.send(round(rate_hz * seconds), rate_hz, watch=lambda: _usage(process.pid))
         peer.wait_for_answers(process, QUIET_S, complain=False)
         result = peer.account(first, before, _usage(process.pid), rate_hz, features)
     share = min(result['cpu_percent'] / 100.0, 0.95)
@@ -77,37 +76,19 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
     return result | {'empty_loop': {'busy_share': share, **quantiles(late)}}
 
 
-class Motion:
-    """A smooth, never quite repeating motion and the wrench that a rigid body with some noise would measure."""
-
-    def __init__(self, body: RigidBody, rate_hz: float) -> None:
-        rng = np.random.default_rng(0)
-        time_s = np.arange(CYCLE)[:, None] / rate_hz
-        turns = np.arange(1, 5) / (CYCLE / rate_hz) * 2.0 * np.pi
-        amplitude, phase = rng.uniform(0.1, 0.3, (4, body.n_joints)), rng.uniform(0, 2 * np.pi, (4, body.n_joints))
-        angle = turns[:, None] * time_s[:, :, None] + phase
-        self.position = np.sum(amplitude * np.sin(angle), axis=1)
-        self.velocity = np.sum(amplitude * turns[:, None] * np.cos(angle), axis=1)
-        acceleration = -np.sum(amplitude * turns[:, None]**2 * np.sin(angle), axis=1)
-        rows = zip(self.position, self.velocity, acceleration, strict=True)
-        wrench = np.array([body.regressor(*row) @ body.base_parameters for row in rows])
-        self.wrench: Array = wrench + 0.01 * rng.standard_normal(wrench.shape)
-
-
 class Peer(Node):
     """Publishes the motion and times the predictions."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, messages: list[tuple[bytearray, bytearray]]) -> None:
         super().__init__('live_benchmark', context=context, start_parameter_services=False)
+        self._messages = messages
         self.sent = self.late = 0
         self._states = self.create_publisher(JointState, 'joint_states', KEEP_ALL)
         self._wrenches = self.create_publisher(WrenchStamped, 'wrench', KEEP_ALL)
-        self._sent_at: dict[int, int] = {}
-        self._latency: dict[int, float] = {}
+        self._sent_at: dict[tuple[int, ...], int] = {}
+        self._latency: dict[tuple[int, ...], float] = {}
         self._memory: list[float] = []
-        self.create_subscription(WrenchStamped, 'estimator/predicted_wrench', self._receive, KEEP_ALL)
-        self._state = JointState(name=list(JOINTS))
-        self._wrench = WrenchMessage()
+        self.create_subscription(WrenchStamped, 'estimator/predicted_wrench', self._receive, KEEP_ALL, raw=True)
 
     def wait_for_estimator(self, process: subprocess.Popen[bytes]) -> None:
         """Until both sides have found each other."""
@@ -123,7 +104,7 @@ class Peer(Node):
         """Until everything sent is answered."""
         self._wait(lambda: len(self._latency) >= self.sent, process, timeout_s, 'the node does not answer', complain)
 
-    def send(self, motion: Motion, count: int, rate_hz: float, watch: Any = None) -> None:
+    def send(self, count: int, rate_hz: float, watch: Any = None) -> None:
         """Publish ``count`` joint states and wrenches, evenly in time; ``watch`` is called once a second."""
         period = 1.0 / rate_hz
         start = time.perf_counter()
@@ -133,7 +114,7 @@ class Peer(Node):
                 time.sleep(pause)
             if watch is not None and index % round(rate_hz) == 0:
                 self._memory.append(watch()[0])
-            self._send_one(motion)
+            self._send_one()
         self.late += time.perf_counter() - start > count * period * 1.02 + 0.01
 
     def account(self, first: int, before: tuple[float, float], after: tuple[float, float], rate_hz: float,
@@ -150,20 +131,19 @@ class Peer(Node):
             'memory_mb': {'start': before[0], 'middle': self._memory[half], 'end': after[0]},
             'cpu_percent': 100.0 * (after[1] - before[1]) / span}
 
-    def _send_one(self, motion: Motion) -> None:
-        row = self.sent % CYCLE
-        stamp = NANOSECONDS + self.sent * 1_000_000
-        set_stamp(self._state.header.stamp, stamp)
-        self._state.position, self._state.velocity = motion.position[row].tolist(), motion.velocity[row].tolist()
-        self._states.publish(self._state)
+    def _send_one(self) -> None:
+        state, wrench = self._messages[self.sent % CYCLE]
+        stamp = divmod(NANOSECONDS + self.sent * 1_000_000, NANOSECONDS)
+        STAMP.pack_into(state, STAMP_AT, *stamp)
+        STAMP.pack_into(wrench, STAMP_AT, *stamp)
+        self._states.publish(bytes(state))
         self.sent += 1
-        wrench = self._wrench.filled(stamp, 'r_arm_ft_sensor', motion.wrench[row])
         self._sent_at[stamp] = time.perf_counter_ns()
-        self._wrenches.publish(wrench)
+        self._wrenches.publish(bytes(wrench))
 
-    def _receive(self, message: WrenchStamped) -> None:
+    def _receive(self, message: bytes) -> None:
         now = time.perf_counter_ns()
-        stamp = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
+        stamp = STAMP.unpack_from(message, STAMP_AT)
         self._latency[stamp] = (now - self._sent_at[stamp]) * 1e-9
 
     def _wait(self, condition: Any, process: subprocess.Popen[bytes], timeout_s: float, complaint: str,
@@ -194,10 +174,10 @@ def _node_process(settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def _peer() -> Iterator[Peer]:
+def _peer(messages: list[tuple[bytearray, bytearray]]) -> Iterator[Peer]:
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    peer, executor = Peer(context), EventsExecutor(context=context)
+    peer, executor = Peer(context, messages), EventsExecutor(context=context)
     executor.add_node(peer)
     stop = threading.Event()
 
