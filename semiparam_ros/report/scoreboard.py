@@ -107,7 +107,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     hidden = [row for row in rows if row['kind'] != NOTHING]
     clean = [row for row in rows if row['kind'] == NOTHING]
     names = list(dict.fromkeys(row['kind'] for row in hidden))
-    confusion = {name: dict(Counter((row['found'] or [row['verdict']])[0] for row in hidden if row['kind'] == name))
+    confusion = {name: dict(Counter(_first(row) or row['verdict'] for row in hidden if row['kind'] == name))
                  for name in names}
     return {'right_first': _share([_first(row) == row['kind'] for row in hidden]),
             'right_or_in_group': _share([named(row) for row in hidden]),
@@ -119,11 +119,12 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def named(row: dict[str, Any]) -> bool:
     """The hidden kind was found first, or stands in the group that the first one cannot be told from."""
-    return row['kind'] == _first(row) or row['kind'] in row['group']
+    return row['kind'] == _first(row) or (_first(row) is not None and row['kind'] in row['group'])
 
 
 def _first(row: dict[str, Any]) -> str | None:
-    return row['found'][0] if row['found'] else None
+    """The kind that the report names, None where it says that nothing is missing, or that no kind explains it."""
+    return row['found'][0] if row['verdict'] == 'effect_found' else None
 
 
 def _share(values: list[bool]) -> float | None:
