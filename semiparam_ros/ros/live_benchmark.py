@@ -11,7 +11,6 @@ import argparse
 import gc
 import json
 import os
-import struct
 import subprocess
 import sys
 import tempfile
@@ -37,11 +36,11 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.lateness import empty_loop, quantiles
 from semiparam_ros.ros.live_motion import CYCLE, JOINTS, SENSOR, Motion
 from semiparam_ros.ros.messages import NANOSECONDS
+from semiparam_ros.ros.replay_stamps import read_stamp, with_stamp
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_rigid_body
 
 WINDOW = 500
-STAMP, STAMP_AT = struct.Struct('<iI'), 4  # of the header, in CDR
 START_S, READY_S, QUIET_S, EMPTY_S = 30.0, 120.0, 5.0, 30.0
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=0)
 URDF = 'package://semiparam_ros/config/icub_right_arm.urdf'
@@ -79,14 +78,14 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
 class Peer(Node):
     """Publishes the motion and times the predictions."""
 
-    def __init__(self, context: Context, messages: list[tuple[bytearray, bytearray]]) -> None:
+    def __init__(self, context: Context, messages: list[tuple[bytes, bytes]]) -> None:
         super().__init__('live_benchmark', context=context, start_parameter_services=False)
         self._messages = messages
         self.sent = self.late = 0
         self._states = self.create_publisher(JointState, 'joint_states', KEEP_ALL)
         self._wrenches = self.create_publisher(WrenchStamped, 'wrench', KEEP_ALL)
-        self._sent_at: dict[tuple[int, ...], int] = {}
-        self._latency: dict[tuple[int, ...], float] = {}
+        self._sent_at: dict[int, int] = {}
+        self._latency: dict[int, float] = {}
         self._memory: list[float] = []
         self.create_subscription(WrenchStamped, 'estimator/predicted_wrench', self._receive, KEEP_ALL, raw=True)
 
@@ -133,17 +132,16 @@ class Peer(Node):
 
     def _send_one(self) -> None:
         state, wrench = self._messages[self.sent % CYCLE]
-        stamp = divmod(NANOSECONDS + self.sent * 1_000_000, NANOSECONDS)
-        STAMP.pack_into(state, STAMP_AT, *stamp)
-        STAMP.pack_into(wrench, STAMP_AT, *stamp)
-        self._states.publish(bytes(state))
+        stamp = NANOSECONDS + self.sent * 1_000_000
+        self._states.publish(with_stamp(state, stamp))
         self.sent += 1
+        wrench = with_stamp(wrench, stamp)
         self._sent_at[stamp] = time.perf_counter_ns()
-        self._wrenches.publish(bytes(wrench))
+        self._wrenches.publish(wrench)
 
     def _receive(self, message: bytes) -> None:
         now = time.perf_counter_ns()
-        stamp = STAMP.unpack_from(message, STAMP_AT)
+        stamp = read_stamp(message)
         self._latency[stamp] = (now - self._sent_at[stamp]) * 1e-9
 
     def _wait(self, condition: Any, process: subprocess.Popen[bytes], timeout_s: float, complaint: str,
@@ -174,7 +172,7 @@ def _node_process(settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def _peer(messages: list[tuple[bytearray, bytearray]]) -> Iterator[Peer]:
+def _peer(messages: list[tuple[bytes, bytes]]) -> Iterator[Peer]:
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     peer, executor = Peer(context, messages), EventsExecutor(context=context)

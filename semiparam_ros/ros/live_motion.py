@@ -31,7 +31,7 @@ class Motion:
         wrench = np.array([body.regressor(*row) @ body.base_parameters for row in rows])
         self.wrench: Array = wrench + 0.01 * rng.standard_normal(wrench.shape)
 
-    def serialised(self) -> list[tuple[bytearray, bytearray]]:
+    def serialised(self) -> list[tuple[bytes, bytes]]:
         """Joint state and wrench of each instant as they go over the wire, to be stamped.
 
         The two processors of a virtual machine may share one core: this process must not slow the node down.
@@ -39,6 +39,5 @@ class Motion:
         wrenches = WrenchMessage()
         states = (JointState(name=list(JOINTS), position=position.tolist(), velocity=velocity.tolist())
                   for position, velocity in zip(self.position, self.velocity, strict=True))
-        return [(bytearray(serialize_message(state)),
-                 bytearray(serialize_message(wrenches.filled(0, SENSOR, wrench))))
+        return [(serialize_message(state), serialize_message(wrenches.filled(0, SENSOR, wrench)))
                 for state, wrench in zip(states, self.wrench, strict=True)]
