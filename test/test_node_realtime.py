@@ -43,7 +43,8 @@ def test_the_node_takes_the_priority_and_the_processes_beside_it_do_not(tmp_path
         client.play(motion(80), JOINTS)
         main = node.process.pid
         if permitted():
-            assert policy_of(main) == os.SCHED_FIFO and os.sched_getparam(main).sched_priority == PRIORITY
+            assert os.sched_getscheduler(main) == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            assert os.sched_getparam(main).sched_priority == PRIORITY
             assert sum(policy_of(thread) == os.SCHED_FIFO for thread in threads_of(main)) > 1, "DDS's threads too"
             assert children_of(main) and {policy_of(child) for child in children_of(main)} == {os.SCHED_OTHER}
         else:

@@ -186,7 +186,7 @@ def tolerance(state: Fit, chosen: Trial, same_form: bool = False) -> float:
     What stays correlated after the chosen effect shows that no trial is the whole truth, and widens it; where nothing
     does, trials of the ``same_form`` (one is a special case of the other) may differ by chance alone.
     """
-    correlation = float(correlation_times(chosen.residual[state.use]).mean()) - same_form
+    correlation = float(correlation_times(chosen.residual[state.use]).mean()) - (1.0 if same_form else 0.0)
     return max(RIVAL_NATS, min(RIVAL_SHARE * correlation, MOST_RIVAL_SHARE) * chosen.evidence)
 
 

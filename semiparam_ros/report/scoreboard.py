@@ -124,7 +124,7 @@ def named(row: dict[str, Any]) -> bool:
 
 def _first(row: dict[str, Any]) -> str | None:
     """The kind that the report names, None where it says that nothing is missing, or that no kind explains it."""
-    return row['found'][0] if row['verdict'] == 'effect_found' else None
+    return row['found'][0] if row['found'] and row['verdict'] == 'effect_found' else None
 
 
 def _share(values: list[bool]) -> float | None:

@@ -104,7 +104,7 @@ class EstimatorNode(Node):
         self._outputs.open(body)
         self._reports.open(self._robot.name, body.joints)
         self.learner = Learner(self._live.settings, body, self._background, Outlets(
-            self._answer, self._complete, self._outputs.publish_shadow, self._say, self._switched,
+            self._answer, self._complete, self._outputs.publish_shadow, self._reports.say, self._switched,
             self._live.write))
         self._inputs.open(body.joints)
 
@@ -128,14 +128,14 @@ class EstimatorNode(Node):
         self._reports.tally.errors = errors
 
     def _switched(self, success: bool, sentence: str) -> None:
-        self._say(sentence)
+        self._reports.say(sentence)
         self._held_replies.settle(success, sentence)
 
     def _set_frame(self, frame_id: str) -> None:
         self._outputs.frame_id = frame_id
 
     def _clear_pending(self) -> None:
-        self._say('the clock jumped: half-finished samples and horizons are dropped, the model stays.')
+        self._reports.say('the clock jumped: half-finished samples and horizons are dropped, the model stays.')
         if self.learner is not None:
             self.learner.clear_pending()
 
@@ -165,14 +165,11 @@ class EstimatorNode(Node):
     def _change(self, settings: Settings) -> str:
         return '' if self.learner is None else self.learner.change(settings)
 
-    # Words
-
-    def _say(self, sentence: str) -> None:
-        self._reports.say(sentence)
+    # What is wrong
 
     def _refuse(self, where: str, sentence: str) -> None:
         self._refusals.add(where, sentence)
-        self._say(sentence)
+        self._reports.say(sentence)
 
     def _guarded(self, function: Callable[[], Any], where: str = '') -> None:
         """Nothing that comes in may end the node: a sentence in the log, and the model as it was."""

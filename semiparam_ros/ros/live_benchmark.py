@@ -81,7 +81,7 @@ class Peer(Node):
     def __init__(self, context: Context, messages: list[tuple[bytes, bytes]]) -> None:
         super().__init__('live_benchmark', context=context, start_parameter_services=False)
         self._messages = messages
-        self.sent = self.late = 0
+        self.sent = 0
         self._states = self.create_publisher(JointState, 'joint_states', KEEP_ALL)
         self._wrenches = self.create_publisher(WrenchStamped, 'wrench', KEEP_ALL)
         self._sent_at: dict[int, int] = {}
@@ -114,7 +114,6 @@ class Peer(Node):
             if watch is not None and index % round(rate_hz) == 0:
                 self._memory.append(watch()[0])
             self._send_one()
-        self.late += time.perf_counter() - start > count * period * 1.02 + 0.01
 
     def account(self, first: int, before: tuple[float, float], after: tuple[float, float], rate_hz: float,
                 features: int) -> dict[str, Any]:

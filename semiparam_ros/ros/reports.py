@@ -31,16 +31,15 @@ class Reports:
 
     def __init__(self, node: Node, inputs: Inputs, refusals: Refusals, learner: Callable[[], Learner | None],
                  guarded: Callable[[Callable[[], None]], None]) -> None:
-        self.news = ''
         self.tally = Tally(())
-        self._robot_name = ''
+        self._news = self._robot_name = ''
         self._node, self._inputs, self._learner = node, inputs, learner
-        self._input_report = diagnostics.InputReport(inputs, refusals)
         self._name = node.get_fully_qualified_name().lstrip('/')
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
-        turns = {'inputs': self._input_report.make, 'timing': lambda: diagnostics.timing_report(inputs),
-                 'learning': self._learning, 'model': self._model, 'parameters': self._parameters}
+        turns = {'inputs': diagnostics.InputReport(inputs, refusals).make,
+                 'timing': lambda: diagnostics.timing_report(inputs), 'learning': self._learning,
+                 'model': self._model, 'parameters': self._parameters}
         turn = cycle(turns.items())
         # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
         node.create_timer(PERIOD_S / len(turns), lambda: guarded(lambda: self._publish(*next(turn))),
@@ -52,7 +51,7 @@ class Reports:
 
     def say(self, sentence: str) -> None:
         """Into the log, and into the status of learning as the last news."""
-        self.news = sentence
+        self._news = sentence
         self._node.get_logger().info(sentence)
 
     def _publish(self, title: str, make: Callable[[], Report | None]) -> None:
@@ -70,7 +69,7 @@ class Reports:
         learner = self._learner()
         if learner is None:
             return Report(WARN, 'waiting for a robot description.', {})
-        return diagnostics.learning_report(learner, self.news)
+        return diagnostics.learning_report(learner, self._news)
 
     def _model(self) -> Report | None:
         learner = self._learner()
