@@ -63,8 +63,8 @@ def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     respond = _wrench_response(body) if body.distal is not None else _effort_response(body, frame)
     data, model = body.arm.createData(), body.arm
     rows = []
-    for position, velocity in zip(samples.position, samples.velocity, strict=True):
-        pin.forwardKinematics(model, data, body.arm_vector(position), body.arm_vector(velocity))
+    for q, dq in zip(body.arm_vector(samples.position), body.arm_vector(samples.velocity), strict=True):
+        pin.forwardKinematics(model, data, q, dq)
         placement = pin.updateFramePlacement(model, data, frame)
         speed = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
         rows.append((placement.translation.copy(), speed.copy(), placement.rotation.copy(),

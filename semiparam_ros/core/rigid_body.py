@@ -49,11 +49,12 @@ class RigidBody:
         self.distal = distal
         self._arm_data = arm.createData()
         self.arm_columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
+        self._arm_order = self.arm_columns.argsort()
         if distal is not None:
             self.sensor_index = arm.getFrameId(arm_models.SENSOR)
             self._distal_data = distal.createData()
-            shared = [name for name in list(distal.names)[2:] if name in joints]
-            self._distal_from = np.array([list(joints).index(name) for name in shared], dtype=int)
+            shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
+            self._distal_from = np.array(shared, dtype=int)
         self.basis = self._identifiable_basis()
 
     @classmethod
@@ -144,28 +145,30 @@ class RigidBody:
 
     def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(n, 10 n_bodies) matrix before the reduction to base parameters."""
-        q, dq, ddq = self.arm_vector(position), self.arm_vector(velocity), self.arm_vector(acceleration)
-        if self.distal is None:
-            full = pin.computeJointTorqueRegressor(self.arm, self._arm_data, q, dq, ddq)
-            return np.asarray(full).reshape(self.arm.nv, -1)[self.arm_columns]  # one row comes as a vector
-        pin.forwardKinematics(self.arm, self._arm_data, q, dq, ddq)
-        return self.sign * self._sensor_rows(position, velocity, acceleration)
+        return self.sign * self.rows(self.arm_vector(position), self.arm_vector(velocity),
+                                      self.arm_vector(acceleration))
 
     def sensor_placement(self, position: Array) -> pin.SE3:
         """Pose of the sensor frame in the base, at a joint position (n_joints,)."""
         pin.framesForwardKinematics(self.arm, self._arm_data, self.arm_vector(position))
         return self._arm_data.oMf[self.sensor_index].copy()
 
-    def _sensor_rows(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        data, frame = self._arm_data, self.sensor_index
-        placement = pin.updateFramePlacement(self.arm, data, frame)
+    def rows(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """(n, 10 n_bodies) regressor of the action at vectors of the model, see :meth:`arm_vector`."""
+        return self._effort_rows(q, dq, ddq) if self.distal is None else self._sensor_rows(q, dq, ddq)
+
+    def _effort_rows(self, q: Array, dq: Array, ddq: Array) -> Array:
+        full = pin.computeJointTorqueRegressor(self.arm, self._arm_data, q, dq, ddq)
+        return np.asarray(full.reshape(self.arm.nv, -1)[self.arm_columns])  # one row comes as a vector
+
+    def _sensor_rows(self, q: Array, dq: Array, ddq: Array) -> Array:
+        data, frame, take = self._arm_data, self.sensor_index, self._distal_from
+        pin.forwardKinematics(self.arm, data, q, dq, ddq)
+        placement = pin.SE3ToXYZQUAT(pin.updateFramePlacement(self.arm, data, frame))
         twist = pin.getFrameVelocity(self.arm, data, frame, pin.LOCAL).vector
         change = pin.getFrameAcceleration(self.arm, data, frame, pin.LOCAL).vector
-        take = self._distal_from
-        q = np.concatenate([pin.SE3ToXYZQUAT(placement), position[take]])
-        full = pin.computeJointTorqueRegressor(self.distal, self._distal_data, q,
-                                               np.concatenate([twist, velocity[take]]),
-                                               np.concatenate([change, acceleration[take]]))
+        full = pin.computeJointTorqueRegressor(self.distal, self._distal_data, np.concatenate((placement, q[take])),
+                                               np.concatenate((twist, dq[take])), np.concatenate((change, ddq[take])))
         return np.asarray(full[:6])
 
     def with_gravity(self, gravity: Array) -> RigidBody:
@@ -177,10 +180,8 @@ class RigidBody:
         return other
 
     def arm_vector(self, values: Array) -> Array:
-        """Values of the named joints in the order of the model."""
-        vector = np.empty(self.arm.nv)
-        vector[self.arm_columns] = values
-        return vector
+        """Values (..., n_joints) of the named joints in the order of the model."""
+        return values.take(self._arm_order, -1)
 
     def _identifiable_basis(self) -> Array:
         rng = np.random.default_rng(0)
@@ -213,6 +214,8 @@ def _full_regressors(body: RigidBody, samples: Samples) -> Array:
     if samples.position.shape[1] != body.n_joints:
         raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is used with '
                              f'{body.n_joints} joints: {", ".join(body.joints)}.')
-    rows = zip(samples.position, samples.velocity, samples.acceleration, strict=True)
-    full = np.array([body.full_regressor(*row) for row in rows])
-    return full.reshape(len(samples), body.n_outputs, len(body.basis))
+    motion = (body.arm_vector(values) for values in (samples.position, samples.velocity, samples.acceleration))
+    full = np.empty((len(samples), body.n_outputs, len(body.basis)))
+    for rows, (q, dq, ddq) in zip(full, zip(*motion, strict=True), strict=True):
+        rows[:] = body.rows(q, dq, ddq)
+    return body.sign * full

@@ -161,7 +161,7 @@ def gauss_newton(state: Fit, moving: list[Effect]) -> Fit:
             effects[effects.index(effect)] = _moved(effect, step)
             taken += column.shape[2]
         state = fit(state.body, state.samples, effects, state.use, state.scale)
-        if np.abs(steps).max() < 1e-6:
+        if np.abs(steps).max() < 1e-4:
             break
     return state
 

@@ -16,13 +16,18 @@ def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memor
     place, state = memory if memory is not None else (travel[0], np.zeros(travel.shape[1]))
     steps = np.diff(travel, axis=0, prepend=place[None])
     length = np.linalg.norm(steps, axis=1)
-    decay = np.exp(-length / slip)
     aims = np.divide(steps, length[:, None], out=np.zeros_like(steps), where=length[:, None] > 0.0)
-    states = np.empty_like(travel)
-    for index, (keep, aim) in enumerate(zip(decay, aims, strict=True)):
-        state = aim + (state - aim) * keep
-        states[index] = state
-    return states, (travel[-1], state)
+    keep = np.exp(-length / slip).tolist()
+    states = np.column_stack([_follow(start, keep, aim) for start, aim in zip(state, aims.T.tolist(), strict=True)])
+    return states, (travel[-1], states[-1])
+
+
+def _follow(state: float, keep: list[float], aims: list[float]) -> list[float]:
+    states = []
+    for kept, aim in zip(keep, aims, strict=True):
+        state = aim + (state - aim) * kept
+        states.append(state)
+    return states
 
 
 def play_place(travel: Array, gap: float, memory: Memory) -> tuple[Array, Memory]:
