@@ -135,6 +135,10 @@ def test_noise_gets_no_formula():
     assert found is None or found.share < 0.05
 
 
+def test_what_depends_on_no_variable_gets_no_formula():
+    assert find_formula([], icub(), MOTION, noise(MOTION, 5)[:, 0], 0) is None
+
+
 def test_every_term_of_the_library_is_in_the_grammar():
     names = library(['q_r_elbow', 'dq_r_elbow', 'ddq_r_shoulder_yaw', 'time'], icub(), MOTION)
     assert len(set(names)) == len(names) > 40

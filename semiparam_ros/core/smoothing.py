@@ -43,7 +43,7 @@ def _smooth_joint(time: Array, position: Array, velocity: Array,
     centre = float(position.mean())
     steps = np.minimum(np.diff(time) / step, LONGEST_STEP)
     problem = _Problem(steps, position - centre, velocity * step, with_velocities)
-    short = problem.head(TUNING_SAMPLES)
+    short = problem.liveliest(TUNING_SAMPLES)
     best = minimize(short.cost, short.start(), method='Nelder-Mead', options={'maxfev': 160, 'fatol': 0.1})
     states = problem.states(best.x)
     return states[:, 0] + centre, states[:, 1] / step, states[:, 2] / step**2
@@ -55,14 +55,18 @@ class _Problem:
     def __init__(self, steps: Array, position: Array, velocity: Array, with_velocities: bool) -> None:
         self.steps, self.position, self.velocity = steps, position, velocity
         self.use = (1.0, float(with_velocities))
-        transition, noise = _transitions(steps)
-        precision = np.asarray(np.linalg.inv(noise), dtype=float)
+        self._transition, noise = _transitions(steps)
+        self._precision = np.asarray(np.linalg.inv(noise), dtype=float)
         self._noise_logdet = float(np.linalg.slogdet(noise)[1].sum())
-        back = np.swapaxes(transition, 1, 2) @ precision
-        self._prior = _banded(back @ transition, -back, precision)
+        back = np.swapaxes(self._transition, 1, 2) @ self._precision
+        self._prior = _banded(back @ self._transition, -back, self._precision)
 
-    def head(self, count: int) -> _Problem:
-        return _Problem(self.steps[:count - 1], self.position[:count], self.velocity[:count], bool(self.use[1]))
+    def liveliest(self, count: int) -> _Problem:
+        """The ``count`` samples in a row that hold most motion: a joint at rest says nothing of its snap."""
+        travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.position)))])
+        first = int(np.argmax(travelled[count - 1:] - travelled[:1 - count])) if count < len(travelled) else 0
+        part = slice(first, first + count)
+        return _Problem(self.steps[part][:count - 1], self.position[part], self.velocity[part], bool(self.use[1]))
 
     def start(self) -> Array:
         """Logarithms of the three standard deviations: snap, position, velocity."""
@@ -74,20 +78,33 @@ class _Problem:
         """Negative log marginal likelihood, up to a constant."""
         logs = np.clip(logs, -40.0, 20.0)
         try:
-            factor, _, misfit = self._solve(logs)
+            factor, states = self._solve(logs)
         except np.linalg.LinAlgError:  # noise so small that rounding spoils the factor
             return float('inf')
         determinant = 2.0 * float(np.log(factor[-1]).sum())
         count = len(self.position)
         snap = self._noise_logdet + 2.0 * ORDER * (count - 1) * float(logs[0])
         measured = 2.0 * count * float(logs[1] * self.use[0] + logs[2] * self.use[1])
-        return 0.5 * (determinant + snap + measured + misfit)
+        return 0.5 * (determinant + snap + measured + self._misfit(states, logs))
+
+    def _misfit(self, states: Array, logs: Array) -> float:
+        """Squares of the measurements' errors and of the snap, over their variances.
+
+        Summed square by square: the short form |y|^2 - x'A'y loses all digits to cancellation where a long stretch is
+        smooth, and then praises states that are wrong by more than the motion.
+        """
+        snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:]) * self.use
+        jumps = states[1:] - np.einsum('tij,tj->ti', self._transition, states[:-1])
+        return float(snap * np.einsum('ti,tij,tj->', jumps, self._precision, jumps, optimize=True)
+                     + weights[0] * np.sum((self.position - states[:, 0]) ** 2)
+                     + weights[1] * np.sum((self.velocity - states[:, 1]) ** 2))
 
     def states(self, logs: Array) -> Array:
         """(N, ORDER) smoothed position and derivatives, in units of the step."""
         return self._solve(np.clip(logs, -40.0, 20.0))[1]
 
-    def _solve(self, logs: Array) -> tuple[Array, Array, float]:
+    def _solve(self, logs: Array) -> tuple[Array, Array]:
+        """Cholesky factor of the states' precision, and their posterior mean (N, ORDER)."""
         snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:]) * self.use
         band = self._prior * snap
         band[-1, 0::ORDER] += weights[0]
@@ -98,8 +115,7 @@ class _Problem:
         right[1::ORDER] = weights[1] * self.velocity
         factor = cholesky_banded(band, check_finite=False)
         solution = cho_solve_banded((factor, False), right, check_finite=False)
-        power = weights[0] * self.position @ self.position + weights[1] * self.velocity @ self.velocity
-        return factor, solution.reshape(-1, ORDER), float(power - right @ solution)
+        return factor, solution.reshape(-1, ORDER)
 
 
 def _transitions(steps: Array) -> tuple[Array, Array]:

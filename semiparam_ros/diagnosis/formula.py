@@ -95,11 +95,14 @@ def _bumps(name: str, body: RigidBody, samples: Samples) -> Iterator[str]:
 
 def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, values: Array,
                  channel: int) -> Formula | None:
-    """The shortest formula for values (M,) in output ``channel``; None when no term helps on unseen blocks.
+    """The shortest formula for values (M,) in output ``channel``; None without variables or a term that helps on
+    unseen blocks.
 
     Orthogonal matching pursuit puts the terms in order; blocks that took no part say how many of them to keep.
     """
     names = library(variables, body, samples)
+    if not names:
+        return None
     columns = np.column_stack([term_values(name, body, samples) for name in names])
     usable = columns.std(axis=0) > 1e-9
     names, columns = [name for name, keep in zip(names, usable, strict=True) if keep], columns[:, usable]

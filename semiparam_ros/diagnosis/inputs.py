@@ -2,7 +2,8 @@
 
 Accelerations estimated causally from 20 Hz velocities miss several times the sensor's noise, and everything then looks
 like an effect; a recording is there as a whole, so it can be smoothed. Arms move slowly against a fast recording's
-rate: averaging neighbouring samples loses nothing of the motion and takes white noise out of the outputs.
+rate: averaging neighbouring samples first loses nothing of the motion, takes white noise out of the outputs, and leaves
+the smoother fewer steps to reach over.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Inputs(NamedTuple):
 
     def prepare(self, samples: Samples) -> Samples:
         """Another recording of the same robot, prepared alike."""
-        return averaged(moved(samples, self.motion), self.factor)
+        return moved(averaged(samples, self.factor), self.motion)
 
     def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true."""
