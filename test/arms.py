@@ -76,9 +76,10 @@ def pinocchio_link_wrench(urdf: str, joints: Sequence[str], sensor_joint: str, l
 
 
 def pinocchio_efforts(urdf: str, joints: Sequence[str], locked: Mapping[str, float], q: Array, dq: Array,
-                      ddq: Array) -> Array:
+                      ddq: Array, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> Array:
     """(n_joints,) efforts by rnea on the whole robot."""
     model = pin.buildModelFromXML(urdf)
+    model.gravity.linear = np.array(gravity)
     tau = pin.rnea(model, model.createData(), *_model_vectors(model, joints, locked, q, dq, ddq))
     return np.array([tau[model.joints[model.getJointId(name)].idx_v] for name in joints])
 

@@ -56,6 +56,7 @@ class RigidBody:
             shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
             self._distal_from = np.array(shared, dtype=int)
         self.basis = self._identifiable_basis()
+        self._from_base = self.basis
 
     @classmethod
     def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
@@ -133,11 +134,11 @@ class RigidBody:
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(n, p) matrix psi with outputs = psi @ base_parameters."""
-        return np.asarray(self.full_regressor(position, velocity, acceleration) @ self.basis)
+        return np.asarray(self.full_regressor(position, velocity, acceleration) @ self._from_base)
 
     def regressors(self, samples: Samples) -> Array:
         """(N, n, p) one regressor for each sample."""
-        return np.asarray(self.full_regressors(samples) @ self.basis)
+        return np.asarray(self.full_regressors(samples) @ self._from_base)
 
     def full_regressors(self, samples: Samples) -> Array:
         """(N, n, 10 n_bodies) before the reduction to base parameters; the latest few are remembered."""
@@ -172,8 +173,15 @@ class RigidBody:
         return np.asarray(full[:6])
 
     def with_gravity(self, gravity: Array) -> RigidBody:
-        """The same body and base parameters under another gravity (3,) [m/s^2], in the base's axes."""
+        """The same body and base parameters under another gravity (3,) [m/s^2], in the base's axes.
+
+        Where the first axis stands upright, a tilt shows masses that the base parameters do not hold: these follow the
+        robot description, in proportion to the base parameters.
+        """
         other = copy.copy(self)
+        described = self.base_parameters
+        hidden = self.inertial_parameters - self.basis @ described
+        other._from_base = self.basis + np.outer(hidden, described) / max(float(described @ described), 1e-12)
         other.arm, other._arm_data = arm_models.with_gravity(self.arm, gravity)
         if self.distal is not None:
             other.distal, other._distal_data = arm_models.with_gravity(self.distal, gravity)

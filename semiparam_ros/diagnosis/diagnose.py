@@ -18,7 +18,7 @@ from semiparam_ros.diagnosis.judgement import Judgement, judge_here, judge_there
 from semiparam_ros.diagnosis.noise import noise_floor
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search import Progress, Step, search, starting_fit
-from semiparam_ros.diagnosis.setup_checks import SetupProblem, excluded, setup_problems, unidentifiable
+from semiparam_ros.diagnosis.setup_checks import NO_MATCH, SetupProblem, excluded, setup_problems, unidentifiable
 from semiparam_ros.diagnosis.structure import Structure, remaining_structure
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.errors import SemiparamError
@@ -27,6 +27,8 @@ LEAST_SAMPLES = 200
 LEAST_MOTION = 1e-3
 PATCH_ROUNDS, PATCH_SHARE = 2, 1.0 / 3.0
 """So many rounds that leave so much structure resemble a cause of another kind, and do not explain it."""
+PUSHED = 0.1
+"""Share of variance that a first effect may leave where no inertias explain the outputs, to be believed instead."""
 VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
 
 
@@ -100,7 +102,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     Raises SemiparamError when the recording is too short or nothing moves in it.
     """
     check(samples, body)
-    setup = setup_problems(body, samples)
+    suspected = setup_problems(body, samples)
     clean = ~excluded(samples)
     may_fit = _fitting(samples, use, other is not None)
     inputs = best_inputs(body, samples, effects, clean & may_fit)
@@ -109,7 +111,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     if body.outputs == 'effort':
         fitting &= ~resting(chosen)
     first = starting_fit(body, chosen, effects, fitting)
-    steps = [] if setup else search(first, considered(body, only), progress)
+    steps, setup = _searched(first, considered(body, only), suspected, progress)
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
     structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale)
@@ -131,6 +133,24 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     return Diagnosis(verdict(first, final, steps, structure, setup), findings(final, steps), steps, first, final,
                      held_out, before, after, inputs, structure, setup, notes, recorded, by_step,
                      other[0] if other else None, judged, judged_valid)
+
+
+def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[SetupProblem],
+              progress: Progress) -> tuple[list[Step], list[SetupProblem]]:
+    """The steps of the search, and what stays suspected of the setup.
+
+    A recording that no inertias explain need not be of another robot: somebody may have pushed this one. That shows
+    in the first effect, which then explains nearly everything.
+    """
+    if any(problem.what != NO_MATCH for problem in suspected):
+        return [], suspected
+    steps = search(first, considered, progress, _unlike if suspected else lambda state: False)
+    return ([], suspected) if suspected and (not steps or _unlike(steps[-1].after)) else (steps, [])
+
+
+def _unlike(state: Fit) -> bool:
+    outputs = state.samples.outputs[state.use]
+    return bool(np.mean(state.squares / (len(outputs) * outputs.var(axis=0) + 1e-300)) > PUSHED)
 
 
 def check(samples: Samples, body: RigidBody) -> None:

@@ -28,6 +28,7 @@ seventy times."""
 UNEXPLAINED = 0.4
 """Share of variance that the best inertias leave when the description is not this robot's. The worst effect of three
 times the usual size leaves 0.32, other arms' descriptions and sensor frames 0.43 to 1."""
+NO_MATCH = 'robot_description'
 MOST_ROUNDS = 2
 DEGREES_BEYOND = 3.2
 """Positions beyond this [rad] may be degrees."""
@@ -167,7 +168,7 @@ def _negated(values: Array, column: int) -> Array:
 
 def _no_match(body: RigidBody, left: float) -> SetupProblem:
     there = f" or the parameter sensor_frame ('{body.sensor_frame}')" if body.outputs == 'wrench' else ''
-    return SetupProblem('robot_description', body.sensor_frame, (
+    return SetupProblem(NO_MATCH, body.sensor_frame, (
         f'No inertias explain the outputs: {100 * min(left, 1.0):.0f} % of their variance stay with the best ones, '
         'and no other order, sign or unit helps; check that the robot description is that of this robot, the parameter '
         f'joints{there}, and that the outputs are not compensated for gravity.'))

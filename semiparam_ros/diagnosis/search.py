@@ -65,8 +65,9 @@ def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], u
     return refit_weights(refit_weights(state))
 
 
-def search(state: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda words, share: None) -> list[Step]:
-    """Add effects to the declared model until none is significant."""
+def search(state: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda words, share: None,
+           hopeless: Callable[[Fit], bool] = lambda state: False) -> list[Step]:
+    """Add effects to the declared model until none is significant, or until a model with one more is ``hopeless``."""
     steps: list[Step] = []
     while len(steps) < MOST_ROUNDS:
         step = next_step(state, kinds, _in_round(progress, len(steps) + 1))
@@ -74,6 +75,8 @@ def search(state: Fit, kinds: dict[str, type[Effect]], progress: Progress = lamb
             break
         steps.append(step)
         state = step.after
+        if hopeless(state):
+            break
     return steps
 
 

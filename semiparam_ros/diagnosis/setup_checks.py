@@ -8,11 +8,11 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.excitation import unidentifiable
 from semiparam_ros.diagnosis.exclusion import excluded
-from semiparam_ros.diagnosis.layout_checks import layout_problems
+from semiparam_ros.diagnosis.layout_checks import NO_MATCH, layout_problems
 from semiparam_ros.diagnosis.motion_checks import LEAST_MOTION, motion_problems
 from semiparam_ros.diagnosis.setup_problem import SetupProblem
 
-__all__ = ['SetupProblem', 'excluded', 'setup_problems', 'unidentifiable']
+__all__ = ['NO_MATCH', 'SetupProblem', 'excluded', 'setup_problems', 'unidentifiable']
 
 MOST_SAMPLES = 250
 LEAST_SAMPLES = 50
