@@ -46,6 +46,35 @@ def found_in(simulated, **options):
 
 # --- hidden causes: named, placed, measured ---
 
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+@pytest.mark.parametrize('force', [[0.6, -0.3, 0.3], [6.0, 3.0, -5.0]])
+def test_a_push_beside_every_link_is_found_and_is_no_wrong_description(outputs, force):
+    """Between the links' origins, and so strong that the arm's own weight hardly shows."""
+    recording = simulate(Scenario(samples=SAMPLES, outputs=outputs, seed=2))
+    body, samples = body_of(recording), samples_of(recording)
+    push = kinds()['external_force']('r_gripper', {'start_s': START_S, 'x': -0.032, 'y': 0.02, 'z': 0.034})
+    pushed = replace(samples, outputs=samples.outputs + push.columns(body, samples, None)[0] @ np.array(force))
+    found = diagnose(body, pushed)
+    assert found.verdict == 'effect_found' and not found.setup
+    first = found.findings[0].as_dict()
+    assert (first['kind'], first['where']) == ('external_force', 'r_gripper')
+    values = {name: entry['value'] for name, entry in first['parameters'].items()}
+    np.testing.assert_allclose([values[f'force_{axis}'] for axis in 'xyz'], force, atol=0.03)
+    np.testing.assert_allclose([values[axis] for axis in 'xyz'], [-0.032, 0.02, 0.034], atol=0.01)
+    assert found.after.nmse.mean() < 0.01 * found.before.nmse.mean()
+
+
+def test_a_wrong_description_is_not_taken_for_an_effect():
+    recording = simulate(Scenario(samples=SAMPLES, seed=2))
+    body, samples = body_of(recording), samples_of(recording)
+    others = np.random.default_rng(0).permuted(body.inertial_parameters)
+    found = diagnose(body, replace(samples, outputs=body.full_regressors(samples[np.random.default_rng(1).permutation(
+        len(samples))]) @ others))
+    assert (found.verdict, [problem.what for problem in found.setup]) == ('unexplained', ['robot_description'])
+    assert not found.steps
+
+
 PAYLOAD = hidden('payload', start_s=START_S)
 OFFSET = hidden('joint_offset', where='r_shoulder_yaw')
 FRICTION = hidden('viscous_friction', 'effort', where='r_elbow')

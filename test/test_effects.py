@@ -14,9 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+from arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR, ODD_ARM, ODD_JOINTS, icub, smooth_motion
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.frames import nearest_link
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.diagnosis.candidates import added_columns
 from semiparam_ros.diagnosis.regression import fit
@@ -377,6 +378,25 @@ COLUMNS = {
     'asymmetric_friction': (lambda p: BRISTLE, same('coulomb_forward', 'coulomb_backward', 'viscous_forward',
                                                  'viscous_backward'), 0.05),
 }
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_force_at_a_point_of_a_link_is_that_at_a_link_which_stands_there(outputs):
+    """The gripper is fixed to the hand; the lever columns are what a metre along each axis changes."""
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
+    push = kinds()['external_force']
+    model = body.arm
+    hand, gripper = (model.frames[model.getFrameId(name)].placement for name in ('r_hand', 'r_gripper'))
+    shift = hand.actInv(gripper.translation)
+    link, point = nearest_link(body, 'r_hand', shift)
+    np.testing.assert_allclose(point, 0.0, atol=1e-12)
+    assert link == 'r_gripper' and nearest_link(body, 'r_gripper', np.zeros(3))[0] == 'r_gripper'
+    at_hand = push('r_hand', dict(zip('xyz', shift.tolist(), strict=True)))
+    expected = push('r_gripper').columns(body, MOTION, None)[0]
+    np.testing.assert_allclose(at_hand.columns(body, MOTION, None)[0], expected, atol=1e-12)
+    levers = push('r_hand').levers(body, MOTION).reshape(len(MOTION), -1, 3, 3)
+    plain = push('r_hand').columns(body, MOTION, None)[0]
+    np.testing.assert_allclose(plain + np.einsum('tnij,i->tnj', levers, shift), expected, atol=1e-12)
+
 
 # kind: (calibrations from the truth, share of the difference left unexplained)
 CALIBRATIONS = {

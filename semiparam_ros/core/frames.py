@@ -25,6 +25,11 @@ class FrameMotion(NamedTuple):
     velocity: Array  # (N, 3) [m/s]
     rotation: Array  # (N, 3, 3) link to base
     force_map: Array  # (N, n, 3) outputs caused by an external unit force at the frame's origin, along base axes
+    couple_map: Array  # (N, n, 3) outputs caused by an external unit couple on the link, about base axes
+
+    def forces_at(self, points: Array) -> Array:
+        """(N, n, 3) outputs caused by external unit forces at points (N, 3) [m] from the origin, along base axes."""
+        return np.asarray(self.force_map + self.couple_map @ np.swapaxes(np.cross(points[:, None], np.eye(3)), 1, 2))
 
 
 def loaded_links(body: RigidBody) -> dict[str, int]:
@@ -68,19 +73,21 @@ def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
         placement = pin.updateFramePlacement(model, data, frame)
         speed = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
         rows.append((placement.translation.copy(), speed.copy(), placement.rotation.copy(),
-                     respond(data, placement.translation)))
+                     *respond(data, placement.translation)))
     return FrameMotion(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def nearest_link(body: RigidBody, link: str, point: Array) -> str:
-    """Of the links beside ``link``, the one whose origin is nearest to a point (3,) given in the frame of ``link``."""
+def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
+    """Of the links beside ``link``, the one whose origin is nearest to a point (3,) [m], and the point in its frame.
+
+    :param point: in the frame of ``link``.
+    """
     model = body.arm if body.distal is None else body.distal
     place = model.frames[_frame(model, link, body)].placement.act(point)
-
-    def distance(name: str) -> float:
-        return float(np.linalg.norm(model.frames[_frame(model, name, body)].placement.translation - place))
-
-    return min(links_beside(body, link), key=distance)
+    inside = {name: model.frames[_frame(model, name, body)].placement.actInv(place)
+              for name in links_beside(body, link)}
+    nearest = min(inside, key=lambda name: float(np.linalg.norm(inside[name])))
+    return nearest, inside[nearest]
 
 
 def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
@@ -111,19 +118,20 @@ def _moved(parameters: Array, rotation: Array, shift: Array) -> Array:
                      inertia[1, 2], inertia[2, 2]])
 
 
-def _wrench_response(body: RigidBody) -> Callable[[pin.Data, Array], Array]:
-    def respond(data: pin.Data, point: Array) -> Array:
+def _wrench_response(body: RigidBody) -> Callable[[pin.Data, Array], tuple[Array, Array]]:
+    def respond(data: pin.Data, point: Array) -> tuple[Array, Array]:
         sensor = pin.updateFramePlacement(body.arm, data, body.sensor_index)
-        to_sensor = sensor.rotation.T
-        return -body.sign * np.vstack([to_sensor, to_sensor @ pin.skew(point - sensor.translation)])
+        to_sensor = -body.sign * sensor.rotation.T
+        return (np.vstack([to_sensor, to_sensor @ pin.skew(point - sensor.translation)]),
+                np.vstack([np.zeros((3, 3)), to_sensor]))
     return respond
 
 
-def _effort_response(body: RigidBody, frame: int) -> Callable[[pin.Data, Array], Array]:
-    def respond(data: pin.Data, point: Array) -> Array:
+def _effort_response(body: RigidBody, frame: int) -> Callable[[pin.Data, Array], tuple[Array, Array]]:
+    def respond(data: pin.Data, point: Array) -> tuple[Array, Array]:
         pin.computeJointJacobians(body.arm, data)
-        jacobian = pin.getFrameJacobian(body.arm, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-        return -np.asarray(jacobian[:, body.arm_columns].T)
+        jacobian = -pin.getFrameJacobian(body.arm, data, frame, pin.LOCAL_WORLD_ALIGNED)[:, body.arm_columns]
+        return jacobian[:3].T, jacobian[3:].T
     return respond
 
 

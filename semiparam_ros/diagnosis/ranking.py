@@ -25,6 +25,8 @@ FLAGS = ('at_link', 'directions', 'link_axes')
 GAUSS_NEWTON_STEPS = 4
 REFINE_EVALUATIONS = 14
 START_WORTH = 1.1
+FARTHEST_POINT = 0.5
+"""Of a link [m] that a force may attack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +87,7 @@ def score(state: Fit, trial: Trial, correlation: Array) -> Trial:
 
 def refined(state: Fit, trial: Trial) -> Trial:
     """The trial with its nonlinear parameters at their best and the weights those of its own residual."""
-    used = trial.residual[state.use]
-    near = fit(state.body, state.samples, state.effects, state.use,
-               residual_scale(used, state.samples.outputs[state.use]))
+    near = _weighed(state, trial)
     if trial.effect.is_calibration:
         return _calibrated(near, trial)
     effect = trial.effect
@@ -95,8 +95,16 @@ def refined(state: Fit, trial: Trial) -> Trial:
         if name not in (*FLAGS, 'start_s'):
             effect = _line_search(near, effect, name)
     effect = replace(effect, shape={k: v for k, v in effect.shape.items() if k != 'start_s'})
-    best = _at_best_link(near, _linear_trial(near, effect))
+    best = at_best_point(near, _at_best_link(near, _linear_trial(near, effect)))
+    if best.effect.shape.keys() >= {*'xyz'}:
+        best = at_best_point(_weighed(state, best), best)  # far from the point, the weights were others
     return best if best.physical else trial
+
+
+def _weighed(state: Fit, trial: Trial) -> Fit:
+    """The declared model with the weights of what the trial leaves."""
+    scale = residual_scale(trial.residual[state.use], state.samples.outputs[state.use])
+    return fit(state.body, state.samples, state.effects, state.use, scale)
 
 
 def _at_best_link(state: Fit, trial: Trial) -> Trial:
@@ -106,6 +114,28 @@ def _at_best_link(state: Fit, trial: Trial) -> Trial:
         return trial
     moved = [_linear_trial(state, replace(trial.effect, where=link)) for link in links_beside(state.body, where)[1:]]
     return max([trial, *moved], key=lambda tried: _explained_share(state, tried))
+
+
+def at_best_point(state: Fit, trial: Trial) -> Trial:
+    """The trial attacking the point of its body that explains most, if that is worth three parameters.
+
+    Force times lever is linear where the force alone is; the point that comes nearest to all nine products is taken.
+    """
+    effect = trial.effect
+    levers = effect.levers(state.body, CoupledColumns(state.body, state.effects).corrected(state.samples)[1])
+    if levers is None:
+        return trial
+    started = state.samples.time >= (effect.start_s or 0.0)
+    columns = np.concatenate([added_columns(state, effect), levers * started[:, None, None]], axis=2)
+    force, *products = state.explain(columns).coefficients.reshape(4, -1)
+    point = np.array([effect.value(axis) for axis in 'xyz']) + np.array(products) @ force / (force @ force + 1e-300)
+    if np.linalg.norm(point) > FARTHEST_POINT:
+        return trial
+    link, inside = nearest_link(state.body, str(effect.where), point)
+    there = replace(effect, where=link).with_shape(**dict(zip('xyz', inside.tolist(), strict=True)))
+    moved = _linear_trial(state, there)
+    correlation = correlation_of(state, [moved])
+    return max([trial, moved], key=lambda tried: score(state, tried, correlation).evidence)
 
 
 def retried(state: Fit, trial: Trial) -> Trial:
@@ -191,8 +221,9 @@ def _loads_at_nearest_link(state: Fit) -> Fit:
     for index, effect in enumerate(effects):
         if effect.kind == 'payload':
             mass, *moment = state.theta[blocks[str(index)]][:4]
-            link = nearest_link(state.body, str(effect.where), np.array(moment) / mass) if mass > 0.0 else effect.where
-            effects[index] = replace(effect, where=link)
+            if mass > 0.0:
+                link, _ = nearest_link(state.body, str(effect.where), np.array(moment) / mass)
+                effects[index] = replace(effect, where=link)
     return state if effects == list(state.effects) else fit(state.body, state.samples, effects, state.use, state.scale)
 
 

@@ -114,8 +114,11 @@ def worth_refining(state: Fit, trials: list[Trial]) -> list[Trial]:
 
 
 def _by_evidence(state: Fit, trials: list[Trial]) -> list[Trial]:
+    """The best of each kind at each place; refinement may have led several to one place."""
     correlation = correlation_of(state, trials)
-    return sorted((score(state, trial, correlation) for trial in trials), key=lambda trial: -trial.evidence)
+    scored = sorted((score(state, trial, correlation) for trial in trials), key=lambda trial: trial.evidence)
+    best = {(trial.effect.kind, trial.effect.where): trial for trial in scored}
+    return sorted(best.values(), key=lambda trial: -trial.evidence)
 
 
 def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> Step | None:

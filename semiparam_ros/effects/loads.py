@@ -51,13 +51,14 @@ class AtAnyLink(Effect):
 
 
 class ExternalForce(AtAnyLink):
-    """A constant force along the base's axes, at the origin of the link's frame."""
+    """A constant force along the base's axes, at a point of the link (its origin, unless x, y and z say otherwise)."""
 
     kind: ClassVar[str] = 'external_force'
     sentence: ClassVar[str] = 'something pulls or pushes the link with a constant force'
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'gravity_tilt', 'sensor_offset')
     separated_by: ClassVar[str] = 'faster motion: a load has inertia, a constant force has none'
     may_start: ClassVar[bool] = True
+    shape_units: ClassVar[dict[str, str]] = {'x': 'm', 'y': 'm', 'z': 'm'}
 
     @property
     def n_columns(self) -> int:
@@ -67,7 +68,13 @@ class ExternalForce(AtAnyLink):
         return tuple(Coefficient(f'force_{axis}', 'N') for axis in 'xyz')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        return frame_motion(body, samples, str(self.where)).force_map, None
+        motion, point = frame_motion(body, samples, str(self.where)), np.array([self.value(axis) for axis in 'xyz'])
+        return (motion.forces_at(motion.rotation @ point) if point.any() else motion.force_map), None
+
+    def levers(self, body: RigidBody, samples: Samples) -> Array:
+        motion = frame_motion(body, samples, str(self.where))
+        columns = [motion.forces_at(motion.rotation[:, :, axis]) - motion.force_map for axis in range(3)]
+        return np.concatenate(columns, axis=2)
 
 
 class _Drag(AtAnyLink):
