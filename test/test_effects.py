@@ -22,6 +22,7 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.diagnosis.candidates import added_columns
 from semiparam_ros.diagnosis.regression import fit
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds, registry
+from semiparam_ros.effects.attack import AtPoint
 from semiparam_ros.effects.base import FLAGS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.report.effects_table import BEGIN, END, with_tables
@@ -379,23 +380,22 @@ COLUMNS = {
                                                  'viscous_backward'), 0.05),
 }
 
-@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
-def test_a_force_at_a_point_of_a_link_is_that_at_a_link_which_stands_there(outputs):
-    """The gripper is fixed to the hand; the lever columns are what a metre along each axis changes."""
+@pytest.mark.parametrize(('kind', 'outputs'), [(name, outputs) for name, kind in kinds().items()
+                                               if issubclass(kind, AtPoint) for outputs in kind.outputs])
+def test_at_a_point_of_a_link_where_another_link_stands_a_kind_does_the_same(kind, outputs):
+    """The gripper is fixed to the hand."""
     body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
-    push = kinds()['external_force']
-    model = body.arm
-    hand, gripper = (model.frames[model.getFrameId(name)].placement for name in ('r_hand', 'r_gripper'))
+    hand, gripper = (body.arm.frames[body.arm.getFrameId(name)].placement for name in ('r_hand', 'r_gripper'))
     shift = hand.actInv(gripper.translation)
+    assert np.linalg.norm(shift) > 0.01
     link, point = nearest_link(body, 'r_hand', shift)
     np.testing.assert_allclose(point, 0.0, atol=1e-12)
-    assert link == 'r_gripper' and nearest_link(body, 'r_gripper', np.zeros(3))[0] == 'r_gripper'
-    at_hand = push('r_hand', dict(zip('xyz', shift.tolist(), strict=True)))
-    expected = push('r_gripper').columns(body, MOTION, None)[0]
-    np.testing.assert_allclose(at_hand.columns(body, MOTION, None)[0], expected, atol=1e-12)
-    levers = push('r_hand').levers(body, MOTION).reshape(len(MOTION), -1, 3, 3)
-    plain = push('r_hand').columns(body, MOTION, None)[0]
-    np.testing.assert_allclose(plain + np.einsum('tnij,i->tnj', levers, shift), expected, atol=1e-12)
+    assert link == 'r_gripper'
+    shape = {'at_link': 1.0} if 'cable' in kind else {}
+    moved = kinds()[kind]('r_hand', {**shape, **dict(zip('xyz', shift.tolist(), strict=True))})
+    columns, plain = (effect.columns(body, MOTION, None)[0] for effect in (moved, kinds()[kind]('r_hand', shape)))
+    np.testing.assert_allclose(columns, kinds()[kind]('r_gripper', shape).columns(body, MOTION, None)[0], atol=1e-9)
+    assert np.abs(columns - plain).max() > 1e-3
 
 
 # kind: (calibrations from the truth, share of the difference left unexplained)

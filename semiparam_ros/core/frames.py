@@ -23,13 +23,17 @@ class FrameMotion(NamedTuple):
 
     position: Array  # (N, 3) [m]
     velocity: Array  # (N, 3) [m/s]
+    turning: Array  # (N, 3) angular velocity [rad/s]
     rotation: Array  # (N, 3, 3) link to base
     force_map: Array  # (N, n, 3) outputs caused by an external unit force at the frame's origin, along base axes
     couple_map: Array  # (N, n, 3) outputs caused by an external unit couple on the link, about base axes
 
-    def forces_at(self, points: Array) -> Array:
-        """(N, n, 3) outputs caused by external unit forces at points (N, 3) [m] from the origin, along base axes."""
-        return np.asarray(self.force_map + self.couple_map @ np.swapaxes(np.cross(points[:, None], np.eye(3)), 1, 2))
+    def at(self, point: Array) -> FrameMotion:
+        """The same of a frame beside it, at a point (3,) [m] of the link."""
+        arm = self.rotation @ point
+        lever = np.swapaxes(np.cross(arm[:, None], np.eye(3)), 1, 2)
+        return self._replace(position=self.position + arm, velocity=self.velocity + np.cross(self.turning, arm),
+                             force_map=self.force_map + self.couple_map @ lever)
 
 
 def loaded_links(body: RigidBody) -> dict[str, int]:
@@ -71,8 +75,8 @@ def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     for q, dq in zip(body.arm_vector(samples.position), body.arm_vector(samples.velocity), strict=True):
         pin.forwardKinematics(model, data, q, dq)
         placement = pin.updateFramePlacement(model, data, frame)
-        speed = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
-        rows.append((placement.translation.copy(), speed.copy(), placement.rotation.copy(),
+        twist = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        rows.append((placement.translation.copy(), twist.linear, twist.angular, placement.rotation.copy(),
                      *respond(data, placement.translation)))
     return FrameMotion(*(np.array(column) for column in zip(*rows, strict=True)))
 

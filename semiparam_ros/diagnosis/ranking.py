@@ -20,13 +20,14 @@ from semiparam_ros.diagnosis.candidates import Candidate, added_columns, best_st
 from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, fit, refit_weights, residual_scale
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.attack import POINT
 
 FLAGS = ('at_link', 'directions', 'link_axes')
 GAUSS_NEWTON_STEPS = 4
 REFINE_EVALUATIONS = 14
 START_WORTH = 1.1
-FARTHEST_POINT = 0.5
-"""Of a link [m] that a force may attack."""
+POINT_STEP, LONGEST_LEVER = 1e-3, 0.3
+"""Difference that stands for a derivative, and longest step of a point of attack [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +96,8 @@ def refined(state: Fit, trial: Trial) -> Trial:
         if name not in (*FLAGS, 'start_s'):
             effect = _line_search(near, effect, name)
     effect = replace(effect, shape={k: v for k, v in effect.shape.items() if k != 'start_s'})
-    best = at_best_point(near, _at_best_link(near, _linear_trial(near, effect)))
-    if best.effect.shape.keys() >= {*'xyz'}:
-        best = at_best_point(_weighed(state, best), best)  # far from the point, the weights were others
-    return best if best.physical else trial
+    best = _at_best_link(near, _linear_trial(near, effect))
+    return _at_best_point(state, best) if best.physical else trial
 
 
 def _weighed(state: Fit, trial: Trial) -> Fit:
@@ -116,26 +115,32 @@ def _at_best_link(state: Fit, trial: Trial) -> Trial:
     return max([trial, *moved], key=lambda tried: _explained_share(state, tried))
 
 
-def at_best_point(state: Fit, trial: Trial) -> Trial:
-    """The trial attacking the point of its body that explains most, if that is worth three parameters.
+def _at_best_point(state: Fit, trial: Trial) -> Trial:
+    """The trial at the point of its body that explains most, by Gauss-Newton, if that is worth the parameters."""
+    if not POINT.keys() <= trial.effect.shape_units.keys() or trial.effect.where in state.body.joints:
+        return trial
+    best = trial
+    for _ in range(GAUSS_NEWTON_STEPS):
+        near = _weighed(state, best)
+        moved = _linear_trial(near, _towards_best_point(near, best.effect))
+        if not moved.physical or _explained_share(near, moved) <= _explained_share(near, best):
+            break
+        best = moved
+    correlation = correlation_of(state, [best])
+    return max([trial, best], key=lambda tried: score(state, tried, correlation).evidence)
 
-    Force times lever is linear where the force alone is; the point that comes nearest to all nine products is taken.
-    """
-    effect = trial.effect
-    levers = effect.levers(state.body, CoupledColumns(state.body, state.effects).corrected(state.samples)[1])
-    if levers is None:
-        return trial
-    started = state.samples.time >= (effect.start_s or 0.0)
-    columns = np.concatenate([added_columns(state, effect), levers * started[:, None, None]], axis=2)
-    force, *products = state.explain(columns).coefficients.reshape(4, -1)
-    point = np.array([effect.value(axis) for axis in 'xyz']) + np.array(products) @ force / (force @ force + 1e-300)
-    if np.linalg.norm(point) > FARTHEST_POINT:
-        return trial
-    link, inside = nearest_link(state.body, str(effect.where), point)
-    there = replace(effect, where=link).with_shape(**dict(zip('xyz', inside.tolist(), strict=True)))
-    moved = _linear_trial(state, there)
-    correlation = correlation_of(state, [moved])
-    return max([trial, moved], key=lambda tried: score(state, tried, correlation).evidence)
+
+def _towards_best_point(state: Fit, effect: Effect) -> Effect:
+    """One step of the point of attack, which is then given in the frame of the link nearest to it."""
+    here = added_columns(state, effect)
+    coefficients = state.explain(here).coefficients
+    place = {axis: effect.value(axis) for axis in POINT}
+    moved = [effect.with_shape(**{axis: value + POINT_STEP}) for axis, value in place.items()]
+    slopes = [(added_columns(state, there) - here) @ (coefficients / POINT_STEP) for there in moved]
+    step = state.explain(np.concatenate([here, np.stack(slopes, axis=2)], axis=2)).coefficients[-len(POINT):]
+    step *= min(1.0, LONGEST_LEVER / (float(np.linalg.norm(step)) + 1e-300))
+    link, inside = nearest_link(state.body, str(effect.where), np.array(list(place.values())) + step)
+    return replace(effect, where=link).with_shape(**dict(zip(POINT, inside.tolist(), strict=True)))
 
 
 def retried(state: Fit, trial: Trial) -> Trial:

@@ -92,13 +92,6 @@ class Effect:
         """(n_columns,) wide prior standard deviations over gamma, in the coefficients' units."""
         return np.full(self.n_columns, self.coefficient_scale)
 
-    def levers(self, body: RigidBody, samples: Samples) -> Array | None:
-        """(N, n, 3 n_columns) what each coefficient adds when its point of attack moves 1 m along the link's x, y, z.
-
-        None for kinds without such a point; the others hold it as x, y and z of their shape.
-        """
-        return None
-
     def physical(self, coefficients: Array) -> bool:
         """False for coefficients (n_columns,) that this cause cannot have, such as a friction that drives the joint."""
         return True

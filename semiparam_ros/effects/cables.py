@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -12,14 +12,15 @@ from semiparam_ros.core.frames import frame_motion, links_beside, loaded_links
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, joint_index
+from semiparam_ros.effects.attack import POINT, AtPoint
+from semiparam_ros.effects.base import CHANNELS, Coefficient, Shape, joint_index
 from semiparam_ros.effects.hysteresis import dahl_state
 
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 SLIP_SHARES = (0.02, 0.05, 0.12, 0.3, 0.7)
 
 
-class _Cable(Effect):
+class _Cable(AtPoint):
     """Acts at a link through its position, or on the sensor through a joint's angle."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)
@@ -60,7 +61,7 @@ class CableSpring(_Cable):
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         if not self.value('at_link'):
             return samples.position[:, joint_index(body, self.where), None, None] * np.eye(len(CHANNELS)), None
-        motion = frame_motion(body, samples, str(self.where))
+        motion = self.motion(body, samples)
         forces = np.zeros((len(samples), 3, 9))
         forces[:, :, :3] = np.eye(3)
         for column, (i, j) in enumerate(SYMMETRIC, start=3):
@@ -77,7 +78,7 @@ class CableHysteresis(_Cable):
     sentence: ClassVar[str] = 'a cable or hose drags with hysteresis: it pulls back, then slips'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_spring', 'viscous_drag')
     separated_by: ClassVar[str] = 'reversals after long and after short travels'
-    shape_units: ClassVar[dict[str, str]] = {'slip': 'rad or m'}
+    shape_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **POINT}
 
     @property
     def n_columns(self) -> int:
@@ -102,6 +103,6 @@ class CableHysteresis(_Cable):
             travel = samples.position[:, joint_index(body, self.where), None]
             state, memory = dahl_state(travel, slip, memory)
             return state[:, :, None] * np.eye(len(CHANNELS)), memory
-        motion = frame_motion(body, samples, str(self.where))
+        motion = self.motion(body, samples)
         state, memory = dahl_state(motion.position, slip, memory)
         return motion.force_map @ -state[:, :, None], memory

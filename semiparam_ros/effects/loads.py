@@ -8,10 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.frames import frame_motion, links_beside, load_regressor, loaded_links
+from semiparam_ros.core.frames import links_beside, load_regressor, loaded_links
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
+from semiparam_ros.effects.attack import AtPoint
 from semiparam_ros.effects.base import Coefficient, Effect
 
 
@@ -42,8 +43,8 @@ class Payload(Effect):
         return load_regressor(body, samples, str(self.where)), None
 
 
-class AtAnyLink(Effect):
-    """Something whose point of attack matters, so that every link of a body is a place of its own."""
+class AtAnyLink(AtPoint):
+    """Its search begins at the origin of every link of a body."""
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
@@ -51,14 +52,13 @@ class AtAnyLink(Effect):
 
 
 class ExternalForce(AtAnyLink):
-    """A constant force along the base's axes, at a point of the link (its origin, unless x, y and z say otherwise)."""
+    """A constant force along the base's axes, at a point of the link."""
 
     kind: ClassVar[str] = 'external_force'
     sentence: ClassVar[str] = 'something pulls or pushes the link with a constant force'
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'gravity_tilt', 'sensor_offset')
     separated_by: ClassVar[str] = 'faster motion: a load has inertia, a constant force has none'
     may_start: ClassVar[bool] = True
-    shape_units: ClassVar[dict[str, str]] = {'x': 'm', 'y': 'm', 'z': 'm'}
 
     @property
     def n_columns(self) -> int:
@@ -68,17 +68,11 @@ class ExternalForce(AtAnyLink):
         return tuple(Coefficient(f'force_{axis}', 'N') for axis in 'xyz')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        motion, point = frame_motion(body, samples, str(self.where)), np.array([self.value(axis) for axis in 'xyz'])
-        return (motion.forces_at(motion.rotation @ point) if point.any() else motion.force_map), None
-
-    def levers(self, body: RigidBody, samples: Samples) -> Array:
-        motion = frame_motion(body, samples, str(self.where))
-        columns = [motion.forces_at(motion.rotation[:, :, axis]) - motion.force_map for axis in range(3)]
-        return np.concatenate(columns, axis=2)
+        return self.motion(body, samples).force_map, None
 
 
 class _Drag(AtAnyLink):
-    """A force against the velocity of a link's frame."""
+    """A force against the velocity of a link's point."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)
 
@@ -94,7 +88,7 @@ class _Drag(AtAnyLink):
         raise NotImplementedError
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        motion = frame_motion(body, samples, str(self.where))
+        motion = self.motion(body, samples)
         return motion.force_map @ self.resistance(motion.velocity)[:, :, None], None
 
 
