@@ -65,10 +65,11 @@ def _linear_trial(state: Fit, effect: Effect) -> Trial:
         names = [coefficient.name for coefficient in effect.calibrations]
         effect = effect.with_shape(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
     physical = effect.is_calibration or effect.physical(explained.coefficients)
-    return Trial(effect, explained.residual, explained.rank + _nonlinear(effect), physical)
+    return Trial(effect, explained.residual, explained.rank + nonlinear(effect), physical)
 
 
-def _nonlinear(effect: Effect) -> int:
+def nonlinear(effect: Effect) -> int:
+    """Number of values that an effect's search chose."""
     calibrated = {coefficient.name for coefficient in effect.calibrations}
     return len(set(effect.shape) - calibrated - set(FLAGS))
 

@@ -13,6 +13,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.candidates import candidates, others
 from semiparam_ros.diagnosis.cross_validation import carries_over
+from semiparam_ros.diagnosis.elimination import without_needless
 from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.ranking import (
     Trial,
@@ -49,13 +50,14 @@ class Rival(NamedTuple):
 
 @dataclass(frozen=True)
 class Step:
-    """One round: the effects added, the rivals of each, and the trials of the round by evidence."""
+    """One round: the effects added, the rivals of each, the trials by evidence, and effects that it made needless."""
 
     added: tuple[Trial, ...]
     rivals: tuple[tuple[Rival, ...], ...]
     ranking: tuple[Trial, ...]
     before: Fit
     after: Fit
+    dropped: tuple[Effect, ...] = ()
 
 
 def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Mask) -> Fit:
@@ -67,7 +69,11 @@ def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], u
 
 def search(state: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda words, share: None,
            hopeless: Callable[[Fit], bool] = lambda state: False) -> list[Step]:
-    """Add effects to the declared model until none is significant, or until a model with one more is ``hopeless``."""
+    """Add effects to the declared model until none is significant, then drop those that others made needless.
+
+    :param hopeless: of a model with one more effect, whether to stop there.
+    """
+    declared = {(effect.kind, effect.where) for effect in state.effects}
     steps: list[Step] = []
     while len(steps) < MOST_ROUNDS:
         step = next_step(state, kinds, _in_round(progress, len(steps) + 1))
@@ -77,6 +83,9 @@ def search(state: Fit, kinds: dict[str, type[Effect]], progress: Progress = lamb
         state = step.after
         if hopeless(state):
             break
+    if steps:
+        after, dropped = without_needless(state, declared, LEAST_EVIDENCE)
+        steps[-1] = replace(steps[-1], after=after, dropped=dropped)
     return steps
 
 

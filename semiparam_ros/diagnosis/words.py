@@ -16,6 +16,7 @@ def in_words(diagnosis: Diagnosis) -> list[str]:
     for finding in diagnosis.findings:
         lines.append(_finding(finding))
         lines += _rivals(finding)
+    lines += _dropped(diagnosis)
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
     if diagnosis.structure is not None and diagnosis.structure.significant:
@@ -71,6 +72,12 @@ def _rivals(finding: Finding) -> list[str]:
     names = ', '.join(f'{place(rival.kind, rival.where)} (odds {rival.odds:.2g})' for rival in finding.rivals)
     return [f'  On this motion it cannot be told for certain from {names}. What would separate them: '
             f'{kinds()[finding.effect.kind].separated_by}.']
+
+
+def _dropped(diagnosis: Diagnosis) -> list[str]:
+    names = [place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped]
+    return [f'Tried first and dropped, because the effects above explain it better: {", ".join(names)}.'] \
+        if names else []
 
 
 def _gain(diagnosis: Diagnosis) -> str:

@@ -1,0 +1,41 @@
+"""Backward elimination: an effect that only stood in for a later one goes."""
+
+from __future__ import annotations
+
+from semiparam_ros.diagnosis.cross_validation import carries_over
+from semiparam_ros.diagnosis.noise import correlation_times
+from semiparam_ros.diagnosis.ranking import Trial, declare, nonlinear, score
+from semiparam_ros.diagnosis.regression import Fit, fit
+from semiparam_ros.effects import Effect
+
+Place = tuple[str, str | None]
+
+
+def without_needless(state: Fit, declared: set[Place], least_evidence: float) -> tuple[Fit, tuple[Effect, ...]]:
+    """The model without the effects that the others make needless, and those.
+
+    The one of least evidence over the model without it goes first; then the others are asked again. A last effect
+    stays.
+
+    :param declared: kinds and places that were in the model before the search and stay.
+    """
+    dropped: list[Effect] = []
+    while True:
+        found = [effect for effect in state.effects if (effect.kind, effect.where) not in declared]
+        if len(found) < 2:
+            break
+        weakest, evidence, rest = min(((effect, *_worth(state, effect)) for effect in found), key=lambda item: item[1])
+        if evidence > least_evidence and carries_over(rest, state):
+            break
+        dropped.append(weakest)
+        state = rest
+    return state, tuple(dropped)
+
+
+def _worth(state: Fit, effect: Effect) -> tuple[float, Fit]:
+    """Evidence [nat] of an effect over the model without it, and that model."""
+    others = [known for known in state.effects if known is not effect]
+    rest = declare(fit(state.body, state.samples, others, state.use, state.scale), [])
+    spent = effect.n_columns + len(effect.calibrations) + nonlinear(effect)
+    whole = score(rest, Trial(effect, state.residual, spent), correlation_times(state.residual[state.use]))
+    return whole.evidence, rest
