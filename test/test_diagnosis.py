@@ -14,10 +14,11 @@ from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.diagnosis.blocks import BLOCKS, FOLDS, folds, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.candidates import added_columns, best_start
+from semiparam_ros.diagnosis.declaration import declare
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.judgement import judge_here, judge_there
 from semiparam_ros.diagnosis.noise import correlation_times, noise_floor
-from semiparam_ros.diagnosis.ranking import Trial, declare, score
+from semiparam_ros.diagnosis.ranking import Trial, score
 from semiparam_ros.diagnosis.regression import fit
 from semiparam_ros.diagnosis.search import worth_refining
 from semiparam_ros.diagnosis.words import in_words

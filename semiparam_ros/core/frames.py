@@ -31,9 +31,8 @@ class FrameMotion(NamedTuple):
     def at(self, point: Array) -> FrameMotion:
         """The same of a frame beside it, at a point (3,) [m] of the link."""
         arm = self.rotation @ point
-        lever = np.swapaxes(np.cross(arm[:, None], np.eye(3)), 1, 2)
         return self._replace(position=self.position + arm, velocity=self.velocity + np.cross(self.turning, arm),
-                             force_map=self.force_map + self.couple_map @ lever)
+                             force_map=self.force_map + self.couple_map @ _levers(arm))
 
 
 def loaded_links(body: RigidBody) -> dict[str, int]:
@@ -65,20 +64,20 @@ def links_beside(body: RigidBody, link: str) -> list[str]:
     return [frame.name for frame in chosen[:MOST_LINKS]]
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=24)
 def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     """Motion of a link and the outputs' response to a force on it. An unknown link raises SemiparamError."""
     frame = _frame(body.arm, link, body)
-    respond = _wrench_response(body) if body.distal is not None else _effort_response(body, frame)
+    felt, maps = _sensor_response(body) if body.distal is not None else _joint_response(body, frame)
     data, model = body.arm.createData(), body.arm
     rows = []
     for q, dq in zip(body.arm_vector(samples.position), body.arm_vector(samples.velocity), strict=True):
         pin.forwardKinematics(model, data, q, dq)
         placement = pin.updateFramePlacement(model, data, frame)
         twist = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        rows.append((placement.translation.copy(), twist.linear, twist.angular, placement.rotation.copy(),
-                     *respond(data, placement.translation)))
-    return FrameMotion(*(np.array(column) for column in zip(*rows, strict=True)))
+        rows.append((placement.translation.copy(), twist.linear, twist.angular, placement.rotation.copy(), *felt(data)))
+    position, velocity, turning, rotation, *state = (np.array(column) for column in zip(*rows, strict=True))
+    return FrameMotion(position, velocity, turning, rotation, *maps(position, *state))
 
 
 def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
@@ -122,21 +121,38 @@ def _moved(parameters: Array, rotation: Array, shift: Array) -> Array:
                      inertia[1, 2], inertia[2, 2]])
 
 
-def _wrench_response(body: RigidBody) -> Callable[[pin.Data, Array], tuple[Array, Array]]:
-    def respond(data: pin.Data, point: Array) -> tuple[Array, Array]:
+Response = tuple[Callable[[pin.Data], tuple[Array, ...]], Callable[..., tuple[Array, Array]]]
+"""What to keep of the arm's state at each sample, and the force and couple maps (N, n, 3) that follow from all."""
+
+
+def _sensor_response(body: RigidBody) -> Response:
+    def felt(data: pin.Data) -> tuple[Array, ...]:
         sensor = pin.updateFramePlacement(body.arm, data, body.sensor_index)
-        to_sensor = -body.sign * sensor.rotation.T
-        return (np.vstack([to_sensor, to_sensor @ pin.skew(point - sensor.translation)]),
-                np.vstack([np.zeros((3, 3)), to_sensor]))
-    return respond
+        return sensor.translation.copy(), sensor.rotation.copy()
+
+    def maps(position: Array, sensor: Array, rotation: Array) -> tuple[Array, Array]:
+        to_sensor = -body.sign * np.swapaxes(rotation, 1, 2)
+        return (np.concatenate([to_sensor, to_sensor @ _levers(position - sensor)], axis=1),
+                np.concatenate([np.zeros_like(to_sensor), to_sensor], axis=1))
+
+    return felt, maps
 
 
-def _effort_response(body: RigidBody, frame: int) -> Callable[[pin.Data, Array], tuple[Array, Array]]:
-    def respond(data: pin.Data, point: Array) -> tuple[Array, Array]:
+def _joint_response(body: RigidBody, frame: int) -> Response:
+    def felt(data: pin.Data) -> tuple[Array, ...]:
         pin.computeJointJacobians(body.arm, data)
-        jacobian = -pin.getFrameJacobian(body.arm, data, frame, pin.LOCAL_WORLD_ALIGNED)[:, body.arm_columns]
-        return jacobian[:3].T, jacobian[3:].T
-    return respond
+        return (pin.getFrameJacobian(body.arm, data, frame, pin.LOCAL_WORLD_ALIGNED),)
+
+    def maps(position: Array, jacobian: Array) -> tuple[Array, Array]:
+        turned = -np.swapaxes(jacobian[:, :, body.arm_columns], 1, 2)
+        return turned[:, :, :3], turned[:, :, 3:]
+
+    return felt, maps
+
+
+def _levers(arms: Array) -> Array:
+    """(N, 3, 3) couples about an origin of unit forces at arms (N, 3) from it."""
+    return np.swapaxes(np.cross(arms[:, None], np.eye(3)), 1, 2)
 
 
 def _frame(model: pin.Model, link: str, body: RigidBody) -> int:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from semiparam_ros.diagnosis.cross_validation import carries_over
+from semiparam_ros.diagnosis.declaration import declare
 from semiparam_ros.diagnosis.noise import correlation_times
-from semiparam_ros.diagnosis.ranking import Trial, declare, nonlinear, score
+from semiparam_ros.diagnosis.ranking import Trial, nonlinear, score
 from semiparam_ros.diagnosis.regression import Fit, fit
 from semiparam_ros.effects import Effect
 
+UNDOUBTED = 20.0
+"""So many times the least evidence, with all else left as it is, and an effect is not asked further."""
 Place = tuple[str, str | None]
 
 
@@ -24,7 +27,8 @@ def without_needless(state: Fit, declared: set[Place], least_evidence: float) ->
         found = [effect for effect in state.effects if (effect.kind, effect.where) not in declared]
         if len(found) < 2:
             break
-        weakest, evidence, rest = min(((effect, *_worth(state, effect)) for effect in found), key=lambda item: item[1])
+        asked = [(effect, *_worth(state, effect, least_evidence)) for effect in found]
+        weakest, evidence, rest = min(asked, key=lambda answer: answer[1])
         if evidence > least_evidence and carries_over(rest, state):
             break
         dropped.append(weakest)
@@ -32,10 +36,13 @@ def without_needless(state: Fit, declared: set[Place], least_evidence: float) ->
     return state, tuple(dropped)
 
 
-def _worth(state: Fit, effect: Effect) -> tuple[float, Fit]:
+def _worth(state: Fit, effect: Effect, least_evidence: float) -> tuple[float, Fit]:
     """Evidence [nat] of an effect over the model without it, and that model."""
     others = [known for known in state.effects if known is not effect]
-    rest = declare(fit(state.body, state.samples, others, state.use, state.scale), [])
     spent = effect.n_columns + len(effect.calibrations) + nonlinear(effect)
-    whole = score(rest, Trial(effect, state.residual, spent), correlation_times(state.residual[state.use]))
-    return whole.evidence, rest
+    whole = Trial(effect, state.residual, spent)
+    correlation = correlation_times(state.residual[state.use])
+    rest = fit(state.body, state.samples, others, state.use, state.scale)
+    if score(rest, whole, correlation).evidence < UNDOUBTED * least_evidence:
+        rest = declare(rest, [])  # the other calibrations may make up for it
+    return score(rest, whole, correlation).evidence, rest

@@ -13,21 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.candidates import Candidate, added_columns, best_start, others
+from semiparam_ros.diagnosis.candidates import Candidate, added_columns, best_start
+from semiparam_ros.diagnosis.declaration import gauss_newton, replace_effect
 from semiparam_ros.diagnosis.noise import correlation_times
-from semiparam_ros.diagnosis.regression import Fit, fit, refit_weights, residual_scale
+from semiparam_ros.diagnosis.regression import Fit, fit, residual_scale
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.attack import POINT
 
 FLAGS = ('at_link', 'directions', 'link_axes')
-GAUSS_NEWTON_STEPS = 4
 REFINE_EVALUATIONS = 14
 START_WORTH = 1.1
-POINT_STEP, LONGEST_LEVER = 1e-3, 0.3
-"""Difference that stands for a derivative, and longest step of a point of attack [m]."""
+POINT_STEPS, POINT_DIFFERENCE, LONGEST_LEVER = 4, 1e-3, 0.3
+"""Of a point of attack: most steps, the difference that stands for a derivative, and the longest step [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +120,7 @@ def _at_best_point(state: Fit, trial: Trial) -> Trial:
     if not POINT.keys() <= trial.effect.shape_units.keys() or trial.effect.where in state.body.joints:
         return trial
     best = trial
-    for _ in range(GAUSS_NEWTON_STEPS):
+    for _ in range(POINT_STEPS):
         near = _weighed(state, best)
         moved = _linear_trial(near, _towards_best_point(near, best.effect))
         if not moved.physical or _explained_share(near, moved) <= _explained_share(near, best):
@@ -136,8 +135,8 @@ def _towards_best_point(state: Fit, effect: Effect) -> Effect:
     here = added_columns(state, effect)
     coefficients = state.explain(here).coefficients
     place = {axis: effect.value(axis) for axis in POINT}
-    moved = [effect.with_shape(**{axis: value + POINT_STEP}) for axis, value in place.items()]
-    slopes = [(added_columns(state, there) - here) @ (coefficients / POINT_STEP) for there in moved]
+    moved = [effect.with_shape(**{axis: value + POINT_DIFFERENCE}) for axis, value in place.items()]
+    slopes = [(added_columns(state, there) - here) @ (coefficients / POINT_DIFFERENCE) for there in moved]
     step = state.explain(np.concatenate([here, np.stack(slopes, axis=2)], axis=2)).coefficients[-len(POINT):]
     step *= min(1.0, LONGEST_LEVER / (float(np.linalg.norm(step)) + 1e-300))
     link, inside = nearest_link(state.body, str(effect.where), np.array(list(place.values())) + step)
@@ -177,60 +176,6 @@ def _calibrated(state: Fit, trial: Trial) -> Trial:
     effect = next(known for known in settled.effects if (known.kind, known.where) ==
                   (trial.effect.kind, trial.effect.where))
     return replace(trial, effect=effect, residual=settled.residual)
-
-
-def replace_effect(state: Fit, effect: Effect) -> Fit:
-    """The model with the effect declared, in place of one of the same kind and place."""
-    return fit(state.body, state.samples, [*others(state, effect), effect], state.use, state.scale)
-
-
-def gauss_newton(state: Fit, moving: list[Effect]) -> Fit:
-    """Move the calibrations of the effects ``moving`` to the least squares, all together."""
-    for _ in range(GAUSS_NEWTON_STEPS):
-        places = [(effect.kind, effect.where) for effect in moving]
-        moving = [effect for effect in state.effects if (effect.kind, effect.where) in places]
-        columns = [added_columns(state, effect) for effect in moving]
-        steps = state.explain(np.concatenate(columns, axis=2)).coefficients
-        effects, taken = list(state.effects), 0
-        for effect, column in zip(moving, columns, strict=True):
-            step = steps[taken:taken + column.shape[2]]
-            effects[effects.index(effect)] = _moved(effect, step)
-            taken += column.shape[2]
-        state = fit(state.body, state.samples, effects, state.use, state.scale)
-        if np.abs(steps).max() < 1e-4:
-            break
-    return state
-
-
-def _moved(effect: Effect, step: Array) -> Effect:
-    names = [coefficient.name for coefficient in effect.calibrations]
-    return effect.with_shape(**{name: effect.value(name) + float(change)
-                                for name, change in zip(names, step, strict=True)})
-
-
-def declare(state: Fit, effects: list[Effect]) -> Fit:
-    """The model with further effects, every calibration settled and the weights those of the new residual."""
-    for effect in effects:
-        replaced = {(part.kind, part.where) for part in effect.plainer()}
-        known = [one for one in (state.effects if effect.must_start else others(state, effect))
-                 if (one.kind, one.where) not in replaced]
-        state = fit(state.body, state.samples, [*known, effect], state.use, state.scale)
-    state = _loads_at_nearest_link(refit_weights(state))
-    calibrations = [effect for effect in state.effects if effect.is_calibration]
-    return refit_weights(gauss_newton(state, calibrations)) if calibrations else state
-
-
-def _loads_at_nearest_link(state: Fit) -> Fit:
-    """The same model with every load named after the link nearest to its centre of mass."""
-    effects = list(state.effects)
-    blocks = CoupledColumns(state.body, effects).blocks
-    for index, effect in enumerate(effects):
-        if effect.kind == 'payload':
-            mass, *moment = state.theta[blocks[str(index)]][:4]
-            if mass > 0.0:
-                link, _ = nearest_link(state.body, str(effect.where), np.array(moment) / mass)
-                effects[index] = replace(effect, where=link)
-    return state if effects == list(state.effects) else fit(state.body, state.samples, effects, state.use, state.scale)
 
 
 def correlation_of(state: Fit, trials: Sequence[Trial]) -> Array:

@@ -13,13 +13,14 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.candidates import candidates, others
 from semiparam_ros.diagnosis.cross_validation import carries_over
+from semiparam_ros.diagnosis.declaration import declare
 from semiparam_ros.diagnosis.elimination import without_needless
+from semiparam_ros.diagnosis.encoder_zeros import encoder_zeros
 from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.ranking import (
     Trial,
     coarse_trial,
     correlation_of,
-    declare,
     overlap,
     refined,
     retried,
@@ -135,6 +136,10 @@ def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) ->
     ranking = ranked(state, kinds, progress)
     if not ranking or ranking[0].evidence < LEAST_EVIDENCE:
         return None
+    zeros = encoder_zeros(state, kinds, ranking, LEAST_EVIDENCE)
+    if zeros is not None and len(zeros[0]) > 1 and carries_over(state, zeros[1]) \
+            and zeros[0][0].evidence > ranking[0].evidence + tolerance(state, zeros[0][0]):
+        return Step(tuple(zeros[0]), ((),) * len(zeros[0]), tuple(ranking), state, zeros[1])
     chosen = [simplest(state, ranking)]
     first_tried = list(chosen)
     after = declare(state, [chosen[0].effect])
