@@ -18,7 +18,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.candidates import Candidate, added_columns, best_start
 from semiparam_ros.diagnosis.declaration import gauss_newton, replace_effect
 from semiparam_ros.diagnosis.noise import correlation_times
-from semiparam_ros.diagnosis.regression import Fit, fit, residual_scale
+from semiparam_ros.diagnosis.regression import Fit, residual_scale, reweighted
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.attack import POINT
 
@@ -102,8 +102,7 @@ def refined(state: Fit, trial: Trial) -> Trial:
 
 def _weighed(state: Fit, trial: Trial) -> Fit:
     """The declared model with the weights of what the trial leaves."""
-    scale = residual_scale(trial.residual[state.use], state.samples.outputs[state.use])
-    return fit(state.body, state.samples, state.effects, state.use, scale)
+    return reweighted(state, residual_scale(trial.residual[state.use], state.samples.outputs[state.use]))
 
 
 def _at_best_link(state: Fit, trial: Trial) -> Trial:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -90,16 +90,29 @@ def fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Mask,
     assembly = CoupledColumns(body, effects)
     columns, _ = assembly.batch(samples)
     start = assembly.prior_mean
-    empty = Fit(body, samples, tuple(effects), use, scale, columns, start, samples.outputs - columns @ start)
-    right = empty.scaled.T @ (empty.residual[use] / scale).ravel()
-    theta = start + cho_solve(empty.factor, right)
-    return Fit(body, samples, tuple(effects), use, scale, columns, theta, samples.outputs - columns @ theta)
+    return _least_squares(Fit(body, samples, tuple(effects), use, scale, columns, start,
+                              samples.outputs - columns @ start))
+
+
+def reweighted(state: Fit, scale: Array) -> Fit:
+    """The same model fitted with other weights."""
+    start = CoupledColumns(state.body, state.effects).prior_mean
+    return _least_squares(replace(state, scale=scale, theta=start,
+                                  residual=state.samples.outputs - state.columns @ start))
 
 
 def refit_weights(first: Fit) -> Fit:
     """The same fit with each channel weighed by its own residual."""
-    scale = residual_scale(first.residual[first.use], first.samples.outputs[first.use])
-    return fit(first.body, first.samples, first.effects, first.use, scale)
+    return reweighted(first, residual_scale(first.residual[first.use], first.samples.outputs[first.use]))
+
+
+def _least_squares(start: Fit) -> Fit:
+    """The fit from a start at the prior mean."""
+    right = start.scaled.T @ (start.residual[start.use] / start.scale).ravel()
+    change = cho_solve(start.factor, right)
+    fitted = replace(start, theta=start.theta + change, residual=start.residual - start.columns @ change)
+    fitted.__dict__.update(scaled=start.scaled, factor=start.factor)  # they depend on columns and weights alone
+    return fitted
 
 
 def residual_scale(residual: Array, outputs: Array) -> Array:
