@@ -16,6 +16,7 @@ from semiparam_ros.diagnosis.blocks import BLOCKS, FOLDS, folds, interleaved_spl
 from semiparam_ros.diagnosis.candidates import added_columns, best_start
 from semiparam_ros.diagnosis.declaration import declare
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
+from semiparam_ros.diagnosis.elimination import without_needless
 from semiparam_ros.diagnosis.judgement import judge_here, judge_there
 from semiparam_ros.diagnosis.noise import correlation_times, noise_floor
 from semiparam_ros.diagnosis.ranking import Trial, score
@@ -74,6 +75,30 @@ def test_a_wrong_description_is_not_taken_for_an_effect():
         len(samples))]) @ others))
     assert (found.verdict, [problem.what for problem in found.setup]) == ('unexplained', ['robot_description'])
     assert not found.steps
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_the_zeros_of_several_joints_are_found_together(seed):
+    """Their sum resembles crosstalk and springs more than any one of them."""
+    joints = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw')
+    turned = tuple(EffectRequest('joint_offset', size=1.5, where=joint) for joint in joints)
+    recording = simulate(Scenario(samples=SAMPLES, seed=seed, effects=turned))
+    found = found_in(recording)
+    assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [
+        ('joint_offset', joint) for joint in joints]
+    true = [truth['parameters']['offset']['value'] for truth in recording.truth]
+    np.testing.assert_allclose([finding.parameters['offset'].value for finding in found.findings], true, atol=0.01)
+
+
+def test_an_effect_that_only_stood_in_for_others_goes(payload):
+    state = payload.final
+    load = {(effect.kind, effect.where) for effect in state.effects}
+    needless = declare(state, [kinds()['sensor_drift']()])
+    kept, dropped = without_needless(needless, set(), 12.0)
+    assert [effect.kind for effect in dropped] == ['sensor_drift']
+    assert {(effect.kind, effect.where) for effect in kept.effects} == load
+    assert without_needless(needless, {('sensor_drift', None)}, 12.0) == (needless, ())  # the last one found stays
+    assert without_needless(state, set(), 12.0) == (state, ())
 
 
 PAYLOAD = hidden('payload', start_s=START_S)
