@@ -38,6 +38,7 @@ EXTRAS = {
         'mypy',
         'types-PyYAML',
         'idyntree',
+        'mujoco',
         'cyclonedds',
         'colcon-common-extensions',
         'setuptools<80',

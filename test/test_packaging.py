@@ -48,6 +48,7 @@ ROSDEP = {
     'mypy': 'python3-mypy',
     'types-pyyaml': 'python3-types-pyyaml',
     'idyntree': None,  # not released into Jazzy: its tests skip there
+    'mujoco': None,  # likewise
     'cyclonedds': None,  # Jazzy has the C library alone; its tests skip without the wheel
     'colcon-common-extensions': 'python3-colcon-common-extensions',
     'setuptools': 'python3-setuptools',

@@ -140,7 +140,7 @@ def next_step(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) ->
     if zeros is not None and len(zeros[0]) > 1 and carries_over(state, zeros[1]) \
             and zeros[0][0].evidence > ranking[0].evidence + tolerance(state, zeros[0][0]):
         return Step(tuple(zeros[0]), ((),) * len(zeros[0]), tuple(ranking), state, zeros[1])
-    chosen = [simplest(state, ranking)]
+    chosen = [simplest(state, ranking, list(kinds))]
     first_tried = list(chosen)
     after = declare(state, [chosen[0].effect])
     if not carries_over(state, after):
@@ -179,9 +179,17 @@ def in_parts(state: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
     return [replace(trial, effect=part, residual=simpler.residual) for part in plainer], simpler
 
 
-def simplest(state: Fit, ranking: list[Trial]) -> Trial:
-    """Of the trials that explain what the best does about as well, the one that spends the fewest parameters."""
-    return min([ranking[0], *as_good(state, ranking[0], ranking)], key=lambda trial: (trial.free, -trial.evidence))
+def simplest(state: Fit, ranking: list[Trial], order: Sequence[str]) -> Trial:
+    """Of the trials that explain what the best does about as well, the one that spends the fewest parameters.
+
+    Of several that spend as few and differ by no more than chance, the kind that comes first in ``order``.
+    """
+    alike = [ranking[0], *as_good(state, ranking[0], ranking)]
+    fewest = min(trial.free for trial in alike)
+    cheap = [trial for trial in alike if trial.free == fewest]
+    most = max(trial.evidence for trial in cheap)
+    return min((trial for trial in cheap if trial.evidence > most - RIVAL_NATS),
+               key=lambda trial: (order.index(trial.effect.kind), -trial.evidence))
 
 
 def _other_joints(state: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]:
