@@ -22,6 +22,8 @@ from semiparam_ros.diagnosis.regression import fit, refit_weights, residual_scal
 from semiparam_ros.effects import Effect
 
 WORKING_RATE_HZ = 40.0
+END_SAMPLES = 5
+"""Working samples at either end of a smoothed recording that are left out."""
 REST_SHARE = 1e-3
 OPTIONS = ('smoothed', 'smoothed from positions', 'recorded')
 
@@ -37,9 +39,15 @@ class Inputs(NamedTuple):
         return moved(averaged(samples, self.factor), self.motion)
 
     def mask(self, mask: Mask) -> Mask:
-        """A mask over samples (N,) as one over working samples: true where all that it averages are true."""
+        """A mask over samples (N,) as one over working samples: true where all that it averages are true.
+
+        The ends of a smoothed recording take no part: the smoother sees them from one side alone.
+        """
         groups = len(mask) // self.factor
-        return np.asarray(mask[:groups * self.factor].reshape(groups, self.factor).all(axis=1))
+        whole = np.asarray(mask[:groups * self.factor].reshape(groups, self.factor).all(axis=1))
+        if self.motion != 'recorded':
+            whole[:END_SAMPLES], whole[-END_SAMPLES:] = False, False
+        return whole
 
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Mask) -> Inputs:
