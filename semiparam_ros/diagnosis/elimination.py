@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.diagnosis.cross_validation import carries_over
 from semiparam_ros.diagnosis.declaration import declare
 from semiparam_ros.diagnosis.noise import correlation_times
@@ -20,8 +17,8 @@ Place = tuple[str, str | None]
 def without_needless(state: Fit, declared: set[Place], least_evidence: float) -> tuple[Fit, tuple[Effect, ...]]:
     """The model without the effects that the others make needless, and those.
 
-    The one of least evidence over the model without it goes first, or one that the others leave with coefficients which
-    it cannot have; then the others are asked again. A last effect stays.
+    The one of least evidence over the model without it goes first; then the others are asked again. A last effect
+    stays.
 
     :param declared: kinds and places that were in the model before the search and stay.
     """
@@ -42,9 +39,6 @@ def without_needless(state: Fit, declared: set[Place], least_evidence: float) ->
 def _worth(state: Fit, effect: Effect, least_evidence: float) -> tuple[float, Fit]:
     """Evidence [nat] of an effect over the model without it, and that model."""
     others = [known for known in state.effects if known is not effect]
-    block = CoupledColumns(state.body, state.effects).blocks[str(state.effects.index(effect))]
-    if not effect.physical(state.theta[block]):
-        return -np.inf, declare(fit(state.body, state.samples, others, state.use, state.scale), [])
     spent = effect.n_columns + len(effect.calibrations) + nonlinear(effect)
     whole = Trial(effect, state.residual, spent)
     correlation = correlation_times(state.residual[state.use])
