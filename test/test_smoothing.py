@@ -7,7 +7,7 @@ import pytest
 from arms import smooth_motion
 
 from semiparam_ros.core.smoothing import smoothed
-from semiparam_ros.diagnosis.inputs import WORKING_RATE_HZ, Inputs
+from semiparam_ros.diagnosis.inputs import END_SAMPLES, WORKING_RATE_HZ, Inputs
 
 ENCODER, TACHO = 5e-5, 2e-3
 
@@ -50,3 +50,10 @@ def test_a_rest_at_the_beginning_does_not_smooth_the_motion_away():
     found = smoothed(held(seen, ENCODER * rng.normal(size=truth.position.shape)))
     moving = slice(1600, None)
     assert relative_error(found.acceleration[moving], truth.acceleration[moving]).max() < 0.05
+
+
+def test_the_ends_of_a_smoothed_recording_take_no_part():
+    usable = np.ones(100, dtype=bool)
+    inner = Inputs('smoothed', 2).mask(usable)
+    assert np.flatnonzero(inner).tolist() == list(range(END_SAMPLES, 50 - END_SAMPLES))
+    assert Inputs('recorded', 2).mask(usable).all()

@@ -11,10 +11,10 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.candidates import added_columns
 from semiparam_ros.diagnosis.noise import correlation_times
-from semiparam_ros.diagnosis.ranking import FLAGS
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search import Rival, Step
 from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects.base import FLAGS
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, residual_scale, reweighted
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.attack import POINT
+from semiparam_ros.effects.base import FLAGS
 
-FLAGS = ('at_link', 'directions', 'link_axes')
 REFINE_EVALUATIONS = 14
 START_WORTH = 1.1
 POINT_STEPS, POINT_DIFFERENCE, LONGEST_LEVER = 4, 1e-3, 0.3
