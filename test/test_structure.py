@@ -5,9 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 from arms import ICUB_OWN, icub, smooth_motion
+from scipy.signal import lfilter
 
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.coloured_noise import coloured_noise
 from semiparam_ros.diagnosis.flexible import BLOCKS, FOLDS, block_sums, fold_labels, predictions, random_features
 from semiparam_ros.diagnosis.formula import find_formula, library
 from semiparam_ros.diagnosis.search import starting_fit
@@ -73,6 +75,29 @@ def test_white_noise_has_no_structure_in_any_seed():
     use = np.ones(1500, dtype=bool)
     found = [remaining_structure(body, samples, noise(samples, seed), use, np.ones(6)) for seed in range(8)]
     assert not any(each.significant for each in found)
+
+
+@pytest.mark.parametrize('memory', [0.97, 0.99])
+def test_noise_that_is_correlated_over_many_samples_has_no_structure(memory):
+    """A function of the motion predicts a little of such noise on the next block, though nothing is missing."""
+    samples, body = smooth_motion(4, 3000), icub()
+    use = np.ones(3000, dtype=bool)
+    coloured = [lfilter([1.0], [1.0, -memory], noise(samples, seed), axis=0) for seed in range(6)]
+    found = [remaining_structure(body, samples, each / each.std(axis=0), use, np.ones(6)) for each in coloured]
+    assert max(each.share for each in found) > 0.06  # the plain share alone would be an alarm
+    assert not any(each.significant for each in found)
+
+
+def test_coloured_noise_has_the_residual_s_power_and_autocorrelation():
+    values = lfilter([1.0], [1.0, -1.6, 0.8], noise(range(20000), 1, 2), axis=0) * [1.0, 30.0]
+    drawn = coloured_noise(values, 3, seed=2)
+    assert drawn.shape == (3, *values.shape)
+    for lag in (0, 1, 5, 19):
+        moment = np.mean(values[lag:] * values[:len(values) - lag], axis=0)
+        again = np.mean(drawn[:, lag:] * drawn[:, :len(values) - lag], axis=1)
+        np.testing.assert_allclose(again, np.broadcast_to(moment, again.shape), atol=0.08 * values.var(axis=0).max(),
+                                   rtol=0.1)
+    assert np.all(coloured_noise(np.zeros((100, 1)), 2) == 0.0)
 
 
 def test_samples_that_are_not_in_use_are_not_looked_at():

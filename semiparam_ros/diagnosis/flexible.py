@@ -39,11 +39,13 @@ class Motion:
         moved = np.divide(inputs - inputs.mean(axis=0), spread, out=np.zeros_like(inputs), where=spread > 1e-9)
         self.values = np.column_stack([moved, 2.0 * (time - time[0]) / span - 1.0])
 
-    def families(self) -> Iterator[Family]:
+    def families(self, with_time: bool = True) -> Iterator[Family]:
         """Features by family, from the plainest on."""
-        yield 'time', self.of_time
+        if with_time:
+            yield 'time', self.of_time
         yield 'single variables', self.of_single_variables
-        yield 'time and motion', self.of_time_and_motion
+        if with_time:
+            yield 'time and motion', self.of_time_and_motion
         for number, scale in enumerate(SCALES):
             yield f'motion {scale:g}', partial(random_features, self.values[:, :-1], FEATURES, scale, number)
 
@@ -115,11 +117,11 @@ def predictions(features: Array, targets: Array) -> Array:
     return np.asarray(np.where(losses.min(axis=0) < np.sum(targets**2, axis=0), chosen, 0.0))
 
 
-def explained(motion: Motion, targets: Array) -> tuple[Array, dict[str, float]]:
+def explained(motion: Motion, targets: Array, with_time: bool = True) -> tuple[Array, dict[str, float]]:
     """(M, n) what all families together predict of unseen blocks, and the share of the targets that each adds."""
     found, shares = np.zeros_like(targets), {}
     power = float(np.sum(targets**2)) + 1e-300
-    for name, features in motion.families():
+    for name, features in motion.families(with_time):
         before = targets - found
         found = found + predictions(features(), before)
         shares[name] = float(np.sum(before**2) - np.sum((targets - found) ** 2)) / power

@@ -10,6 +10,7 @@ import numpy as np
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.diagnosis.coloured_noise import coloured_noise
 from semiparam_ros.diagnosis.dependence import Dependence, dependences
 from semiparam_ros.diagnosis.flexible import Motion, block_sums, explained
 from semiparam_ros.diagnosis.formula import Formula, find_formula
@@ -24,6 +25,9 @@ LARGE_SHARE, FEW_DEVIATIONS = 0.06, 0.9
 """The same where few blocks hold most of the residual, as when something is touched now and then."""
 CHANNEL_SHARE, CHANNEL_DEVIATIONS = 0.05, 3.0
 """The same of one channel alone."""
+DRAWS, BEYOND_CHANCE, BEYOND_CHANCE_IN = 16, 3.0, 5.0
+"""Draws of noise with the residual's autocorrelation, and by how many of their standard deviations the share of all
+channels, and that of one, must exceed their mean. Noise correlated over 0.2 to 4 s exceeds it by up to 2.0 and 3.5."""
 FORMULA_VARIABLES = 4
 DECLARED_SHARE = 0.25
 """Of a channel's residual, that a formula must explain on unseen blocks before it is offered as an effect."""
@@ -86,6 +90,9 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, use:
     affected = (shares > CHANNEL_SHARE) & (_standard_errors(gains) > CHANNEL_DEVIATIONS)
     deviations = float(_standard_errors(gains.sum(axis=1, keepdims=True))[0])
     together = (share > SHARE and deviations > DEVIATIONS) or (share > LARGE_SHARE and deviations > FEW_DEVIATIONS)
+    if together or affected.any():
+        beyond, beyond_in = _beyond_chance(motion, guarded)
+        together, affected = together and beyond, affected & beyond_in
     if not together and not affected.any():
         return Structure(share, shares, False, (), (), (), families)
     if not affected.any():
@@ -103,6 +110,29 @@ def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Arra
     formulas = [find_formula(names, body, samples, residual[:, channel], int(channel)) for channel in numbers]
     return Structure(structure.share, structure.channel_shares, True, tuple(body.output_names[k] for k in numbers),
                      variables, tuple(formula for formula in formulas if formula is not None), structure.families)
+
+
+def _beyond_chance(motion: Motion, residual: Array) -> tuple[bool, Mask]:
+    """Whether more is explained than of noise of the residual's colour: in all channels together, and (n,) in each.
+
+    Asked twice, for time takes what is slow: once with it, and once of the motion alone.
+    """
+    noise = coloured_noise(residual, DRAWS)
+    everything = np.concatenate([residual[None], noise])
+    side_by_side = np.moveaxis(everything, 0, 1).reshape(len(residual), -1)
+    power = (everything**2).sum(axis=1) + 1e-300
+    beyond, beyond_in = False, np.zeros(residual.shape[1], dtype=bool)
+    for with_time in (True, False):
+        found, _ = explained(motion, side_by_side, with_time)
+        gains = (side_by_side**2 - (side_by_side - found) ** 2).sum(axis=0).reshape(power.shape)
+        beyond = beyond or bool(_stands_out(gains.sum(axis=1) / power.sum(axis=1), BEYOND_CHANCE))
+        beyond_in = beyond_in | _stands_out(gains / power, BEYOND_CHANCE_IN)
+    return beyond, beyond_in
+
+
+def _stands_out(shares: Array, deviations: float) -> Mask:
+    """Whether the first row of shares (1 + DRAWS, ...), the residual's, is beyond the others, those of noise."""
+    return np.asarray(shares[0] > shares[1:].mean(axis=0) + deviations * shares[1:].std(axis=0, ddof=1))
 
 
 def _thinned(use: Mask) -> Stamps:
