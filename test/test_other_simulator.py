@@ -1,5 +1,7 @@
 """Diagnoses of recordings by another simulator (MuJoCo), of three arms at 100 Hz: names, places and values."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR
@@ -143,3 +145,22 @@ def test_zeros_of_several_encoders():
     found = diagnosed(ICUB, zeros=-offsets)
     assert named(found) == [('joint_offset', joint) for joint in ICUB_JOINTS[:3]]
     assert [values(finding, 'offset')[0] for finding in found.findings] == pytest.approx(offsets[:3], abs=0.001)
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_late_efforts_of_joints_with_friction(ur3, seed):
+    """Joint by joint, a delay looks like bristles that bend before they slide."""
+    samples = recording(ur3, seed)
+    rubbing = 1.5 * np.tanh(samples.velocity / 0.02) + samples.velocity
+    late = np.concatenate([samples.outputs[:2], (samples.outputs + rubbing)[:-2]])
+    found = diagnose(ur3.body, replace(samples, outputs=late))
+    dry = {'coulomb_friction': 'coulomb', 'stribeck_friction': 'coulomb'}
+    expected = {**dict.fromkeys(dry, 1.5), 'viscous_friction': 1.0, 'time_delay': 0.02}
+    numbers = {**dry, 'viscous_friction': 'viscous', 'time_delay': 'delay_s'}
+    for finding in found.findings:
+        kind = finding.effect.kind
+        assert values(finding, numbers[kind])[0] == pytest.approx(expected[kind], rel=0.05)
+    kinds = sorted((str(joint), 'dry' if kind in dry else kind) for kind, joint in named(found))
+    assert kinds == sorted([('None', 'time_delay'), *((joint, kind) for joint in UR3_JOINTS
+                                                       for kind in ('dry', 'viscous_friction'))])
+    assert found.after.nmse.max() < 1e-3

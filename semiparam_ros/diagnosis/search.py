@@ -14,6 +14,8 @@ from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.candidates import candidates, others
 from semiparam_ros.diagnosis.cross_validation import carries_over
 from semiparam_ros.diagnosis.declaration import declare
+from semiparam_ros.diagnosis.delayed_friction import KIND as DELAY
+from semiparam_ros.diagnosis.delayed_friction import delayed_friction, reshaped
 from semiparam_ros.diagnosis.elimination import without_needless
 from semiparam_ros.diagnosis.encoder_zeros import encoder_zeros
 from semiparam_ros.diagnosis.noise import correlation_times
@@ -77,7 +79,13 @@ def search(state: Fit, kinds: dict[str, type[Effect]], progress: Progress = lamb
     declared = {(effect.kind, effect.where) for effect in state.effects}
     steps: list[Step] = []
     while len(steps) < MOST_ROUNDS:
-        step = next_step(state, kinds, _in_round(progress, len(steps) + 1))
+        report = _in_round(progress, len(steps) + 1)
+        step = next_step(state, kinds, report)
+        if step is None:
+            report('delay beside friction', 1.0)
+            step = _delay_step(state, kinds, declared)
+        elif any(trial.effect.kind == DELAY for trial in step.added):
+            step = replace(step, after=reshaped(step.after, declared))
         if step is None:
             break
         steps.append(step)
@@ -88,6 +96,14 @@ def search(state: Fit, kinds: dict[str, type[Effect]], progress: Progress = lamb
         after, dropped = without_needless(state, declared, LEAST_EVIDENCE)
         steps[-1] = replace(steps[-1], after=after, dropped=dropped)
     return steps
+
+
+def _delay_step(state: Fit, kinds: dict[str, type[Effect]], declared: set[tuple[str, str | None]]) -> Step | None:
+    found = delayed_friction(state, kinds, declared)
+    if found is None or found[0].evidence < LEAST_EVIDENCE:
+        return None
+    trial, after = found
+    return Step((trial,), ((),), (trial,), state, after)
 
 
 def _in_round(progress: Progress, number: int) -> Progress:

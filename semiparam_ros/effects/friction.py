@@ -128,6 +128,10 @@ class StribeckFriction(_Sliding):
     def physical(self, coefficients: Array) -> bool:
         return bool(np.all(coefficients > 0.0))
 
+    def plainer(self) -> tuple[Effect, ...]:
+        shape = {name: value for name, value in self.shape.items() if name != 'stribeck_speed'}
+        return (CoulombFriction(self.where, shape, self.reference),)
+
     def sliding(self, direction: Array, velocity: Array) -> Array:
         fading = np.exp(-((velocity / self.value('stribeck_speed', 0.1)) ** 2))
         return np.column_stack([direction, direction * fading])

@@ -1,0 +1,59 @@
+"""Efforts that come late, beside friction: two causes of which each hides the other.
+
+Dry friction turns over when its joint does; in efforts that come late it seems to turn a little way after, as if every
+joint had bristles that bend first. So a delay is tried together with frictions whose shapes are searched anew.
+"""
+
+from __future__ import annotations
+
+from semiparam_ros.diagnosis.candidates import Candidate, others
+from semiparam_ros.diagnosis.cross_validation import carries_over
+from semiparam_ros.diagnosis.declaration import declare
+from semiparam_ros.diagnosis.noise import correlation_times
+from semiparam_ros.diagnosis.ranking import Trial, coarse_trial, nonlinear, refined, score
+from semiparam_ros.diagnosis.regression import Fit, fit
+from semiparam_ros.effects import Effect
+
+KIND = 'time_delay'
+ROUNDS = 2
+Place = tuple[str, str | None]
+
+
+def delayed_friction(state: Fit, kinds: dict[str, type[Effect]], declared: set[Place]) -> tuple[Trial, Fit] | None:
+    """A delay and the model with it; None where friction's shape is not at stake, or the delay carries nothing over.
+
+    :param declared: kinds and places that were in the model before the search and stay as they are.
+    """
+    known = any(effect.kind == KIND for effect in state.effects)
+    if KIND not in kinds or known or not _at_stake(state, declared):
+        return None
+    after = declare(state, [kinds[KIND](None, {'delay_s': 0.0})])
+    for _ in range(ROUNDS):
+        after = reshaped(after, declared)
+    delay = next(effect for effect in after.effects if effect.kind == KIND)
+    trial = score(state, Trial(delay, after.residual, 1), correlation_times(after.residual[after.use]))
+    return (trial, after) if carries_over(state, after) else None
+
+
+def reshaped(state: Fit, declared: set[Place]) -> Fit:
+    """The model with the shape of each friction that was found searched anew beside all the others."""
+    for effect in _at_stake(state, declared):
+        without = fit(state.body, state.samples, others(state, effect), state.use, state.scale)
+        searches = effect.searches(state.body, state.samples, effect.where, without.residual)
+        trial = coarse_trial(without, Candidate(type(effect), effect.where, tuple(dict(shape) for shape in searches)))
+        if trial is None:
+            continue
+        other = declare(without, [refined(without, trial).effect])
+        if _left(other, state) < _left(state, state):
+            state = other
+    return state
+
+
+def _at_stake(state: Fit, declared: set[Place]) -> list[Effect]:
+    """Effects at single joints whose shape the search has chosen."""
+    return [effect for effect in state.effects if effect.where in state.body.joints and not effect.is_calibration
+            and nonlinear(effect) and (effect.kind, effect.where) not in declared]
+
+
+def _left(state: Fit, scale_of: Fit) -> float:
+    return float((state.squares / scale_of.scale**2).sum())
