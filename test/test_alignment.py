@@ -87,11 +87,48 @@ def test_a_wrench_before_the_first_joint_state_is_unmatched():
 def test_accelerations_come_from_the_filter_on_the_joint_states_alone():
     samples, reference = stream(), CausalDifferentiator(2, 5.0)
     for step in range(50):
-        expected = reference.update(step * MS, np.array([0.0, step]), np.array([0.0, 10.0 * step]))
+        expected = reference.update(step * MS, np.array([0.0, 10.0 * step]))
         # Wrenches come at a third of the rate: the filter must see the joint states between them all the same.
         done = feed(samples, state(step * MS, 0.0, float(step)), *([wrench(step * MS)] if step % 3 == 0 else []))
         if done:
             np.testing.assert_array_equal(done[0].acceleration, expected)
+
+
+def moving(stamp, outputs, velocity=True):
+    """A joint state of a smooth motion, its velocities left empty on request, with the rates in the joints' order."""
+    time = stamp * 1e-9
+    position, rate = (np.sin(time), time), (np.cos(time), 1.0)
+    return ('joint_state', stamp, JOINTS, position, rate if velocity else (), (1.0, 2.0) if outputs == 'effort' else ())
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_velocities_that_a_message_leaves_empty_come_from_the_positions(outputs):
+    samples = stream(outputs=outputs, velocity_filter=CausalDifferentiator(2, 5.0))
+    done = []
+    for stamp in range(0, 1000 * MS, 5 * MS):
+        done += feed(samples, moving(stamp, outputs, velocity=False), *([wrench(stamp)] if outputs == 'wrench' else []))
+    assert len(done) == 200 and not samples.faults
+    for sample in done[100:]:
+        np.testing.assert_allclose(sample.velocity, [np.cos(sample.stamp * 1e-9), 1.0], atol=5e-3)
+        np.testing.assert_allclose(sample.acceleration, [-np.sin(sample.stamp * 1e-9), 0.0], atol=2e-2)
+    assert outputs == 'wrench' or done[-1].outputs.tolist() == [1.0, 2.0]
+
+
+def test_a_refused_message_leaves_the_velocity_filter_as_it_was():
+    bad = ('joint_state', 20 * MS, JOINTS, (math.nan, 1.0), (), ())
+    samples, spared = (stream(velocity_filter=CausalDifferentiator(2, 5.0)) for _ in range(2))
+    for each in (samples, spared):
+        feed(each, *(moving(step * MS, 'wrench', velocity=False) for step in (0, 5, 10)))
+    feed(samples, bad, moving(5 * MS, 'wrench', velocity=False))
+    after = [moving(15 * MS, 'wrench', velocity=False), wrench(15 * MS)]
+    assert same(feed(samples, *after), feed(spared, *after))
+    assert samples.faults == {'not_finite': 1, 'backward_stamp': 1}
+
+
+def test_some_velocities_are_not_taken_for_none():
+    samples = stream(velocity_filter=CausalDifferentiator(2, 5.0))
+    assert feed(samples, ('joint_state', 0, JOINTS, (1.0, 2.0), (1.0,), ())) == []
+    assert samples.last_fault == 'velocity at 0.000000000 s has 1 values for 2 joints.'
 
 
 def test_measured_accelerations_are_matched_like_joint_states():

@@ -124,7 +124,7 @@ BAD_TABLES = {
     'a word': ('1 2 3 4\n1 2 x 4\n', TWO_JOINTS, "line 2: 'x' is not a number (velocity)"),
     'nothing': ('# only a remark\n', TWO_JOINTS, 'holds no row of numbers'),
     'no joints': ('1 2\n', ('--rate', '1'), 'needs the names of its joints'),
-    'no velocity': ('1 2\n', ('--joints', 'a', '--position', '1', '--rate', '1'), 'no velocity columns'),
+    'no position': ('1 2\n', ('--joints', 'a', '--velocity', '1', '--rate', '1'), 'no position columns'),
     'no time': ('1 2\n', ('--joints', 'a', '--position', '1', '--velocity', '2'), 'rows have no time'),
     'half a wrench': ('1 2 3 4\n', (*TWO_JOINTS, '--force', '1-3'), 'both force and torque'),
     'too few columns named': ('1 2 3 4\n', (*TWO_JOINTS, '--effort', '1'), 'effort has 1 columns; expected 2'),

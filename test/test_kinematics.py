@@ -6,12 +6,10 @@ import pytest
 from semiparam_ros.core.kinematics import CausalDifferentiator
 from semiparam_ros.errors import SemiparamError
 
-UNUSED = np.zeros(2)
-
 
 def run(time, velocity, cutoff=10.0):
     filtered = CausalDifferentiator(velocity.shape[1], cutoff)
-    return np.array([filtered.update(round(t * 1e9), UNUSED, v) for t, v in zip(time, velocity, strict=True)])
+    return np.array([filtered.update(round(t * 1e9), v) for t, v in zip(time, velocity, strict=True)])
 
 
 def circle(rate, seconds=30.0, turns=0.8):
@@ -93,15 +91,15 @@ def test_velocities_that_are_not_finite_are_refused_and_leave_the_past():
     for index, (t, v) in enumerate(zip(time, velocity, strict=True)):
         for bad in (np.nan, np.inf):
             with pytest.raises(SemiparamError, match='expected finite values'):
-                filtered.update(round(t * 1e9), UNUSED, np.array([bad]))
-        np.testing.assert_array_equal(filtered.update(round(t * 1e9), UNUSED, v), expected[index])
+                filtered.update(round(t * 1e9), np.array([bad]))
+        np.testing.assert_array_equal(filtered.update(round(t * 1e9), v), expected[index])
 
 
 def test_earlier_results_are_not_overwritten():
     time, velocity, _ = circle(20, 2)
     filtered = CausalDifferentiator(1, 10.0)
-    first = filtered.update(0, UNUSED, velocity[0])
-    filtered.update(round(time[1] * 1e9), UNUSED, velocity[1])
+    first = filtered.update(0, velocity[0])
+    filtered.update(round(time[1] * 1e9), velocity[1])
     np.testing.assert_array_equal(first, [0.0])
 
 

@@ -27,10 +27,10 @@ and one such value would leave nothing of a model."""
 
 
 class Differentiator(Protocol):
-    """A causal estimate of accelerations, such as ``core.kinematics.CausalDifferentiator``."""
+    """A causal estimate of rates, such as ``core.kinematics.CausalDifferentiator``."""
 
-    def update(self, stamp: int, position: Array, velocity: Array, /) -> Array:
-        """(n_joints,) accelerations [rad/s^2] at ``stamp`` [ns]."""
+    def update(self, stamp: int, values: Array, /) -> Array:
+        """(n_joints,) rates [1/s] of the values at ``stamp`` [ns]."""
 
     def reset(self) -> None:
         """Forget the past."""
@@ -48,13 +48,15 @@ class SampleStream:
 
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
                  tolerance_s: float = 0.02, differentiator: Differentiator | None = None,
-                 measured_accelerations: bool = False, capacity: int | None = CAPACITY) -> None:
+                 measured_accelerations: bool = False, capacity: int | None = CAPACITY,
+                 velocity_filter: Differentiator | None = None) -> None:
         """:param joints: names in the order of the samples' columns; messages may order theirs in any way.
         :param outputs: 'wrench' or 'effort'.
         :param sensor_frame: frame_id that wrenches must have; '' takes any.
         :param tolerance_s: largest distance [s] from a wrench to the nearer of the joint states it lies between.
         :param differentiator: gives the accelerations, unless ``measured_accelerations`` come on their own topic.
         :param capacity: messages of a topic kept while another is silent; None keeps all.
+        :param velocity_filter: gives the velocities of joint states that leave them empty; None refuses such.
         """
         if outputs not in ('wrench', 'effort'):
             raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
@@ -66,6 +68,7 @@ class SampleStream:
         self._effort = outputs == 'effort'
         self._frame = sensor_frame.lstrip('/')
         self._differentiator = None if measured_accelerations else differentiator
+        self._velocity_filter = velocity_filter
         self._capacity = capacity
         gap = round(2e9 * tolerance_s)
         self._states, self._accelerations = Track(gap), Track(gap)
@@ -87,24 +90,34 @@ class SampleStream:
         self._accelerations.clear()
         self._waiting.clear()
         self._last.clear()
-        if self._differentiator is not None:
-            self._differentiator.reset()
+        for rates in (self._differentiator, self._velocity_filter):
+            if rates is not None:
+                rates.reset()
 
     def joint_state(self, stamp: int, names: Sequence[str], position: Sequence[float], velocity: Sequence[float],
                     effort: Sequence[float] = ()) -> list[Sample]:
-        """A sensor_msgs/JointState with header stamp [ns]; returns the samples that became complete."""
+        """A sensor_msgs/JointState with header stamp [ns]; returns the samples that became complete.
+
+        The message may leave its velocities empty: they are then estimated from the positions.
+        """
         order = self._order('joint state', stamp, names)
-        columns = (position, velocity, effort) if self._effort else (position, velocity)
+        columns = {'position': position, 'velocity': velocity, 'effort': effort}
+        if not self._effort:
+            del columns['effort']
+        if self._velocity_filter is not None and not len(velocity):
+            del columns['velocity']
         if order is None or not self._right_length(stamp, names, columns):
             return []
-        values = [column[index] for column in columns for index in order]
+        values = [column[index] for column in columns.values() for index in order]
         if not self._acceptable('joint state', stamp, values):
             return []
         n = len(order)
         row = np.array(values, dtype=float)
+        if 'velocity' not in columns and self._velocity_filter is not None:
+            row = np.concatenate((row[:n], self._velocity_filter.update(stamp, row[:n]), row[n:]))
         state = row[:2 * n]
         if self._differentiator is not None:
-            state = np.concatenate((state, self._differentiator.update(stamp, row[:n], row[n:2 * n])))
+            state = np.concatenate((state, self._differentiator.update(stamp, row[n:2 * n])))
         if self._effort:
             return self._await(stamp, row[2 * n:], state)
         self._append(self._states, stamp, state, 'joint states')
@@ -124,7 +137,7 @@ class SampleStream:
     def accelerations(self, stamp: int, names: Sequence[str], values: Sequence[float]) -> list[Sample]:
         """Measured accelerations [rad/s^2] with header stamp [ns]; returns the samples that became complete."""
         order = self._order('acceleration', stamp, names)
-        if order is None or not self._right_length(stamp, names, (values,)):
+        if order is None or not self._right_length(stamp, names, {'acceleration': values}):
             return []
         chosen = [values[index] for index in order]
         if not self._acceptable('acceleration', stamp, chosen) or self._differentiator is not None:
@@ -146,9 +159,8 @@ class SampleStream:
         self._orders[what] = (names[:], order)
         return order
 
-    def _right_length(self, stamp: int, names: Sequence[str], columns: tuple[Sequence[float], ...]) -> bool:
-        for column, values in zip(('position', 'velocity', 'effort') if len(columns) > 1 else ('acceleration',),
-                                  columns, strict=False):
+    def _right_length(self, stamp: int, names: Sequence[str], columns: dict[str, Sequence[float]]) -> bool:
+        for column, values in columns.items():
             if len(values) != len(names):
                 self._refuse('wrong_length', f'{column} at {_seconds(stamp)} s has {len(values)} values for '
                                              f'{len(names)} joints.')

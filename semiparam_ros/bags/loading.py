@@ -71,9 +71,9 @@ def measured_accelerations(settings: Table, published: bool) -> bool:
 def sample_stream(settings: Table, joints: tuple[str, ...], measured: bool,
                   capacity: int | None = None) -> SampleStream:
     """The stream that these settings ask for; the node and :func:`load_samples` both get theirs here."""
-    differentiator = None if measured else CausalDifferentiator(len(joints), settings.acceleration_cutoff)
+    accelerations, velocities = (CausalDifferentiator(len(joints), settings.acceleration_cutoff) for _ in range(2))
     return SampleStream(joints, settings.outputs, settings.sensor_frame, settings.alignment_tolerance,
-                        differentiator, measured, capacity)
+                        None if measured else accelerations, measured, capacity, velocities)
 
 
 def feed_joint_state(stream: SampleStream, message: Any) -> list[Sample]:

@@ -135,9 +135,8 @@ def _complaints(layout: TableLayout) -> Any:
             yield f'{role} has {len(roles[role])} columns; expected {widths[role]}.'
         elif 0 in roles[role]:
             yield f'{role} names column 0; columns count from 1.'
-    for role in ('position', 'velocity'):
-        if role not in roles:
-            yield f'the table has no {role} columns: expected --{role} COLUMNS or "{role}:" under "columns:".'
+    if 'position' not in roles:
+        yield 'the table has no position columns: expected --position COLUMNS or "position:" under "columns:".'
     if ('force' in roles) is not ('torque' in roles):
         yield 'a wrench needs both force and torque columns; only one of them is named.'
     if 'time' not in roles and layout.period is None:

@@ -1,4 +1,4 @@
-"""Accelerations that no encoder measures, estimated from velocities as they come."""
+"""Accelerations (and velocities) that no encoder measures, estimated from velocities (from positions) as they come."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ LONGEST_STEP_S = 1.0
 
 
 class CausalDifferentiator:
-    """Fading-memory quadratic fit to the velocities (Morrison 1969): no lag while the acceleration is a ramp.
+    """Fading-memory quadratic fit to values (Morrison 1969): no lag while their rate is a ramp.
 
     Samples lose weight as exp(-2 pi cutoff age), so a higher cutoff follows faster and is noisier; where the memory is
     shorter than a step, the parabola goes through the last three samples. Steps in time may vary. A gap longer than
     five memories and than four usual steps starts afresh.
 
-    On motions of about 1 Hz with 0.5 % of noise in the velocities, 10 Hz leaves an error of 6 to 10 % of the
-    acceleration at any rate from 20 Hz to 1 kHz (docs/mathematics.md); lower cutoffs lag, higher ones are noisier.
+    The values are velocities, whose rates are accelerations; or positions, whose rates are velocities. On motions of
+    about 1 Hz with 0.5 % of noise in the velocities, 10 Hz leaves an error of 6 to 10 % of the acceleration at any rate
+    from 20 Hz to 1 kHz (docs/mathematics.md); lower cutoffs lag, higher ones are noisier.
     """
 
     def __init__(self, n_joints: int, cutoff_hz: float) -> None:
@@ -36,38 +37,38 @@ class CausalDifferentiator:
         self._stamp: int | None = None
         self._step = LONGEST_STEP_S / GAP_STEPS
         self._age = 0
-        self._velocity = self._acceleration = self._jerk = np.zeros(self._n_joints)
+        self._value = self._rate = self._change = np.zeros(self._n_joints)
 
-    def update(self, stamp: int, position: Array, velocity: Array) -> Array:
-        """(n_joints,) accelerations [rad/s^2] at ``stamp`` [ns], from this and earlier velocities [rad/s].
+    def update(self, stamp: int, values: Array) -> Array:
+        """(n_joints,) rates [1/s] of the values at ``stamp`` [ns], from these and earlier values.
 
-        A repeated stamp changes nothing, an earlier one starts afresh. Raises SemiparamError for velocities that are
-        not finite, and keeps the past.
+        A repeated stamp changes nothing, an earlier one starts afresh. Raises SemiparamError for values that are not
+        finite, and keeps the past.
         """
-        velocity = np.array(velocity, dtype=float)
-        if not np.isfinite(velocity).all():
-            raise SemiparamError(f'the joint velocities are {velocity.tolist()}; expected finite values.')
+        values = np.array(values, dtype=float)
+        if not np.isfinite(values).all():
+            raise SemiparamError(f'the values to differentiate are {values.tolist()}; expected finite values.')
         step = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
         if self._stamp is not None and step == 0.0:
-            return self._acceleration
+            return self._rate
         if self._stamp is None or step < 0.0 or step > self._longest_step():
             self.reset()
-            self._velocity, self._stamp = velocity, stamp
-            return self._acceleration
-        self._follow(step, velocity)
+            self._value, self._stamp = values, stamp
+            return self._rate
+        self._follow(step, values)
         self._stamp, self._step = stamp, step
-        return self._acceleration
+        return self._rate
 
     def _longest_step(self) -> float:
         return max(GAP_MEMORIES / self._decay, GAP_STEPS * self._step)
 
-    def _follow(self, step: float, velocity: Array) -> None:
+    def _follow(self, step: float, values: Array) -> None:
         self._age += 1
         g, h, k = self._gains(step)
-        innovation = velocity - (self._velocity + step * self._acceleration + 0.5 * step**2 * self._jerk)
-        self._velocity = velocity - (1.0 - g) * innovation
-        self._acceleration = self._acceleration + step * self._jerk + (h / step) * innovation
-        self._jerk = self._jerk + (k / step**2) * innovation
+        innovation = values - (self._value + step * self._rate + 0.5 * step**2 * self._change)
+        self._value = values - (1.0 - g) * innovation
+        self._rate = self._rate + step * self._change + (h / step) * innovation
+        self._change = self._change + (k / step**2) * innovation
 
     def _gains(self, step: float) -> tuple[float, float, float]:
         """Gains of the fading fit in the steady state, and at first those of a fit without weights to what there is.
