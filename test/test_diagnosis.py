@@ -21,6 +21,7 @@ from semiparam_ros.diagnosis.judgement import judge_here, judge_there
 from semiparam_ros.diagnosis.noise import correlation_times, noise_floor
 from semiparam_ros.diagnosis.ranking import Trial, score
 from semiparam_ros.diagnosis.regression import fit
+from semiparam_ros.diagnosis.rivals import simplest
 from semiparam_ros.diagnosis.search import worth_refining
 from semiparam_ros.diagnosis.words import in_words
 from semiparam_ros.effects import Effect, effect_to_text, kinds
@@ -540,6 +541,19 @@ def test_parameters_cost_evidence_and_correlated_samples_count_less():
     assert score(state, replace(trial, free=5), white).evidence == pytest.approx(one - 2.0 * np.log(2400))
     assert score(state, trial, slow).evidence == pytest.approx(-6 * 40 * np.log(0.9) - 0.5 * np.log(240))
     assert score(state, replace(trial, residual=state.residual), white).evidence < 0.0
+
+
+@pytest.mark.parametrize(('tilt', 'offset', 'named'), [
+    ((100.0, 1), (98.0, 1), 'joint_offset'),  # equal but for chance: the kind that comes first
+    ((100.0, 1), (93.0, 1), 'gravity_tilt'),  # more than chance
+    ((100.0, 2), (95.0, 1), 'joint_offset'),  # about as good with fewer values
+    ((100.0, 1), (98.0, 2), 'gravity_tilt')])
+def test_of_equal_explanations_the_plainest_and_then_the_commonest_is_named(tilt, offset, named):
+    state = state_of(RECORDED)
+    noise = np.random.default_rng(0).standard_normal(state.residual.shape)  # so that no correlation widens the choice
+    trials = [Trial(kinds()[kind](None, {}), noise, free, evidence=evidence)
+              for kind, (evidence, free) in (('gravity_tilt', tilt), ('joint_offset', offset))]
+    assert simplest(state, trials, ['joint_offset', 'gravity_tilt']).effect.kind == named
 
 
 def test_errors_are_over_the_variance_and_over_the_horizon():

@@ -16,7 +16,8 @@ from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.formula import Formula, Summand
 from semiparam_ros.diagnosis.ranking import Trial
 from semiparam_ros.diagnosis.regression import fit
-from semiparam_ros.diagnosis.search import Rival, Step
+from semiparam_ros.diagnosis.rivals import Rival
+from semiparam_ros.diagnosis.search import Step
 from semiparam_ros.diagnosis.structure import Structure
 from semiparam_ros.diagnosis.words import in_words
 from semiparam_ros.effects import kinds

@@ -12,7 +12,8 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.candidates import added_columns
 from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.search import Rival, Step
+from semiparam_ros.diagnosis.rivals import Rival
+from semiparam_ros.diagnosis.search import Step
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import FLAGS
 

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
-
-import numpy as np
 
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -23,32 +20,20 @@ from semiparam_ros.diagnosis.ranking import (
     Trial,
     coarse_trial,
     correlation_of,
-    overlap,
     refined,
     retried,
     score,
 )
 from semiparam_ros.diagnosis.regression import Fit, fit, refit_weights, residual_scale
+from semiparam_ros.diagnosis.rivals import Rival, rivals_of, simplest, tolerance
 from semiparam_ros.effects import Effect
 
 REFINED = 8
 REFINED_AT_JOINT = 3
 LEAST_EVIDENCE = 12.0
-RIVAL_NATS = 6.0
-RIVAL_SHARE = 0.02
-MOST_RIVAL_SHARE = 0.2
-RIVAL_OVERLAP = 0.7
 KEPT_SHARE = 0.5
 MOST_ROUNDS = 12
 Progress = Callable[[str, float], None]
-
-
-class Rival(NamedTuple):
-    """An effect that explains the same about as well; ``odds`` are against the one chosen."""
-
-    kind: str
-    where: str | None
-    odds: float
 
 
 @dataclass(frozen=True)
@@ -195,19 +180,6 @@ def in_parts(state: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
     return [replace(trial, effect=part, residual=simpler.residual) for part in plainer], simpler
 
 
-def simplest(state: Fit, ranking: list[Trial], order: Sequence[str]) -> Trial:
-    """Of the trials that explain what the best does about as well, the one that spends the fewest parameters.
-
-    Of several that spend as few and differ by no more than chance, the kind that comes first in ``order``.
-    """
-    alike = [ranking[0], *as_good(state, ranking[0], ranking)]
-    fewest = min(trial.free for trial in alike)
-    cheap = [trial for trial in alike if trial.free == fewest]
-    most = max(trial.evidence for trial in cheap)
-    return min((trial for trial in cheap if trial.evidence > most - RIVAL_NATS),
-               key=lambda trial: (order.index(trial.effect.kind), -trial.evidence))
-
-
 def _other_joints(state: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]:
     """The best trial of every joint but the first one's, where all act on the efforts of single joints.
 
@@ -222,28 +194,3 @@ def _other_joints(state: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]
         best.setdefault(trial.effect.where, trial)
     return [trial for where, trial in best.items() if where in joints and where != first.effect.where
             and not trial.effect.is_calibration]
-
-
-def tolerance(state: Fit, chosen: Trial, same_form: bool = False) -> float:
-    """Difference of evidence [nat] below which two trials are not told apart.
-
-    What stays correlated after the chosen effect shows that no trial is the whole truth, and widens it; where nothing
-    does, trials of the ``same_form`` (one is a special case of the other) may differ by chance alone.
-    """
-    correlation = float(correlation_times(chosen.residual[state.use]).mean()) - (1.0 if same_form else 0.0)
-    return max(RIVAL_NATS, min(RIVAL_SHARE * correlation, MOST_RIVAL_SHARE) * chosen.evidence)
-
-
-def as_good(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> list[Trial]:
-    """The other trials that explain the same thing about as well as the chosen one."""
-    within = tolerance(state, chosen)
-    return [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < within
-            and overlap(state, chosen, trial) > RIVAL_OVERLAP]
-
-
-def rivals_of(state: Fit, chosen: Trial, ranking: Sequence[Trial]) -> tuple[Rival, ...]:
-    """Those as good as the chosen one; odds from the evidence, tempered so that the tolerance is RIVAL_NATS."""
-    temper = RIVAL_NATS / tolerance(state, chosen)
-    return tuple(Rival(trial.effect.kind, trial.effect.where,
-                       float(np.exp(np.clip(temper * (trial.evidence - chosen.evidence), -RIVAL_NATS, RIVAL_NATS))))
-                 for trial in as_good(state, chosen, ranking))
