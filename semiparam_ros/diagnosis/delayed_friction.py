@@ -32,7 +32,7 @@ def delayed_friction(state: Fit, kinds: dict[str, type[Effect]], declared: set[P
         after = reshaped(after, declared)
     delay = next(effect for effect in after.effects if effect.kind == KIND)
     trial = score(state, Trial(delay, after.residual, 1), correlation_times(after.residual[after.use]))
-    return (trial, after) if carries_over(state, after) else None
+    return (trial, after) if delay.is_noticeable(state.samples) and carries_over(state, after) else None
 
 
 def reshaped(state: Fit, declared: set[Place]) -> Fit:

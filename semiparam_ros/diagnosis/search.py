@@ -111,7 +111,9 @@ def ranked(state: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> li
     trials = _by_evidence(state, trials)
     chosen = worth_refining(state, trials)
     rest = [trial for trial in trials if trial not in chosen]
-    return _by_evidence(state, [refined(state, trial) for trial in chosen] + rest)
+    best = [refined(state, trial) for trial in chosen] + rest
+    noticeable = [trial for trial in best if trial.effect.is_noticeable(state.samples)]
+    return _by_evidence(state, noticeable) if noticeable else []
 
 
 def worth_refining(state: Fit, trials: list[Trial]) -> list[Trial]:

@@ -96,6 +96,10 @@ class Effect:
         """False for coefficients (n_columns,) that this cause cannot have, such as a friction that drives the joint."""
         return True
 
+    def is_noticeable(self, samples: Samples) -> bool:
+        """False for a calibration so small that it may merely make the best of noise in the inputs."""
+        return True
+
     def plainer(self) -> tuple[Effect, ...]:
         """Plainer effects that together do the same in a special case, such as equal friction in both directions."""
         return ()
