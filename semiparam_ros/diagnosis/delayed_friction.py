@@ -50,7 +50,9 @@ def reshaped(state: Fit, declared: set[Place]) -> Fit:
 
 
 def _at_stake(state: Fit, declared: set[Place]) -> list[Effect]:
-    """Effects at single joints whose shape the search has chosen."""
+    """Of efforts, effects at single joints whose shape the search has chosen."""
+    if state.body.outputs != 'effort':
+        return []
     return [effect for effect in state.effects if effect.where in state.body.joints and not effect.is_calibration
             and nonlinear(effect) and (effect.kind, effect.where) not in declared]
 
