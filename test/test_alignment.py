@@ -125,6 +125,15 @@ def test_a_refused_message_leaves_the_velocity_filter_as_it_was():
     assert samples.faults == {'not_finite': 1, 'backward_stamp': 1}
 
 
+def test_a_message_without_velocities_among_others_with_them_is_refused():
+    samples = stream(velocity_filter=CausalDifferentiator(2, 5.0))
+    feed(samples, moving(0, 'wrench'), moving(5 * MS, 'wrench', velocity=False))
+    assert samples.last_fault == 'velocity at 0.005000000 s has 0 values for 2 joints.'
+    samples.reset()
+    feed(samples, moving(0, 'wrench', velocity=False))
+    assert samples.faults == {'wrong_length': 2}
+
+
 def test_some_velocities_are_not_taken_for_none():
     samples = stream(velocity_filter=CausalDifferentiator(2, 5.0))
     assert feed(samples, ('joint_state', 0, JOINTS, (1.0, 2.0), (1.0,), ())) == []

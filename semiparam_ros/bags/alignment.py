@@ -98,7 +98,7 @@ class SampleStream:
                     effort: Sequence[float] = ()) -> list[Sample]:
         """A sensor_msgs/JointState with header stamp [ns]; returns the samples that became complete.
 
-        The message may leave its velocities empty: they are then estimated from the positions.
+        Messages may leave their velocities empty, as long as none has held any: they are estimated from the positions.
         """
         order = self._order('joint state', stamp, names)
         columns = {'position': position, 'velocity': velocity, 'effort': effort}
@@ -113,7 +113,9 @@ class SampleStream:
             return []
         n = len(order)
         row = np.array(values, dtype=float)
-        if 'velocity' not in columns and self._velocity_filter is not None:
+        if 'velocity' in columns:
+            self._velocity_filter = None  # whoever measures velocities has broken off where one message lacks them
+        elif self._velocity_filter is not None:
             row = np.concatenate((row[:n], self._velocity_filter.update(stamp, row[:n]), row[n:]))
         state = row[:2 * n]
         if self._differentiator is not None:
