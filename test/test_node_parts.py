@@ -12,7 +12,7 @@ WRENCHES = ('/wrench', '/estimator/predicted_wrench', '/estimator/residual')
 
 def test_the_foxglove_layout_plots_what_the_node_publishes(repository):
     layout = json.loads((repository / 'config' / 'foxglove_layout.json').read_text())
-    names = HorizonMessage(AXES, wrench=True).message.name
+    names = HorizonMessage(AXES, wrench=True).names
     curves = [path for panel in layout['configById'].values() for path in panel.get('paths', ())]
     assert len(curves) == 22
     for curve in curves:
@@ -31,7 +31,7 @@ def panels(tree):
 
 def test_the_plotjuggler_layout_plots_what_the_node_publishes(repository):
     root = ElementTree.parse(repository / 'config' / 'plotjuggler_layout.xml').getroot()
-    names = HorizonMessage(AXES, wrench=True).message.name
+    names = HorizonMessage(AXES, wrench=True).names
     curves = [curve.get('name') for curve in root.iter('curve')]
     assert len(curves) == 22
     for curve in curves:

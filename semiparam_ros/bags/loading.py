@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from semiparam_ros.bags import readings
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.alignment import SampleStream
 from semiparam_ros.bags.base import BagReader
@@ -76,25 +76,6 @@ def sample_stream(settings: Table, joints: tuple[str, ...], measured: bool,
                         None if measured else accelerations, measured, capacity, velocities)
 
 
-def feed_joint_state(stream: SampleStream, message: Any) -> list[Sample]:
-    """Hand a sensor_msgs/JointState on, from a bag or from rclpy."""
-    return stream.joint_state(layout.stamp_ns(message.header.stamp), message.name, message.position,
-                              message.velocity, message.effort)
-
-
-def feed_wrench(stream: SampleStream, message: Any) -> list[Sample]:
-    """Hand a geometry_msgs/WrenchStamped on."""
-    force, torque = message.wrench.force, message.wrench.torque
-    return stream.wrench(layout.stamp_ns(message.header.stamp), message.header.frame_id,
-                         (force.x, force.y, force.z, torque.x, torque.y, torque.z))
-
-
-def feed_accelerations(stream: SampleStream, message: Any) -> list[Sample]:
-    """Hand a trajectory_msgs/JointTrajectory with one point on; without one its accelerations count as missing."""
-    values = message.points[0].accelerations if len(message.points) == 1 else ()
-    return stream.accelerations(layout.stamp_ns(message.header.stamp), message.joint_names, values)
-
-
 def recorded_description(bag: BagReader, topic: str = layout.ROBOT_DESCRIPTION) -> str | None:
     """The last robot description of a bag, None where there is none."""
     text = None
@@ -134,14 +115,16 @@ def _joints(settings: Table, description: str | None, bag: BagReader) -> tuple[s
 
 def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: dict[str, str]) -> tuple[str, list[Sample]]:
     """(frame of the wrenches, samples) of all messages in the order in which they were recorded."""
-    feeds: dict[str, Callable[[SampleStream, Any], list[Sample]]] = {
-        topics.joint_states: feed_joint_state, topics.wrench: feed_wrench, topics.accelerations: feed_accelerations}
+    kinds = {topics.joint_states: readings.JOINT_STATE, topics.wrench: readings.WRENCH,
+             topics.accelerations: readings.ACCELERATIONS}
     samples: list[Sample] = []
     frame_id = ''
     for message in bag.messages(needed.keys()):
-        samples += feeds[message.topic](stream, message.data)
+        kind = kinds[message.topic]
+        reading = kind.read(message.data)
+        samples += kind.feed(stream, reading.stamp, *reading.fields)
         if not frame_id and message.topic == topics.wrench:
-            frame_id = message.data.header.frame_id
+            frame_id = reading.frame_id
     return frame_id, samples
 
 

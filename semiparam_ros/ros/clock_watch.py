@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from semiparam_ros.bags.readings import Reading
 
 NEEDED = 5
 
@@ -11,8 +13,7 @@ class Held(NamedTuple):
     """A message that came with a stamp before the last one."""
 
     topic: str
-    stamp: int
-    message: Any
+    reading: Reading
 
 
 class ClockWatch:
@@ -27,13 +28,13 @@ class ClockWatch:
         if self._held:
             self._held = [held for held in self._held if held.topic != topic]
 
-    def refused(self, topic: str, stamp: int, message: Any) -> list[Held]:
+    def refused(self, topic: str, reading: Reading) -> list[Held]:
         """A message went back in time; once the clock must have jumped, all that were held, in order of arrival."""
         own = [held for held in self._held if held.topic == topic]
-        if own and stamp <= own[-1].stamp:
+        if own and reading.stamp <= own[-1].reading.stamp:
             self.accepted(topic)
             own = []
-        self._held.append(Held(topic, stamp, message))
+        self._held.append(Held(topic, reading))
         if len(own) + 1 < self._needed:
             return []
         jumped, self._held = self._held, []

@@ -15,7 +15,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.feedforward import Desired
 from semiparam_ros.ros.learner import Learner
-from semiparam_ros.ros.messages import EffortMessage, WrenchMessage
+from semiparam_ros.ros.messages import ValueMessage
 
 DEPTH = 100
 
@@ -41,7 +41,7 @@ class DesiredTrajectory:
         body, bias = learner.body, learner.tare.bias
         order = joint_order(message.joint_names, body.joints)
         start = stamp_ns(message.header.stamp)
-        value = WrenchMessage() if body.outputs == 'wrench' else EffortMessage(body.joints)
+        value = ValueMessage(None if body.outputs == 'wrench' else body.joints)
         answers = []
         for index, point in enumerate(message.points):
             stamp = start + stamp_ns(point.time_from_start)

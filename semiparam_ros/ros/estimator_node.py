@@ -56,7 +56,7 @@ class EstimatorNode(Node):
         self._background = ProcessBackground(in_executor)
         self._robot = Robot(settings, self._begin, lambda sentence: self._refuse(DESCRIPTION, sentence))
         self._inputs = Inputs(self, settings, Sinks(self._guarded_offer, self._set_frame, self._robot.from_topic,
-                                                    self._clear_pending))
+                                                    self._clear_pending, self._guarded))
         self._reports = Reports(self, self._inputs, self._refusals, lambda: self.learner, self._guarded)
         self._held_replies = HeldReplies(self, self._announcement)
         Services(self, self._live, self._the_learner)

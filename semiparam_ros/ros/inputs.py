@@ -16,17 +16,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from semiparam_ros.bags import readings
 from semiparam_ros.bags.alignment import CAPACITY, SampleStream
-from semiparam_ros.bags.loading import (
-    feed_accelerations,
-    feed_joint_state,
-    feed_wrench,
-    measured_accelerations,
-    sample_stream,
-)
-from semiparam_ros.bags.recording_layout import stamp_ns
+from semiparam_ros.bags.loading import measured_accelerations, sample_stream
+from semiparam_ros.bags.readings import Kind, Reading
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.ros.clock_watch import ClockWatch
+from semiparam_ros.ros.serialised import Layout, Reader, joint_state_layout_of, wrench_layout_of
 from semiparam_ros.ros.timing import Stopwatch
 from semiparam_ros.settings.snapshot import Settings
 
@@ -35,23 +31,29 @@ JOINT_STATES, WRENCH, ACCELERATIONS = 'joint_states', 'wrench', 'joint_accelerat
 
 
 class Feed(NamedTuple):
-    """Type of a topic's messages and what hands one to the stream."""
+    """Type of a topic's messages, what a stream does with one, and how it is laid out in bytes (None: looked up)."""
 
-    kind: type
-    function: Callable[[SampleStream, Any], list[Sample]]
+    message_class: type
+    kind: Kind
+    layout: Callable[[Reading], Layout] | None
 
 
-FEEDS = {JOINT_STATES: Feed(JointState, feed_joint_state), WRENCH: Feed(WrenchStamped, feed_wrench),
-         ACCELERATIONS: Feed(JointTrajectory, feed_accelerations)}
+FEEDS = {JOINT_STATES: Feed(JointState, readings.JOINT_STATE, joint_state_layout_of),
+         WRENCH: Feed(WrenchStamped, readings.WRENCH, wrench_layout_of),
+         ACCELERATIONS: Feed(JointTrajectory, readings.ACCELERATIONS, None)}
 
 
 class Sinks(NamedTuple):
-    """Where what comes in goes: samples, the frame of the outputs, a URDF, and word of a jump of the clock."""
+    """Where what comes in goes: samples, the frame of the outputs, a URDF, word of a jump of the clock.
+
+    ``guarded`` calls what reads a topic, and refuses what is wrong there.
+    """
 
     sample: Callable[[Sample], None]
     frame_id: Callable[[str], None]
     description: Callable[[str], None]
     jumped: Callable[[], None]
+    guarded: Callable[[Callable[[], None], str], None]
 
 
 class Inputs:
@@ -65,7 +67,7 @@ class Inputs:
         self.stream: SampleStream | None = None
         self.best_effort: set[str] = set()
         self._joints: tuple[str, ...] | None = None
-        self._early: list[tuple[str, Any]] = []
+        self._early: list[tuple[str, Reading]] = []
         self._watch = ClockWatch()
         self._frame_topic = WRENCH if settings.outputs == 'wrench' else JOINT_STATES
         self.topics = [JOINT_STATES, *([WRENCH] if settings.outputs == 'wrench' else []),
@@ -79,8 +81,8 @@ class Inputs:
         """The joints are known: messages that came before are handed on first."""
         self._joints = joints
         early, self._early = self._early, []
-        for topic, message in early:
-            self._receive(topic, message)
+        for topic, reading in early:
+            self._receive(topic, reading)
 
     def clock_jumped(self) -> None:
         """Forget what waits for its counterpart."""
@@ -115,8 +117,14 @@ class Inputs:
         again = best_effort and self._settings.reliability == 'auto'
         if best_effort:
             self.best_effort.add(topic)
+        feed = FEEDS[topic]
+        read = Reader(feed.message_class, feed.kind.read, feed.layout)
+
+        def receive(raw: Any) -> None:
+            self._sinks.guarded(lambda: self._receive(topic, read(raw)), topic)
+
         return self._node.create_subscription(
-            FEEDS[topic].kind, topic, lambda message: self._receive(topic, message), profile,
+            feed.message_class, topic, receive, profile, raw=True,
             qos_overriding_options=None if again else QoSOverridingOptions.with_default_policies())
 
     def _listen_to_description(self, durability: QoSDurabilityPolicy) -> Subscription:
@@ -128,17 +136,17 @@ class Inputs:
         if message.data:
             self._sinks.description(message.data)
 
-    def _receive(self, topic: str, message: Any) -> None:
+    def _receive(self, topic: str, reading: Reading) -> None:
         self.counts[topic] += 1
         self.arrived[topic] = time.monotonic()
         self.stopwatch.start()
         if self.stream is None and not self._can_open(topic):
-            self._keep(topic, message)
+            self._keep(topic, reading)
             return
-        self._feed(topic, message)
+        self._feed(topic, reading)
 
-    def _keep(self, topic: str, message: Any) -> None:
-        self._early.append((topic, message))
+    def _keep(self, topic: str, reading: Reading) -> None:
+        self._early.append((topic, reading))
         self.counts[topic] -= 1
         if len(self._early) > CAPACITY:
             del self._early[0]
@@ -153,30 +161,30 @@ class Inputs:
         self.stream = sample_stream(self._settings, self._joints, measured_accelerations(self._settings, published),
                                     CAPACITY)
         early, self._early = self._early, []
-        for kept, message in early:
-            self._receive(kept, message)
+        for kept, reading in early:
+            self._receive(kept, reading)
         return True
 
-    def _feed(self, topic: str, message: Any) -> None:
+    def _feed(self, topic: str, reading: Reading) -> None:
         stream = self.stream
         assert stream is not None
         backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
-        samples = FEEDS[topic].function(stream, message)
+        samples = FEEDS[topic].kind.feed(stream, reading.stamp, *reading.fields)
         if stream.faults['backward_stamp'] > backward:
-            self._went_back(topic, message)
+            self._went_back(topic, reading)
             return
         self._watch.accepted(topic)
         if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:
-            self._sinks.frame_id(message.header.frame_id)
+            self._sinks.frame_id(reading.frame_id)
         for sample in samples:
             self._sinks.sample(sample)
 
-    def _went_back(self, topic: str, message: Any) -> None:
-        held = self._watch.refused(topic, stamp_ns(message.header.stamp), message)
+    def _went_back(self, topic: str, reading: Reading) -> None:
+        held = self._watch.refused(topic, reading)
         if not held:
             return
         self.clock_jumped()
         assert self.stream is not None
         self.stream.faults['backward_stamp'] -= len(held)
         for again in held:
-            self._feed(again.topic, again.message)
+            self._feed(again.topic, again.reading)

@@ -35,8 +35,7 @@ from sensor_msgs.msg import JointState
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.lateness import empty_loop, quantiles
 from semiparam_ros.ros.live_motion import CYCLE, JOINTS, SENSOR, Motion
-from semiparam_ros.ros.messages import NANOSECONDS
-from semiparam_ros.ros.replay_stamps import read_stamp, with_stamp
+from semiparam_ros.ros.replay_stamps import NANOSECONDS, read_stamp, with_stamp
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_rigid_body
 

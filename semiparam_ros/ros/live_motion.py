@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
 
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
-from semiparam_ros.ros.messages import WrenchMessage
+from semiparam_ros.ros.serialised import joint_state_layout, wrench_layout
 
 CYCLE = 4000
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
@@ -36,8 +34,6 @@ class Motion:
 
         The two processors of a virtual machine may share one core: this process must not slow the node down.
         """
-        wrenches = WrenchMessage()
-        states = (JointState(name=list(JOINTS), position=position.tolist(), velocity=velocity.tolist())
-                  for position, velocity in zip(self.position, self.velocity, strict=True))
-        return [(serialize_message(state), serialize_message(wrenches.filled(0, SENSOR, wrench)))
-                for state, wrench in zip(states, self.wrench, strict=True)]
+        states, wrenches = joint_state_layout('', JOINTS, len(JOINTS), len(JOINTS), 0), wrench_layout(SENSOR)
+        return [(states.write(0, position.tolist(), velocity.tolist()), wrenches.write(0, wrench.tolist()))
+                for position, velocity, wrench in zip(self.position, self.velocity, self.wrench, strict=True)]

@@ -1,18 +1,16 @@
-"""Between numbers and messages. Messages that are published at the rate of the sensor are made once and reused."""
+"""From numbers to messages; those that are published at the rate of the sensor are made as bytes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from geometry_msgs.msg import InertiaStamped, WrenchStamped
-from sensor_msgs.msg import JointState
+from geometry_msgs.msg import InertiaStamped
 
 from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.types import Array
 from semiparam_ros.ros.estimates import Payload
-
-NANOSECONDS = 1_000_000_000
+from semiparam_ros.ros.serialised import Layout, joint_state_layout, wrench_layout
 
 
 def inertia_message(stamp: Any, payload: Payload) -> InertiaStamped:
@@ -27,44 +25,28 @@ def inertia_message(stamp: Any, payload: Payload) -> InertiaStamped:
     return message
 
 
-def set_stamp(stamp: Any, nanoseconds: int) -> None:
-    """Write nanoseconds into a builtin_interfaces/Time (five times faster than by way of rclpy's Time)."""
-    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+class ValueMessage:
+    """Wrenches or efforts as serialised messages."""
 
+    def __init__(self, joints: Sequence[str] | None = None) -> None:
+        """:param joints: whose efforts sensor_msgs/JointState holds; None for geometry_msgs/WrenchStamped."""
+        self._joints = joints
+        self._frame_id: str | None = None
 
-class WrenchMessage:
-    """A reused geometry_msgs/WrenchStamped."""
+    def filled(self, stamp: int, frame_id: str, values: Array) -> bytes:
+        """With a stamp [ns], and a wrench (6,) in N and N m or efforts (n_joints,) in N m."""
+        if frame_id != self._frame_id:
+            self._frame_id, self._layout = frame_id, self._laid_out(frame_id)
+        return self._layout.write(stamp, values.tolist())
 
-    def __init__(self) -> None:
-        self.message = WrenchStamped()
-
-    def filled(self, stamp: int, frame_id: str, values: Array) -> WrenchStamped:
-        """With a stamp [ns] and force and torque (6,) in N and N m."""
-        message = self.message
-        set_stamp(message.header.stamp, stamp)
-        message.header.frame_id = frame_id
-        force, torque = message.wrench.force, message.wrench.torque
-        force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
-        return message
-
-
-class EffortMessage:
-    """A reused sensor_msgs/JointState that holds efforts."""
-
-    def __init__(self, joints: Sequence[str]) -> None:
-        self.message = JointState(name=list(joints))
-
-    def filled(self, stamp: int, frame_id: str, values: Array) -> JointState:
-        """With a stamp [ns] and efforts (n_joints,) in N m."""
-        message = self.message
-        set_stamp(message.header.stamp, stamp)
-        message.header.frame_id = frame_id
-        message.effort = values.tolist()
-        return message
+    def _laid_out(self, frame_id: str) -> Layout:
+        if self._joints is None:
+            return wrench_layout(frame_id)
+        return joint_state_layout(frame_id, self._joints, 0, 0, len(self._joints))
 
 
 class HorizonMessage:
-    """A reused sensor_msgs/JointState whose names label the channels and whose positions hold the errors.
+    """Horizon errors as a serialised sensor_msgs/JointState: names label the channels, positions hold the errors.
 
     Every plotting tool draws a JointState by its names; arrays without labels they can only number. The channels come
     first, then eps_F and eps_T (for efforts: eps), then the same with the mean of each window removed.
@@ -73,14 +55,13 @@ class HorizonMessage:
     def __init__(self, channels: Sequence[str], wrench: bool) -> None:
         self._wrench = wrench
         names = [*channels, *(('eps_F', 'eps_T') if wrench else ('eps',))]
-        self.message = JointState(name=[*names, *(f'{name}_centred' for name in names)])
+        self.names = [*names, *(f'{name}_centred' for name in names)]
+        self._layout = joint_state_layout('', self.names, len(self.names), 0, 0)
 
-    def filled(self, errors: HorizonErrors) -> JointState:
+    def filled(self, errors: HorizonErrors) -> bytes:
         """With the stamp of the origin t of its horizon."""
-        message = self.message
-        set_stamp(message.header.stamp, errors.origin)
-        message.position = [*self._with_means(errors.eps), *self._with_means(errors.eps_centred)]
-        return message
+        values = [*self._with_means(errors.eps), *self._with_means(errors.eps_centred)]
+        return self._layout.write(errors.origin, values)
 
     def _with_means(self, eps: Array) -> list[float]:
         values: list[float] = eps.tolist()

@@ -14,7 +14,7 @@ from semiparam_ros.core.model import Prediction
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 from semiparam_ros.ros.answers import Answer
-from semiparam_ros.ros.messages import EffortMessage, HorizonMessage, WrenchMessage
+from semiparam_ros.ros.messages import HorizonMessage, ValueMessage
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 DEPTH = 1000
@@ -38,7 +38,7 @@ class Outputs:
     def open(self, body: RigidBody) -> None:
         """The robot is known: prepare the messages."""
         wrench = body.outputs == 'wrench'
-        self._value = WrenchMessage() if wrench else EffortMessage(body.joints)
+        self._value = ValueMessage(None if wrench else body.joints)
         self._errors = HorizonMessage(body.output_names, wrench)
 
     def publish(self, answer: Answer) -> None:

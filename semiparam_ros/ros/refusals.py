@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 
 DESCRIPTION, TRAJECTORY, PARAMETERS = 'robot_description', 'desired_trajectory', 'parameters'
-TOPICS = (DESCRIPTION, TRAJECTORY)
 
 
 class Refusals:
@@ -18,10 +17,10 @@ class Refusals:
     def add(self, where: str, sentence: str) -> None:
         """One more."""
         self.counts[where] += 1
-        if where in TOPICS:
+        if where != PARAMETERS:
             self.last = sentence
 
     @property
     def on_topics(self) -> int:
         """How many messages."""
-        return sum(self.counts[topic] for topic in TOPICS)
+        return self.counts.total() - self.counts[PARAMETERS]
