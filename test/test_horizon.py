@@ -62,7 +62,7 @@ def assert_same(found, expected):
 
 
 @pytest.mark.parametrize(('d', 'p'), [(D, P), (0, P), (D, 0)])
-@pytest.mark.parametrize('length', [1, 2, 25])
+@pytest.mark.parametrize('length', [1, 2, 25, 33, 70])
 def test_it_equals_the_brute_force(length, d, p):
     rows = problem(80, d, p)
     assert_same(running(length, recursion(d, p), rows), brute_force(length, recursion(d, p), rows))

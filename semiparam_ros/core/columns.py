@@ -46,6 +46,8 @@ class CoupledColumns:
         self.body, self.effects = body, tuple(effects)
         self.has_offset = body.outputs == 'wrench'
         self._offset = np.eye(body.n_outputs)[:, :body.n_outputs * self.has_offset]
+        self._rigid_body = slice(body.n_parameters)
+        self._without_effects = np.hstack([np.zeros((body.n_outputs, body.n_parameters)), self._offset])
 
     @property
     def n_columns(self) -> int:
@@ -76,8 +78,9 @@ class CoupledColumns:
     def one(self, sample: Sample, origin: int, memory: Memory = None) -> tuple[Array, Memory]:
         """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]: where time starts."""
         if not self.effects:
-            psi = self.body.regressor(sample.position, sample.velocity, sample.acceleration)
-            return np.hstack([psi, self._offset]), None
+            columns = self._without_effects.copy()
+            columns[:, self._rigid_body] = self.body.regressor(sample.position, sample.velocity, sample.acceleration)
+            return columns, None
         columns, memory = self.batch(Samples(np.array([sample.stamp]), sample.position[None], sample.velocity[None],
                                              sample.acceleration[None], sample.outputs[None], origin), memory)
         return columns[0], memory

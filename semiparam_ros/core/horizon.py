@@ -22,6 +22,7 @@ from semiparam_ros.errors import SemiparamError
 
 LEAST_POWER = 1e-18
 """Floor of a denominator for each sample, in squared outputs: far below any sensor, and keeps the index finite."""
+TRIANGLE = np.tri(32, k=-1)
 
 
 class HorizonErrors(NamedTuple):
@@ -44,11 +45,12 @@ class HorizonIndex:
         self.length = length
         rows = 2 * length
         self._gains = np.zeros((rows, n_features))
-        self._innovations = np.zeros((rows, n_columns + 1, n_outputs))
-        self._theta = np.ones((rows, 1, n_columns + 1))  # [-theta, 1], which takes phi' Theta to the outputs
+        self._innovations = np.zeros((rows, (n_columns + 1) * n_outputs))
+        self._theta = np.ones((rows, n_columns + 1))  # [-theta, 1], which takes phi' Theta to the outputs
         self._squared_error = np.zeros((rows, n_outputs))
         self._outputs = np.zeros((rows, n_outputs))
         self._origins = np.zeros(rows, dtype=np.int64)
+        self._ones = np.ones(length)
         self.clear()
 
     def clear(self) -> None:
@@ -77,25 +79,39 @@ class HorizonIndex:
         self._start -= 1
         self._filled = min(self._filled + 1, self.length)
         self._gains[self._start] = 0.0 if correction is None else correction.gain
-        self._innovations[self._start] = 0.0 if correction is None else correction.innovations
-        self._theta[self._start, 0, :-1] = -theta
+        self._innovations[self._start] = 0.0 if correction is None else correction.innovations.ravel()
+        np.negative(theta, out=self._theta[self._start, :-1])
         self._squared_error[self._start] = 0.0
         self._origins[self._start] = stamp
 
     def _predictions(self, prior: Prior, models: slice) -> Array:
         """(k, n) what k models of the past say of a sample."""
-        added = (self._gains[models] @ prior.phi)[:, None, None] * self._innovations[models]
-        later = np.zeros_like(added)  # what learning after each model added to phi' Theta
-        np.add.accumulate(added[:-1], axis=0, out=later[1:])
-        now = prior.regressed[-1] + self._theta[models, 0, :-1] @ -prior.columns_left.T
-        return np.asarray(now - (self._theta[models] @ later)[:, 0])
+        theta = self._theta[models]
+        later = self._learnt_later(self._gains[models] @ prior.phi, self._innovations[models])
+        now = prior.regressed[-1] - theta[:, :-1] @ prior.columns_left.T
+        return np.asarray(now - (theta[:, None] @ later.reshape(len(theta), *prior.regressed.shape))[:, 0])
+
+    def _learnt_later(self, weights: Array, innovations: Array) -> Array:
+        """(k, q) what learning after each of k models, newest first, added to phi' Theta.
+
+        Running sums of ``weights`` (k,) times ``innovations`` (k, q), a block at a time by a triangle of ones.
+        """
+        later = np.empty_like(innovations)
+        for start in range(0, len(weights), len(TRIANGLE)):
+            block = slice(start, start + len(TRIANGLE))
+            size = len(weights[block])
+            np.matmul(TRIANGLE[:size, :size] * weights[block], innovations[block], out=later[block])
+            if start:
+                later[block] += later[start - 1] + weights[start - 1] * innovations[start - 1]
+        return later
 
     def _complete(self) -> HorizonErrors:
         oldest = self._start + self.length - 1
         y = self._outputs[self._start - 1:oldest]
-        centred = y - y.sum(axis=0) / self.length
+        ones = self._ones
+        centred = y - ones @ y / self.length
         floor = LEAST_POWER * self.length
-        power, spread = (np.maximum((values * values).sum(axis=0), floor) for values in (y, centred))
+        power, spread = (np.maximum(ones @ (values * values), floor) for values in (y, centred))
         error = self._squared_error[oldest]
         return HorizonErrors(int(self._origins[oldest]), error / power, error / spread)
 

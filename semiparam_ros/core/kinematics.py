@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import exp
+
 import numpy as np
 
 from semiparam_ros.core.types import Array
@@ -37,7 +39,7 @@ class CausalDifferentiator:
         self._stamp: int | None = None
         self._step = LONGEST_STEP_S / GAP_STEPS
         self._age = 0
-        self._value = self._rate = self._change = np.zeros(self._n_joints)
+        self._fit = np.zeros((3, self._n_joints))  # value, rate and its change at the last stamp
 
     def update(self, stamp: int, values: Array) -> Array:
         """(n_joints,) rates [1/s] of the values at ``stamp`` [ns], from these and earlier values.
@@ -50,14 +52,14 @@ class CausalDifferentiator:
             raise SemiparamError(f'the values to differentiate are {values.tolist()}; expected finite values.')
         step = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
         if self._stamp is not None and step == 0.0:
-            return self._rate
+            return self._fit[1]
         if self._stamp is None or step < 0.0 or step > self._longest_step():
             self.reset()
-            self._value, self._stamp = values, stamp
-            return self._rate
+            self._fit[0], self._stamp = values, stamp
+            return self._fit[1]
         self._follow(step, values)
         self._stamp, self._step = stamp, step
-        return self._rate
+        return self._fit[1]
 
     def _longest_step(self) -> float:
         return max(GAP_MEMORIES / self._decay, GAP_STEPS * self._step)
@@ -65,17 +67,15 @@ class CausalDifferentiator:
     def _follow(self, step: float, values: Array) -> None:
         self._age += 1
         g, h, k = self._gains(step)
-        innovation = values - (self._value + step * self._rate + 0.5 * step**2 * self._change)
-        self._value = values - (1.0 - g) * innovation
-        self._rate = self._rate + step * self._change + (h / step) * innovation
-        self._change = self._change + (k / step**2) * innovation
+        predicted = np.array([[1.0, step, 0.5 * step**2], [0.0, 1.0, step], [0.0, 0.0, 1.0]]) @ self._fit
+        self._fit = predicted + np.array([[g], [h / step], [k / step**2]]) * (values - predicted[0])
 
     def _gains(self, step: float) -> tuple[float, float, float]:
         """Gains of the fading fit in the steady state, and at first those of a fit without weights to what there is.
 
         With two samples that is their line, with three or more a parabola (Brookner 1998, expanding memory).
         """
-        fade = np.exp(-self._decay * step)
+        fade = exp(-self._decay * step)
         rest = 1.0 - fade
         n = self._age
         if n == 1:
