@@ -48,6 +48,7 @@ class Reports:
     def open(self, robot_name: str, joints: tuple[str, ...]) -> None:
         """The robot is known: count its answers."""
         self._robot_name, self.tally = robot_name, Tally(joints)
+        self.say(f'{robot_name or "the robot"} is known by its description and moves {", ".join(joints)}.')
 
     def say(self, sentence: str) -> None:
         """Into the log, and into the status of learning as the last news."""
