@@ -216,8 +216,9 @@ def test_a_saved_state_continues_bit_for_bit():
 
 
 @pytest.mark.parametrize('spoil', [
-    lambda state: state.pop('root'),
-    lambda state: state.update(root=np.eye(5)),
+    lambda state: state.pop('array'),
+    lambda state: state.update(array=np.eye(5)),
+    lambda state: state.update(waiting=np.array(8)),
     lambda state: state.update(theta=np.array([1.0, np.nan])),
 ])
 def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(spoil):

@@ -19,11 +19,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.blas import dgemv, dger
 from scipy.linalg.lapack import dtpqrt, dtrtrs
 
-from semiparam_ros.core.square_root import SquareRoot
 from semiparam_ros.core.types import Array
+from semiparam_ros.core.weight_array import Projection, WeightArray
 from semiparam_ros.errors import SemiparamError
 
 QR_BLOCK = 8
@@ -35,8 +34,7 @@ class Prior(NamedTuple):
     mean: Array  # (n,) predicted outputs
     covariance: Array  # (n, n) of the outputs, noise included
     phi: Array  # (D,)
-    f: Array  # (D,) S' phi
-    reach: Array  # (D,) S f = P phi
+    projection: Projection  # of phi on [S | Theta]
     s: float  # sigma^2 + f'f
     regressed: Array  # (p + 1, n) phi' Theta, y last
     columns_left: Array  # (n, p) E_C, what the features leave of the coupled columns
@@ -68,43 +66,46 @@ class SemiParametricRecursion:
         self._prior_std = np.array(prior_std, dtype=float)
         self._check()
         self.theta = np.zeros(self.n_columns) if prior_mean is None else np.array(prior_mean, dtype=float)
-        self._root = SquareRoot(n_features, rho)
+        self._weights = WeightArray(n_features, rho, (self.n_columns + 1) * n_outputs)
         self._renewed = 0
-        self._coefficients = np.zeros((self.n_columns + 1, n_outputs, n_features))
         self._information = np.zeros((self.n_columns + 1, self.n_columns + 1), order='F')
         diagonal = np.arange(self.n_columns)
         self._information[diagonal, diagonal] = 1.0 / self._prior_std
         self._information[:-1, -1] = self.theta / self._prior_std
         self._identity = np.eye(n_outputs)
+        nothing = np.zeros(0)
+        self._no_features = Projection(nothing, nothing, np.zeros((self.n_columns + 1) * n_outputs))
 
     def predict(self, phi: Array, columns: Array) -> Prior:
         """Mean and covariance of the outputs at features (D,) and coupled columns (n, p)."""
-        f, reach, regressed = self._project(phi)
-        s = self.sigma**2 + float(f @ f)
+        projection = self._weights.project(phi) if self.n_features else self._no_features
+        regressed = projection.regressed.reshape(self.n_columns + 1, self.n_outputs)
+        s = self.sigma**2 + float(projection.f @ projection.f)
         left = columns - regressed[:-1].T
         mean = regressed[-1] + left @ self.theta
         covariance = s * self._identity
         if self.n_columns:
             half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
             covariance += half.T @ half
-        return Prior(mean, covariance, phi, f, reach, s, regressed, left)
+        return Prior(mean, covariance, phi, projection, s, regressed, left)
 
     def learn(self, prior: Prior, outputs: Array) -> Correction:
         """Learn the outputs (n,) of the sample that ``prior`` was computed for, by this model as it stands."""
         innovations = np.empty((self.n_columns + 1, self.n_outputs))
         innovations[:-1] = prior.columns_left.T
         innovations[-1] = outputs - prior.regressed[-1]
-        gain = self._update_features(prior, innovations) if self.n_features else prior.phi
+        if self.n_features:
+            self._weights.learn(prior.projection, self.sigma, innovations.ravel())
         if self.n_columns:
             self._update_information((innovations / np.sqrt(prior.s)).T)
             self.theta, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
         if self.forgetting < 1.0:
             self._forget()
-        return Correction(gain, innovations)
+        return Correction(prior.projection.reach / prior.s, innovations)
 
     def weights(self) -> Array:
         """(n, D) feature weights alpha' of each output."""
-        flat = self._coefficients.reshape(self.n_columns + 1, -1)
+        flat = self._weights.estimates().reshape(self.n_columns + 1, -1)
         return np.asarray(np.append(-self.theta, 1.0) @ flat).reshape(self.n_outputs, self.n_features)
 
     def theta_covariance(self) -> Array:
@@ -114,7 +115,7 @@ class SemiParametricRecursion:
 
     def state(self) -> dict[str, Array]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
-        return {**self._root.state(), 'renewed': np.array(self._renewed), 'coefficients': self._coefficients.copy(),
+        return {**self._weights.state(), 'renewed': np.array(self._renewed),
                 'information': self._information.copy(order='F'), 'theta': self.theta.copy()}
 
     def restore(self, state: dict[str, Array]) -> None:
@@ -125,9 +126,8 @@ class SemiParametricRecursion:
                 raise SemiparamError(f"the saved '{name}' has shape {given.shape}; expected finite values of shape "
                                      f'{mine.shape} for {self.n_outputs} outputs, {self.n_features} features and '
                                      f'{self.n_columns} columns.')
-        self._root.restore(state)
+        self._weights.restore(state)
         self._renewed = int(state['renewed'])
-        self._coefficients = np.array(state['coefficients'], dtype=float, order='C')
         self._information = np.array(state['information'], dtype=float, order='F')
         self.theta = np.array(state['theta'], dtype=float)
 
@@ -138,19 +138,6 @@ class SemiParametricRecursion:
                                  f'{self._prior_std.tolist()}; expected positive finite ones.')
         if not 0.0 < self.forgetting <= 1.0:
             raise SemiparamError(f'forgetting is {self.forgetting}; expected a value above 0 and at most 1.')
-
-    def _project(self, phi: Array) -> tuple[Array, Array, Array]:
-        """f, S f and phi' Theta."""
-        if not self.n_features:
-            return phi, phi, np.zeros((self.n_columns + 1, self.n_outputs))
-        regressed = dgemv(1.0, self._coefficients.reshape(-1, self.n_features).T, phi, trans=1)
-        return *self._root.project(phi), regressed.reshape(self.n_columns + 1, self.n_outputs)
-
-    def _update_features(self, prior: Prior, innovations: Array) -> Array:
-        gain = prior.reach / prior.s
-        dger(1.0, gain, innovations.ravel(), a=self._coefficients.reshape(-1, self.n_features).T, overwrite_a=1)
-        self._root.shrink(prior.f, prior.reach, self.sigma)
-        return gain
 
     def _update_information(self, rows: Array) -> None:
         """R with further rows (k, p + 1) below it, triangular again."""
@@ -164,7 +151,7 @@ class SemiParametricRecursion:
         would grow without bound while the robot stands still, and the model would burst when it moves again. Each
         renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves.
         """
-        self._root.inflate(1.0 / np.sqrt(self.forgetting))
+        self._weights.inflate(1.0 / np.sqrt(self.forgetting))
         self._information *= np.sqrt(self.forgetting)
         if self.n_features:
             self._renew_weight(self._renewed % self.n_features)
@@ -175,7 +162,7 @@ class SemiParametricRecursion:
     def _renew_weight(self, index: int) -> None:
         unit = np.zeros(self.n_features)
         unit[index] = 1.0
-        self._root.shrink(*self._root.project(unit), self.rho / np.sqrt(1.0 - self.forgetting**self.n_features))
+        self._weights.learn(self._weights.project(unit), self.rho / np.sqrt(1.0 - self.forgetting**self.n_features))
 
     def _renew_coefficient(self, index: int) -> None:
         row = np.zeros((1, self.n_columns + 1), order='F')
