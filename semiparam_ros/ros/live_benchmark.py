@@ -36,6 +36,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.lateness import empty_loop, quantiles
 from semiparam_ros.ros.live_motion import CYCLE, JOINTS, SENSOR, Motion
 from semiparam_ros.ros.replay_stamps import NANOSECONDS, read_stamp, with_stamp
+from semiparam_ros.ros.spinning import spin_for
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_rigid_body
 
@@ -179,7 +180,7 @@ def _peer(messages: list[tuple[bytes, bytes]]) -> Iterator[Peer]:
 
     def spin() -> None:
         while not stop.is_set():
-            executor.spin_once(timeout_sec=0.2)
+            spin_for(executor, 0.2)
 
     thread = threading.Thread(target=spin, daemon=True)
     thread.start()

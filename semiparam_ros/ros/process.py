@@ -11,12 +11,12 @@ from typing import Any
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.estimator_node import EstimatorNode
 from semiparam_ros.ros.realtime import take_priority
+from semiparam_ros.ros.spinning import spin_for
 
 SPIN_S = 0.2
 
@@ -26,8 +26,7 @@ def run_estimator(ros_arguments: Sequence[str]) -> int:
     _start(ros_arguments)
     stop = _Stop()
     try:
-        # This executor takes a third of what rclpy's others take. Its spin() without a timeout never sleeps, and
-        # spin_once() returns after every message; waiting for a future that nobody completes does neither.
+        # This executor takes a third of what rclpy's others take.
         executor = EventsExecutor()
         node = EstimatorNode(executor.create_task)
         try:
@@ -37,7 +36,7 @@ def run_estimator(ros_arguments: Sequence[str]) -> int:
                 node.get_logger().warning(refused)
             _keep_collector_out()
             while ok() and not stop.asked:
-                executor.spin_until_future_complete(Future(), timeout_sec=SPIN_S)
+                spin_for(executor, SPIN_S)
         finally:
             executor.remove_node(node)
             node.close()

@@ -16,6 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.spinning import spin_for
 
 SPIN_S = 0.2
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -61,7 +62,7 @@ class RosProcess:
         executor.add_node(node)
         try:
             while ok() and not self._closing:
-                executor.spin_once(timeout_sec=SPIN_S)
+                spin_for(executor, SPIN_S)
         except Exception as error:  # raised by a callback: told by whoever runs the tool, not by this thread
             self.error = error
             self._stop()
