@@ -131,9 +131,15 @@ def test_rclpy_is_asked_once_for_each_layout(monkeypatch):
 
 def test_the_layouts_that_a_reader_remembers_are_limited():
     reader = wrench_reader()
-    for length in range(5 * MOST_LAYOUTS):
+    for length in range(0, 16 * MOST_LAYOUTS, 8):
         assert reader(wrench_layout('f' * length).write(7, range(6))).frame_id == 'f' * length
         assert len(reader._known) <= MOST_LAYOUTS
+
+
+def test_empty_texts_without_their_zero_byte_are_left_to_rclpy():
+    raw = wrench_layout('').write(0, range(6))[:4] + struct.pack('=iI5I', 3, 5, 0, 0, 0, 0, 0)  # as some vendors do
+    reader = joint_state_reader()
+    assert plain(reader(raw)) == plain(reader(raw)) == (3 * 10**9 + 5, '', [[], [], [], []])
 
 
 def test_other_byte_orders_are_left_to_rclpy():
@@ -142,6 +148,18 @@ def test_other_byte_orders_are_left_to_rclpy():
     reader = wrench_reader()
     assert len(big) == len(little)
     assert reader(little) == reader(big) == reader(little)
+
+
+@pytest.mark.parametrize('kind', [2, 3, 6, 7, 10, 11])
+def test_other_encapsulations_are_left_to_rclpy(kind):
+    usual = wrench_layout('ft').write(5, range(6))
+    other = b'\0' + bytes([kind]) + usual[2:]
+    reader = wrench_reader()
+    reader(usual)
+    asked = []
+    reader._decoded = lambda raw: asked.append(raw)
+    reader(other)
+    assert asked == [other]
 
 
 @pytest.mark.parametrize('raw', [b'', b'\0\1', b'\0\1\0\0', b'\xff' * 40])
