@@ -10,6 +10,7 @@ from typing import Any
 
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
@@ -18,6 +19,7 @@ from semiparam_ros.ros.estimator_node import EstimatorNode
 from semiparam_ros.ros.realtime import take_priority
 from semiparam_ros.ros.spinning import spin_for
 
+RCLError = rclpy_implementation.RCLError
 SPIN_S = 0.2
 
 
@@ -28,7 +30,7 @@ def run_estimator(ros_arguments: Sequence[str]) -> int:
     try:
         # This executor takes a third of what rclpy's others take.
         executor = EventsExecutor()
-        node = EstimatorNode(executor.create_task)
+        node = _new_node(executor)
         try:
             executor.add_node(node)
             refused = take_priority(node.settings.realtime_priority)
@@ -64,6 +66,13 @@ def _start(ros_arguments: Sequence[str]) -> None:
         rclpy.init(args=[sys.argv[0], *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rcl complains about arguments in exceptions of several kinds
         raise SemiparamError(f'the ROS arguments are refused: {_sentence(error)}') from None
+
+
+def _new_node(executor: EventsExecutor) -> EstimatorNode:
+    try:
+        return EstimatorNode(executor.create_task)
+    except RCLError as error:  # such as a security enclave that the middleware refuses
+        raise SemiparamError(f'the node cannot start: {_sentence(error)}') from None
 
 
 def _sentence(error: Exception) -> str:
