@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
@@ -30,7 +30,7 @@ def run_estimator(ros_arguments: Sequence[str]) -> int:
     try:
         # This executor takes a third of what rclpy's others take.
         executor = EventsExecutor()
-        node = _new_node(executor)
+        node = _new_node(executor.create_task)
         try:
             executor.add_node(node)
             refused = take_priority(node.settings.realtime_priority)
@@ -68,9 +68,9 @@ def _start(ros_arguments: Sequence[str]) -> None:
         raise SemiparamError(f'the ROS arguments are refused: {_sentence(error)}') from None
 
 
-def _new_node(executor: EventsExecutor) -> EstimatorNode:
+def _new_node(later: Callable[[Callable[[], None]], object]) -> EstimatorNode:
     try:
-        return EstimatorNode(executor.create_task)
+        return EstimatorNode(later)
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {_sentence(error)}') from None
 
