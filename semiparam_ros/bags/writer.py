@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -122,7 +123,8 @@ class BagWriter:
 
     def abort(self) -> None:
         """Remove what was written; an older file named ``path`` stays as it was."""
-        self._file.close()
+        with suppress(OSError):  # a full disk refuses what was still to be written
+            self._file.close()
         self.partial_path.unlink(missing_ok=True)
 
     def __enter__(self) -> BagWriter:
@@ -130,10 +132,14 @@ class BagWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        if kind is None:
-            self.close()
-        else:
+        if kind is not None:
             self.abort()
+            return
+        try:
+            self.close()
+        except BaseException:  # a full disk, or Ctrl-C
+            self.abort()
+            raise
 
 
 def _open_for_writing(path: Path) -> IO[bytes]:

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli.fit import add_estimation_options, estimation_of
 from semiparam_ros.cli.options import (
     add_json_option,
@@ -16,7 +17,6 @@ from semiparam_ros.cli.options import (
     progress_bar,
     require_places,
     write_json,
-    write_text,
 )
 from semiparam_ros.errors import SemiparamError
 

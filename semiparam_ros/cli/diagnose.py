@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli.options import (
     add_json_option,
     add_params_option,
@@ -15,7 +16,6 @@ from semiparam_ros.cli.options import (
     progress_bar,
     require_places,
     write_json,
-    write_text,
 )
 from semiparam_ros.errors import SemiparamError
 

@@ -6,7 +6,6 @@ import argparse
 import json
 import math
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from semiparam_ros.atomic_write import write_text
 from semiparam_ros.errors import SemiparamError
 
 SCHEMA = 1
@@ -60,26 +60,6 @@ def write_json(path: Path, result: Mapping[str, Any]) -> None:
     """Write a result, versioned by "schema", atomically; a number that is not finite raises SemiparamError."""
     document = {'schema': SCHEMA, **_plain(result, '')}
     write_text(path, json.dumps(document, indent=2, allow_nan=False) + '\n')
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a whole file or nothing: into a temporary neighbour first, which then takes the name."""
-    path = Path(path)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-        with os.fdopen(handle, 'w', encoding='utf-8') as stream:
-            stream.write(text)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise SemiparamError(f'cannot write {path}: {error.strerror}.') from error
-
-
-def _umask() -> int:
-    """mkstemp makes files private; a result is as readable as any other file of the user."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _plain(value: Any, where: str) -> Any:

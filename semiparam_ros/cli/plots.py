@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from semiparam_ros.atomic_write import replacing
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -42,14 +41,8 @@ def plot_indices(path: Path, scores: Mapping[str, Scores]) -> None:
 def save_figure(path: Path, figure: Figure) -> None:
     """Write the whole picture or nothing. Raises SemiparamError for an unknown suffix or an unwritable place."""
     suffix = picture_format(path)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.', suffix=path.suffix)
-        os.close(handle)
-        figure.savefig(temporary, dpi=120, format=suffix)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise SemiparamError(f'cannot write {path}: {error.strerror}.') from error
+    with replacing(path) as stream:
+        figure.savefig(stream, dpi=120, format=suffix)
 
 
 def picture_format(path: Path) -> str:

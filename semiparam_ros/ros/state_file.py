@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -14,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from semiparam_ros.atomic_write import replacing
 from semiparam_ros.core.hyperparameters import Hyperparameters
 from semiparam_ros.core.model import Estimator
 from semiparam_ros.core.rigid_body import RigidBody
@@ -46,14 +45,8 @@ def save(path: Path, state: SavedState) -> None:
     arrays |= {f'history.{name}': values for name, values in arrays_of(state.chapter).items()}
     if known_of(state.estimator) is not None:  # before that, the samples say everything
         arrays |= {f'recursion.{name}': values for name, values in state.estimator.model.recursion.state().items()}
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-        with os.fdopen(handle, 'wb') as stream:
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise SemiparamError(f'cannot write {path}: {error.strerror}.') from error
+    with replacing(path, durable=True) as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 
 def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:

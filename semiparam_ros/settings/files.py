@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import tempfile
 import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from semiparam_ros.atomic_write import write_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.parameter import Parameter
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest
@@ -50,15 +49,7 @@ def read_params(path: str | Path, node: str = 'estimator') -> dict[str, Any]:
 
 def dump_params(settings: Settings, path: str | Path, node: str = 'estimator') -> None:
     """Write a parameter file that the node and every command load: the whole file or nothing."""
-    path = Path(path)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-        with os.fdopen(handle, 'w', encoding='utf-8') as stream:
-            stream.write(params_text(settings, node))
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise SemiparamError(f'cannot write {path}: {error.strerror}.') from error
+    write_text(path, params_text(settings, node))
 
 
 def params_text(settings: Settings, node: str = 'estimator') -> str:

@@ -1,0 +1,87 @@
+"""Whole files or nothing: the one way in which this package writes a result.
+
+What is written goes into a neighbour of the file, which takes its name when it is complete. A write that fails or is
+interrupted removes the neighbour and leaves an older file of the name as it was.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+from semiparam_ros.errors import SemiparamError
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str], durable: bool = False) -> Iterator[IO[bytes]]:
+    """A binary stream whose content takes the name ``path`` when the block ends without an exception.
+
+    The file's permissions are those of any new file, as the umask says.
+
+    :param durable: wait until the disk has it, so that a power cut leaves the old file or the new one.
+    Raises SemiparamError, naming the file and the reason, when it cannot be written.
+    """
+    path = Path(path)
+    temporary = path.parent / f'{_prefix(path)}{secrets.token_hex(6)}'
+    try:
+        _require_replaceable(path)
+        try:
+            # Not tempfile.mkstemp, which makes files that nobody else may read.
+            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+            with os.fdopen(descriptor, 'wb') as stream:
+                yield stream
+                if durable:
+                    stream.flush()
+                    os.fsync(stream.fileno())
+            os.replace(temporary, path)
+        except BaseException:  # also Ctrl-C
+            temporary.unlink(missing_ok=True)
+            raise
+        if durable:
+            _keep_name(path.parent)
+    except OSError as error:
+        raise SemiparamError(f'cannot write {path}: {error.strerror or error}.') from error
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a whole text file in UTF-8 or nothing; raises SemiparamError when it cannot be written."""
+    with replacing(path) as stream:
+        stream.write(text.encode())
+
+
+def remove_leftovers(path: str | os.PathLike[str]) -> None:
+    """Remove the neighbours that writers of this file left when they were killed; nobody else may be writing it."""
+    path = Path(path)
+    with suppress(OSError):
+        for entry in os.scandir(path.parent):
+            if entry.name.startswith(_prefix(path)) and re.fullmatch('[0-9a-f]{12}', entry.name[len(_prefix(path)):]):
+                os.unlink(entry)
+
+
+def _prefix(path: Path) -> str:
+    """Hidden, and short enough for a long name."""
+    return f'.{path.name[:100]}.'
+
+
+def _require_replaceable(path: Path) -> None:
+    """A rename would put a plain file in the place of a folder, a device or a pipe."""
+    if '\0' in str(path):
+        raise OSError(None, 'its name holds a null character')
+    if path.is_dir() or not path.name:
+        raise IsADirectoryError(None, 'it is a folder; expected the name of a file')
+    if path.exists() and not path.is_file():
+        raise OSError(None, 'it is a device or a pipe; expected the name of a file')
+
+
+def _keep_name(folder: Path) -> None:
+    """The new name is on the disk once its folder is."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

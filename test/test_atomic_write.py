@@ -1,0 +1,110 @@
+"""A whole file or none, whatever happens while it is written."""
+
+import os
+import resource
+import signal
+import stat
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+from semiparam_ros.atomic_write import remove_leftovers, replacing, write_text
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.cli.options import write_json
+from semiparam_ros.cli.plots import save_figure
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings import Settings, dump_params
+
+BIG = 10**6
+
+
+def figure():
+    drawn = Figure()
+    drawn.subplots().plot([1, 2])
+    return drawn
+
+
+def bag(path):
+    with BagWriter(path, compression='none') as writer:
+        for stamp in range(200):
+            writer.write('/t', 'std_msgs/msg/String', {'data': 'x' * 10000}, stamp)
+
+
+WRITERS = {'text': lambda path: write_text(path, 'x' * BIG), 'json': lambda path: write_json(path, {'x': 'x' * BIG}),
+           'params': lambda path: dump_params(Settings(robot_description='x' * BIG), path),
+           'plot': lambda path: save_figure(path, figure()), 'bag': bag}
+
+
+@contextmanager
+def disk_of(n_bytes):
+    """Files may not grow beyond so many bytes: writing fails halfway, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize('write', WRITERS.values(), ids=WRITERS)
+def test_a_write_that_fails_halfway_leaves_the_old_file_alone(tmp_path, write):
+    path = tmp_path / 'result.png'
+    path.write_text('old')
+    with disk_of(4096), pytest.raises(SemiparamError, match='File too large'):
+        write(path)
+    assert os.listdir(tmp_path) == ['result.png'] and path.read_text() == 'old'
+
+
+@pytest.mark.parametrize('write', WRITERS.values(), ids=WRITERS)
+def test_permissions_are_those_of_any_new_file(tmp_path, write):
+    before = os.umask(0o027)
+    try:
+        write(tmp_path / 'result.png')
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / 'result.png').stat().st_mode) == 0o640
+
+
+def test_ctrl_c_removes_what_was_written_so_far(tmp_path):
+    with pytest.raises(KeyboardInterrupt), replacing(tmp_path / 'x') as stream:
+        stream.write(b'half')
+        signal.raise_signal(signal.SIGINT)
+    assert os.listdir(tmp_path) == []
+
+
+def test_what_a_killed_writer_left_is_removed(tmp_path):
+    program = ('import os, sys\nfrom semiparam_ros.atomic_write import replacing\n'
+               'with replacing(sys.argv[1], durable=True) as stream:\n'
+               '    stream.write(b"half"); stream.flush(); os.kill(os.getpid(), 9)\n')
+    path = tmp_path / 'x.npz'
+    assert subprocess.run([sys.executable, '-c', program, str(path)], check=False).returncode == -signal.SIGKILL
+    left = os.listdir(tmp_path)
+    assert len(left) == 1 and left[0].startswith('.x.npz.')
+    for name in ('.x.npz.mine', '.x.npzx.0123456789ab', 'x.npz'):
+        (tmp_path / name).touch()
+    remove_leftovers(path)
+    assert sorted(os.listdir(tmp_path)) == ['.x.npz.mine', '.x.npzx.0123456789ab', 'x.npz']
+
+
+@pytest.mark.parametrize(('name', 'reason'), [
+    ('none/x', 'No such file'), ('', 'it is a folder'), ('/', 'it is a folder'), ('/dev/null', 'a device or a pipe'),
+    ('a\0b', 'null character'), ('n' * 300, 'File name too long')])
+def test_an_impossible_place_is_refused_in_a_sentence(tmp_path, name, reason):
+    with pytest.raises(SemiparamError, match=reason):
+        write_text(tmp_path / name, 'x')
+    assert os.listdir(tmp_path) == [] and not Path('/dev/null').is_file()
+
+
+def test_a_long_name_can_be_written(tmp_path):
+    write_text(tmp_path / ('n' * 250), 'x')
+    assert os.listdir(tmp_path) == ['n' * 250]
+
+
+def test_a_fault_of_the_writer_is_not_blamed_on_the_disk(tmp_path):
+    with pytest.raises(ZeroDivisionError), replacing(tmp_path / 'x') as stream:
+        stream.write(bytes(1 // 0))
+    assert os.listdir(tmp_path) == []
