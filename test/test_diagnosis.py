@@ -229,19 +229,38 @@ class Magnet(Effect):
         return columns, None
 
 
-def test_a_kind_of_another_package_takes_part(monkeypatch):
+class TurnedMagnet(Magnet):
+    """The same near an angle that is searched, which may be on either side of zero."""
+
+    kind = 'turned_magnet'
+    shape_units = {'angle': 'rad'}  # noqa: RUF012
+
+    @classmethod
+    def searches(cls, body, samples, where, residual):
+        return [{'angle': angle} for angle in (-0.4, -0.2, 0.0)]
+
+    def basis(self, body, samples, memory):
+        columns = np.zeros((len(samples), 6, 1))
+        columns[:, 0, 0] = np.exp(-((samples.position[0, 3] - samples.position[:, 3] - self.value('angle')) / 0.1) ** 2)
+        return columns, None
+
+
+@pytest.mark.parametrize(('kind', 'true'), [(Magnet, {}), (TurnedMagnet, {'angle': -0.3}),
+                                            (TurnedMagnet, {'angle': 0.03})], ids=['fixed', 'below-zero', 'near-zero'])
+def test_a_kind_of_another_package_takes_part(monkeypatch, kind, true):
     from semiparam_ros.effects import registry
 
-    monkeypatch.setattr(registry, 'BUILT_IN', (*registry.BUILT_IN, Magnet))
+    monkeypatch.setattr(registry, 'BUILT_IN', (*registry.BUILT_IN, kind))
     registry._all_kinds.cache_clear()
     try:
         simulated = simulate(Scenario(samples=800, seed=4))
         samples = samples_of(simulated)
-        pull, _ = Magnet(None, {}).columns(body_of(simulated), samples, None)
+        pull, _ = kind(None, true).columns(body_of(simulated), samples, None)
         pulled = replace(samples, outputs=samples.outputs + 0.8 * pull[:, :, 0])
-        found = diagnose(body_of(simulated), pulled, only=('magnet', 'viscous_drag', 'sensor_drift'))
-        assert [finding.effect.kind for finding in found.findings] == ['magnet']
+        found = diagnose(body_of(simulated), pulled, only=(kind.kind, 'viscous_drag', 'sensor_drift'))
+        assert [finding.effect.kind for finding in found.findings] == [kind.kind]
         assert found.findings[0].parameters['pull'].value == pytest.approx(0.8, rel=0.1)
+        assert dict(found.findings[0].effect.shape) == pytest.approx(true, abs=0.02)
     finally:
         registry._all_kinds.cache_clear()
 

@@ -200,6 +200,15 @@ def test_two_hundred_thousand_updates_at_a_regularisation_of_1e_minus_10():
     np.testing.assert_allclose(unknowns(ours), expected, rtol=1e-6, atol=1e-6)
 
 
+def test_without_features_it_forgets_for_as_long_as_it_runs():
+    """Nothing is inflated where nothing is: the weight array of no features once ended after 1374 samples at 0.99."""
+    phi, columns, outputs = problem(4, 3000, 2, 0, 3)
+    model = run(SemiParametricRecursion(2, 0, np.ones(3), 1.0, 0.1, forgetting=0.99), phi, columns, outputs)
+    weights = 0.99 ** np.arange(len(outputs) - 1, -1, -1)[:, None]
+    rows, right = (weights[:, None]**0.5 * columns).reshape(-1, 3), (weights**0.5 * outputs).ravel()
+    np.testing.assert_allclose(model.theta, np.linalg.lstsq(rows, right, rcond=None)[0], atol=5e-3)
+
+
 def test_a_saved_state_continues_bit_for_bit():
     phi, columns, outputs = problem(4, 80, 3, 6, 4)
     one = SemiParametricRecursion(3, 6, np.ones(4), 1.0, 0.2, forgetting=0.97)

@@ -151,9 +151,9 @@ class SemiParametricRecursion:
         would grow without bound while the robot stands still, and the model would burst when it moves again. Each
         renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves.
         """
-        self._weights.inflate(1.0 / np.sqrt(self.forgetting))
         self._information *= np.sqrt(self.forgetting)
         if self.n_features:
+            self._weights.inflate(1.0 / np.sqrt(self.forgetting))
             self._renew_weight(self._renewed % self.n_features)
         if self.n_columns:
             self._renew_coefficient(self._renewed % self.n_columns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -59,7 +59,17 @@ class Samples:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def __getitem__(self, index: slice | Array | Stamps) -> Samples:
+    @overload
+    def __getitem__(self, index: int) -> Sample: ...
+
+    @overload
+    def __getitem__(self, index: slice | Array | Stamps) -> Samples: ...
+
+    def __getitem__(self, index: int | slice | Array | Stamps) -> Sample | Samples:
+        """One sample by its number; some of them by a slice, a mask or an array of numbers."""
+        if isinstance(index, int | np.integer):
+            return Sample(int(self.stamps[index]), self.position[index], self.velocity[index],
+                          self.acceleration[index], self.outputs[index])
         return replace(self, stamps=self.stamps[index], position=self.position[index], velocity=self.velocity[index],
                        acceleration=self.acceleration[index], outputs=self.outputs[index])
 

@@ -167,7 +167,12 @@ def _bracket(state: Fit, effect: Effect, name: str) -> tuple[float, float]:
         return value - width, value + width
     if name == 'order':
         return value - 0.15, value + 0.15
-    return value / 2.5, value * 2.5
+    if value == 0.0:  # nothing to take a share of: as far as the next value that the search tried
+        tried = (abs(shape.get(name, 0.0)) for shape in
+                 effect.searches(state.body, state.samples, effect.where, state.residual))
+        reach = min(filter(None, tried), default=0.0)
+        return -reach, reach
+    return min(value / 2.5, value * 2.5), max(value / 2.5, value * 2.5)
 
 
 def _calibrated(state: Fit, trial: Trial) -> Trial:
