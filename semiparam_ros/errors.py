@@ -1,4 +1,8 @@
-"""The one exception that a user's mistake or a damaged input becomes."""
+"""The one exception that a user's mistake or a damaged input becomes, and how its sentence stays readable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
 
 
 class SemiparamError(ValueError):
@@ -6,3 +10,17 @@ class SemiparamError(ValueError):
 
     The command line prints it and exits with 2; the node logs it and counts it in its diagnostics.
     """
+
+
+def listed(names: Sequence[str], most: int = 8) -> str:
+    """Names for a sentence: all of them, or the first ones and how many more."""
+    if not names:
+        return 'none'
+    shown = [shortened(name, 60) for name in names[:most]]
+    return ', '.join(shown) + (f' and {len(names) - most} more' if len(names) > most else '')
+
+
+def shortened(text: str, most: int = 600) -> str:
+    """A text without its middle where it is too long to be read: what a stranger sent may stand in it."""
+    half = (most - 5) // 2
+    return text if len(text) <= most else f'{text[:half]} ... {text[-half:]}'

@@ -300,7 +300,7 @@ def test_feedforward_answers_a_desired_trajectory(client):
     client.outputs['desired_trajectory'].publish(JointTrajectory(joint_names=['a']))
     client.outputs['desired_trajectory'].publish(wish)
     client.wait(lambda: client.heard['feedforward_trajectory'], 'the answer')
-    desired = [Desired(estimator, 0, *sample[1:4]) for sample in samples[:3]]
+    desired = [Desired(estimator, *sample[1:4]) for sample in samples[:3]]
     np.testing.assert_allclose(client.values('feedforward'), [each.outputs for each in desired], rtol=0, atol=1e-9)
     efforts = [list(point.effort)[::-1] for point in client.heard['feedforward_trajectory'][0].points]
     np.testing.assert_allclose(efforts, [each.efforts for each in desired], rtol=0, atol=1e-9)

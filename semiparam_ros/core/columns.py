@@ -13,6 +13,8 @@ from semiparam_ros.core.types import Array
 
 OFFSET_PRIOR_SCALE = 100.0
 Memory = Any
+APPROACH_NS = 100_000_000
+"""How long a desired state has moved on at its own velocity, for what remembers the way travelled."""
 
 
 class Effect(Protocol):
@@ -20,6 +22,10 @@ class Effect(Protocol):
 
     Each method takes what the effect remembered of earlier samples (None at the start) where it needs a past.
     """
+
+    @property
+    def of_sensor(self) -> bool:
+        """Whether it changes only what the sensor shows, not what the arm needs."""
 
     @property
     def n_columns(self) -> int:
@@ -37,6 +43,39 @@ class Effect(Protocol):
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """(N, n, n_columns) further columns."""
+
+    def desired(self) -> Effect:
+        """The effect as it acts on a desired state, which is exact and belongs to no known time."""
+
+
+class Absent:
+    """Stands for an effect that does not act, with as many columns."""
+
+    of_sensor = False
+
+    def __init__(self, n_columns: int) -> None:
+        self.n_columns = n_columns
+
+    @property
+    def prior_scale(self) -> Array:
+        """(n_columns,) ones: nothing is learnt of it."""
+        return np.ones(self.n_columns)
+
+    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
+        """Nothing moves."""
+        return body, samples, None
+
+    def transform(self, body: RigidBody, regressors: Array) -> Array:
+        """Nothing changes."""
+        return regressors
+
+    def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        """(N, n, n_columns) zeros."""
+        return np.zeros((len(samples), body.n_outputs, self.n_columns)), None
+
+    def desired(self) -> Effect:
+        """Absent too."""
+        return self
 
 
 class CoupledColumns:
@@ -98,6 +137,26 @@ class CoupledColumns:
             added.append(remembered)
         offset = np.broadcast_to(self._offset, (len(samples), *self._offset.shape))
         return np.concatenate([psi, offset, *parts], axis=2), list(zip(corrected, added, strict=True))
+
+    def desired(self, position: Array, velocity: Array, acceleration: Array, now: int, origin: int,
+                ) -> tuple[Array, Array]:
+        """(n, p) columns of a desired state (n_joints,) as of ``now`` [ns]: as the sensor shows it, and of that what
+        the arm needs, without the sensor's offset and effects.
+
+        The state has no past. What remembers the way travelled (hysteresis, play, presliding) starts at rest and
+        follows a straight way at the state's own velocity, so nothing measured mixes with it and it stays bounded.
+        """
+        rows = Samples(np.array([now - APPROACH_NS, now]),
+                       np.array([position - APPROACH_NS * 1e-9 * velocity, position]), np.array([velocity] * 2),
+                       np.array([acceleration] * 2), np.full((2, self.body.n_outputs), np.nan), origin)
+        acting = [effect.desired() for effect in self.effects]
+        shown = CoupledColumns(self.body, acting).batch(rows)[0][-1]
+        needed = shown.copy()
+        if any(effect.of_sensor for effect in self.effects):
+            own = [Absent(effect.n_columns) if effect.of_sensor else effect for effect in acting]
+            needed = CoupledColumns(self.body, own).batch(rows)[0][-1]
+        needed[:, self.blocks['offset']] = 0.0
+        return shown, needed
 
     def corrected(self, samples: Samples, past: Sequence[Memory] = ()) -> tuple[RigidBody, Samples, list[Memory]]:
         """Body and inputs after the corrections of every effect, and what they remember of them."""

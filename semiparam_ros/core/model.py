@@ -64,6 +64,13 @@ class Prediction(NamedTuple):
         return log_density(innovation, self.prior.covariance) - float(np.log(self.output_scale).sum())
 
 
+class DesiredOutputs(NamedTuple):
+    """What a desired motion brings about, (n,) each, in N and N m."""
+
+    shown: Array  # by the sensor
+    needed: Array  # by the arm: without the sensor's offset and effects
+
+
 class Remembered(NamedTuple):
     """A sample of the initial window with its coupled columns (n, p), in N and N m, as they were at the time."""
 
@@ -86,6 +93,7 @@ class Estimator:
         self.window: list[Remembered] = []
         self.input_scaling: tuple[Array, Array] | None = None
         self._origin: int | None = None
+        self._newest: int | None = None
         self._memory: Memory = None
         given = self.options.hyperparameters
         self.ready = given is not None
@@ -111,6 +119,24 @@ class Estimator:
         mean, std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
         return Prediction(mean, std, self.ready, None, sample, prior, learnt, fixed, scale, memory)
 
+    def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
+        """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
+
+        A desired state is exact and has no past, so its own time plays no part: see :meth:`CoupledColumns.desired`.
+        Raises SemiparamError when a value, or what follows from it, is not finite.
+        """
+        x = np.concatenate([position, velocity, acceleration])
+        require_finite('desired positions, velocities and accelerations', x)
+        origin = self._origin or 0
+        now = origin if self._newest is None else self._newest
+        shown, needed = self.columns.desired(position, velocity, acceleration, now, origin)
+        model = self.model
+        prior, _, fixed = model.predict(x, shown)
+        outputs = model.output_scale * (prior.mean + fixed)
+        of_sensor = (shown - needed) @ model.theta if len(model.theta) else np.zeros_like(outputs)
+        require_finite('predicted outputs of a desired state', outputs)
+        return DesiredOutputs(outputs, outputs - of_sensor)
+
     def observe(self, prediction: Prediction, learn: bool = True) -> HorizonErrors | None:
         """Charge the sample of the latest prediction to the horizon index, and learn it; the horizon it completed.
 
@@ -119,7 +145,7 @@ class Estimator:
         sample, recursion = prediction.sample, self.model.recursion
         require_finite('outputs', sample.outputs)
         self._origin = sample.stamp if self._origin is None else self._origin
-        self._memory = prediction.memory
+        self._newest, self._memory = sample.stamp, prediction.memory
         outputs = sample.outputs / self.model.output_scale
         complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)
         correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None

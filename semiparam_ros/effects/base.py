@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
+from semiparam_ros.core.columns import Effect as Acting
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -55,6 +56,7 @@ class Effect:
     may_start: ClassVar[bool] = False
     must_start: ClassVar[bool] = False
     of_one_recording: ClassVar[bool] = False
+    of_sensor: ClassVar[bool] = False
     refine_link: ClassVar[bool] = False
     calibrations: ClassVar[tuple[Coefficient, ...]] = ()
     shape_units: ClassVar[Mapping[str, str]] = {}
@@ -128,6 +130,15 @@ class Effect:
         if self.start_s is not None:
             columns = columns * (samples.time >= self.start_s)[:, None, None]
         return columns, memory
+
+    def desired(self) -> Acting:
+        """The effect as it acts on a desired state; as on any other, unless a kind says otherwise.
+
+        Such a state is exact, has no past, and is taken as of now: a start that was reached counts, and a drift stands
+        where it stands. A kind that concerns the time of a measurement, or a phase that nobody knows beforehand, is
+        :class:`~semiparam_ros.core.columns.Absent`.
+        """
+        return self
 
     def with_shape(self: Self, **values: float) -> Self:
         """The same effect with some nonlinear parameters changed."""

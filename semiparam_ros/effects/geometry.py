@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.columns import Absent, Memory
 from semiparam_ros.core.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
@@ -77,6 +77,10 @@ class TimeDelay(Effect):
         """
         step = float(np.median(np.diff(samples.stamps))) * 1e-9
         return abs(self.value('delay_s')) > self.least_step * step
+
+    def desired(self) -> Absent:
+        """A delay lies between two measurements; a desired state is not one."""
+        return Absent(self.n_columns)
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         past = _Past(samples.stamps, samples.position, samples.velocity, samples.acceleration)

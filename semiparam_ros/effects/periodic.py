@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.signal import find_peaks
 
-from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.columns import Absent, Memory
 from semiparam_ros.core.frames import frame_motion, loaded_links
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -36,6 +36,10 @@ class PeriodicDisturbance(Effect):
     @property
     def n_columns(self) -> int:
         return 2 * int(self.value('directions', 1.0))
+
+    def desired(self) -> Absent:
+        """Its phase when the state will be reached is not known; its mean over all of them is zero."""
+        return Absent(self.n_columns)
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:

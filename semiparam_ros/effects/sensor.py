@@ -21,6 +21,7 @@ class _ChannelEffect(Effect):
     """A function of time alone, with one coefficient for each channel."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)
+    of_sensor: ClassVar[bool] = True
     per: ClassVar[str] = ''
 
     @property
@@ -86,6 +87,7 @@ class _Calibration(Effect):
     """A matrix (6, 6) that multiplies the true wrench, the identity plus the calibrations."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)
+    of_sensor: ClassVar[bool] = True
 
     def matrix(self) -> Array:
         """(6, 6) reported wrench over true wrench."""

@@ -62,7 +62,7 @@ class EstimatorNode(Node):
         Services(self, self._live, self._the_learner)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor)
         DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
-                          lambda answer: self._guarded(answer, TRAJECTORY))
+                          lambda answer: self._guarded(answer, TRAJECTORY), later)
         self._watch_clock()
         self._robot.from_parameters()
 

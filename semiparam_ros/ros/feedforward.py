@@ -8,6 +8,7 @@ the same proximal links plus J'w_0. Hence
 
     tau = rnea(q, dq, ddq) + J(q)' (w - w_0).
 
+What is the sensor's own (its offset, a drift, gains) is no part of w: motors must not follow it.
 Joints distal of the sensor have no column in J: their torques stay those of the description.
 """
 
@@ -18,23 +19,25 @@ import pinocchio as pin
 
 from semiparam_ros.core.model import Estimator
 from semiparam_ros.core.rigid_body import RigidBody
-from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 
 
 class Desired:
-    """What one desired state takes: ``outputs`` (n,) as the sensor would show them, ``efforts`` (n_joints,) [N m]."""
+    """What one desired state takes, as of now: ``outputs`` (n,), and ``efforts`` (n_joints,) [N m] for the motors.
 
-    def __init__(self, estimator: Estimator, stamp: int, position: Array, velocity: Array, acceleration: Array) -> None:
+    A wrench is what the sensor will show, but for a bias that a tare took off. Efforts are what has to be commanded;
+    the outputs of an effort model are these.
+    """
+
+    def __init__(self, estimator: Estimator, position: Array, velocity: Array, acceleration: Array) -> None:
         """Raises SemiparamError when a value is not finite. Nothing is learnt."""
         body = estimator.body
-        unknown = np.full(body.n_outputs, np.nan)
-        self.outputs = estimator.predict(Sample(stamp, position, velocity, acceleration, unknown)).mean
+        predicted = estimator.predict_desired(position, velocity, acceleration)
         if body.outputs == 'effort':
-            self.efforts = self.outputs
+            self.outputs = self.efforts = predicted.needed
         else:
-            wrench = self.outputs - sensor_offset(estimator)
-            self.efforts = joint_torques(body, position, velocity, acceleration, wrench)
+            self.outputs = predicted.shown
+            self.efforts = joint_torques(body, position, velocity, acceleration, predicted.needed)
 
 
 def joint_torques(body: RigidBody, position: Array, velocity: Array, acceleration: Array, wrench: Array) -> Array:
@@ -46,11 +49,3 @@ def joint_torques(body: RigidBody, position: Array, velocity: Array, acceleratio
     expected = body.full_regressor(position, velocity, acceleration) @ body.inertial_parameters
     difference = body.sign * (wrench - expected)
     return np.asarray((described + jacobian.T @ difference)[body.arm_columns])
-
-
-def sensor_offset(estimator: Estimator) -> Array:
-    """(n,) the constant that the model holds for the sensor's own; zero for a model without coupled columns."""
-    block = estimator.columns.blocks['offset']
-    if len(estimator.model.theta) < block.stop or block.stop == block.start:
-        return np.zeros(estimator.body.n_outputs)
-    return np.asarray(estimator.model.theta[block])
