@@ -1,5 +1,6 @@
 """The live node as a process, and a peer that talks to it over DDS."""
 
+import math
 import os
 import signal
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
+from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -137,6 +139,8 @@ class Client:
         self.outputs['wrench'].publish(message)
 
     def accelerations(self, sample, joints):
+        if 'joint_accelerations' not in self.outputs:
+            return
         point = JointTrajectoryPoint(accelerations=sample.acceleration.tolist())
         message = JointTrajectory(joint_names=list(joints), points=[point])
         set_stamp(message.header.stamp, sample.stamp)
@@ -226,6 +230,29 @@ class Client:
         self.executor.remove_node(self.node)
         self.node.destroy_node()
         try_shutdown(context=self.context)
+
+
+class Robot:
+    """A motion that goes on from one ``move`` to the next, and the check that each of its samples is answered once."""
+
+    def __init__(self, client, samples, joints):
+        self.client, self.samples, self.joints, self.played = client, samples, joints, 0
+
+    def move(self, count):
+        """So many samples, each answered in order by finite numbers."""
+        self.client.play(self.samples[self.played:self.played + count], self.joints)
+        self.played += count
+        assert self.client.stamps('residual') == [sample.stamp for sample in self.samples[:self.played]]
+        for topic in ('predicted_wrench', 'predicted_wrench_std'):
+            self.client.wait(lambda topic=topic: len(self.client.heard[topic]) >= self.played, topic)
+            numbers = (value for message in self.client.heard[topic][-count:] for value in values_of(message))
+            assert all(math.isfinite(number) for number in numbers)
+
+
+def resident_mb(process_id):
+    """Memory that a process holds now [MB]."""
+    status = Path(f'/proc/{process_id}/status').read_text()
+    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith('VmRSS')) / 1024
 
 
 def messages(values):

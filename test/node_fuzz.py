@@ -18,10 +18,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from node_client import RECENT, Client, NodeProcess, stamp_of, values_of
+from node_client import RECENT, Client, NodeProcess, resident_mb, stamp_of, values_of
 from node_faults import Fuzzer, with_gaps
 from node_helpers import JOINTS, SETTINGS, URDF, motion
-from node_mischief import Mischief
+from node_invalid_requests import InvalidRequests
 from std_msgs.msg import String
 
 from semiparam_ros.ros.reports import PERIOD_S
@@ -106,13 +106,13 @@ def fuzz(folder, options):
     with Pair(folder, settings) as pair:
         fuzzed, spared = pair.clients
         fuzzer = Fuzzer(fuzzed, JOINTS, samples[0].stamp, options.seed)
-        mischief = Mischief(fuzzed, pair.states[0], options.seed)
-        mischief.before_the_robot_is_known()
+        invalid_requests = InvalidRequests(fuzzed, pair.states[0], options.seed)
+        invalid_requests.before_the_robot_is_known()
         for client in pair.clients:
             client.outputs['robot_description'].publish(String(data=URDF))
             client.wait(lambda node=client.node: node.count_publishers('estimator/residual'), 'the answers')
             client.get('variant')
-        mischief.wait_until_open(pair.clients)
+        invalid_requests.wait_until_open(pair.clients)
         chance, start = random.Random(options.seed), time.monotonic()
         for index, sample in enumerate(samples):
             time.sleep(max(0.0, start + index / options.rate - time.monotonic()))
@@ -120,20 +120,20 @@ def fuzz(folder, options):
             for publish in (spared.state, spared.accelerations):
                 publish(sample, JOINTS)
             spared.wrench(sample)
-            mischief.throw(index, sample)
+            invalid_requests.throw(index, sample)
             if index % CHECK_EVERY == CHECK_EVERY - 1:
                 pair.compare(index + 1)
         took = time.monotonic() - start
         pair.compare(len(samples))
-        mischief.finish()
-        counted = counts_of(fuzzed, {**fuzzer.refusals(), **mischief.refusals()})
+        invalid_requests.finish()
+        counted = counts_of(fuzzed, {**fuzzer.refusals(), **invalid_requests.refusals()})
         alive, same = [node.process.poll() is None for node in pair.nodes], pair.parameters_equal()
         apart, numbers = pair.states_apart()
         codes = pair.stop()
         log = pair.nodes[0].output
-    return {'samples': len(samples), 'took_s': took, 'fuzzer': fuzzer, 'mischief': mischief, 'counted': counted,
-            'memory': pair.memory, 'alive': alive, 'codes': codes, 'worst': pair.worst, 'apart': apart,
-            'numbers': numbers, 'parameters equal': same,
+    return {'samples': len(samples), 'took_s': took, 'fuzzer': fuzzer, 'invalid_requests': invalid_requests,
+            'counted': counted, 'memory': pair.memory, 'alive': alive, 'codes': codes,
+            'worst': pair.worst, 'apart': apart, 'numbers': numbers, 'parameters equal': same,
             'internal': log.count('internal error') + log.count('Traceback')}
 
 
@@ -147,18 +147,18 @@ def counts_of(client, wanted):
 
 def tell(found):
     """Print it; True when all is as it must be."""
-    fuzzer, mischief, memory = found['fuzzer'], found['mischief'], np.array(found['memory'])
-    thrown = fuzzer.thrown + mischief.thrown
+    fuzzer, invalid_requests, memory = found['fuzzer'], found['invalid_requests'], np.array(found['memory'])
+    thrown = fuzzer.thrown + invalid_requests.thrown
     print(f'{found["samples"]} good samples in {found["took_s"]:.0f} s '
           f'({found["samples"] / found["took_s"]:.1f} Hz) to each of two nodes, all answered by both.\n')
     print('| thrown | times | answer |\n|---|---|---|')
     for name in [*fuzzer.kinds, *sorted(thrown.keys() - fuzzer.kinds.keys())]:
-        reason = fuzzer.kinds[name][0] if name in fuzzer.kinds else mischief.answers.get(name, 'answered')
+        reason = fuzzer.kinds[name][0] if name in fuzzer.kinds else invalid_requests.answers.get(name, 'answered')
         print(f'| {name} | {thrown[name]} | {f"`{reason}`" if reason in found["counted"] else reason} |')
     print(f'\n{sum(thrown.values())} altogether. Counted by the node, and thrown:')
     for reason, (counted, wanted) in sorted(found['counted'].items()):
         print(f'    {reason:20}{counted:8}{wanted:8}{"" if counted == wanted else "   DIFFERENT"}')
-    for sentence in mischief.wrong:
+    for sentence in invalid_requests.wrong:
         print(f'NOT REFUSED AS IT MUST BE: {sentence}')
     early = memory[min(len(memory) - 1, len(memory) // 10)]
     for name, start, first, middle, end in zip(('fuzzed', 'spared'), memory[0], early, memory[len(memory) // 2],
@@ -170,14 +170,9 @@ def tell(found):
     print('largest difference from the node that got only the good samples: '
           + ', '.join(f'{worst:.1e} ({topic})' for topic, worst in found['worst'].items())
           + f', {found["apart"]:.1e} (saved state, {found["numbers"]} numbers)')
-    return (all(found['alive']) and found['codes'] == [0, 0] and not found['internal'] and not mischief.wrong
+    return (all(found['alive']) and found['codes'] == [0, 0] and not found['internal'] and not invalid_requests.wrong
             and found['parameters equal'] and all(counted == wanted for counted, wanted in found['counted'].values())
             and max(*found['worst'].values(), found['apart']) == 0.0 and memory[-1][0] < early[0] + 10.0)
-
-
-def resident_mb(process_id):
-    status = Path(f'/proc/{process_id}/status').read_text()
-    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith('VmRSS')) / 1024
 
 
 def main(argv=None):

@@ -53,7 +53,7 @@ NO_DESCRIPTIONS = {
 SERVICES = ('reset', 'tare', 'save_state', 'load_state', 'diagnose', 'apply_diagnosis')
 
 
-class Mischief:
+class InvalidRequests:
     """Throws by a seed what must be refused; ``wrong`` holds what was not."""
 
     def __init__(self, client, state_file, seed):
