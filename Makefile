@@ -10,17 +10,18 @@ SUITS := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:
 CANDIDATES := python3 python3.12 python3.13 python3.11 python3.10
 PYTHON ?= $(firstword $(foreach name,$(CANDIDATES),$(shell $(name) -c '$(SUITS)' >/dev/null 2>&1 && echo $(name))))
 
-.PHONY: setup test lint demo clean
+.PHONY: setup test coverage oldest lint demo clean
 
 setup: $(STAMP)
 
-$(STAMP): setup.py setup.cfg Makefile
+$(STAMP): pyproject.toml setup.py setup.cfg Makefile
 	@test -x $(BIN)/python || test -n "$(PYTHON)" || \
 	    { echo 'make: no python3 of version 3.10 to 3.13 with the venv module was found (make setup PYTHON=...)' >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip 'setuptools<80' wheel
 	@# setuptools warns of the source tree in every editable installation
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,dask]'
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
+	    --editable '.[test,dask]'
 	@touch $@
 
 lint: setup
@@ -30,9 +31,28 @@ lint: setup
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST)
 
+# The whole suite again, with the lines and branches that it reaches, those in other processes among them.
+coverage: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term $(PYTEST)
+
+# The oldest versions that pyproject.toml allows, in an environment of their own. pip would not choose a numpy before 2,
+# because pin's wheels declare none; Ubuntu 24.04 has one beside its own pinocchio, and the wheels work with it.
+OLDEST := .venv-oldest
+OLDEST_PYTHON ?= 3.10
+oldest: setup
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	$(BIN)/uv venv --quiet --clear --seed --python $(OLDEST_PYTHON) $(OLDEST)
+	echo 'numpy>=1.26,<2' >$(OLDEST)/overrides.txt
+	$(BIN)/uv pip install --quiet --python $(OLDEST)/bin/python --overrides $(OLDEST)/overrides.txt \
+	    --resolution lowest-direct --requirements pyproject.toml --extra rosbags
+	$(BIN)/uv pip install --quiet --python $(OLDEST)/bin/python --overrides $(OLDEST)/overrides.txt \
+	    pytest pytest-timeout hypothesis idyntree mujoco tomli
+	$(BIN)/uv pip list --quiet --python $(OLDEST)/bin/python --exclude-editable | grep -Ev '^(ros-|cmeel)'
+	PYTHONPATH=. $(OLDEST)/bin/python -m pytest --quiet -p no:cacheprovider -m 'not slow' $(OLDEST_SKIPS) $(PYTEST)
+
 demo: setup
 	@$(BIN)/python -m semiparam_ros.cli.demo
 
 clean:
-	rm -rf $(VENV) build install log output *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OLDEST) .coverage* build install log output *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

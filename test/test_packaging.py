@@ -7,21 +7,29 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import xml.etree.ElementTree as ElementTree
+import zipfile
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 import semiparam_ros
 from semiparam_ros.cli.main import COMMANDS
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PROGRAMS = ('semiparam', 'estimator', 'bag_replay')
-SOURCES = ('setup.py', 'setup.cfg', 'pyproject.toml', 'package.xml', 'LICENSE', 'MANIFEST.in', 'semiparam_ros',
-           'resource', 'config', 'launch', 'bags', 'scripts', 'test')
+SKIPPED = ('.*', '__pycache__', '*.egg-info', 'build', '_build', 'install', 'log', 'output')
+"""Hidden files, and what tools leave behind."""
 
-# rosdep's name for each Python package; None where rosdep has none, with the reason.
+# rosdep's name for each Python package; None where rosdep has none, or only one that installs with pip, on which a
+# package that is released into a ROS distribution must not depend.
 ROSDEP = {
     'ros-jazzy-rclpy': ('rclpy', 'rmw_fastrtps_cpp'),
     'ros-jazzy-common-interfaces': ('sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'trajectory_msgs',
@@ -29,11 +37,11 @@ ROSDEP = {
     'numpy': 'python3-numpy',
     'scipy': 'python3-scipy', 'scikit-learn': 'python3-sklearn',
     'pin': 'pinocchio',
-    'mcap': None,  # comes with mcap-ros2-support
+    'mcap': None,  # pip alone
     'zstandard': None,  # comes with mcap
     'lz4': None,  # comes with mcap
-    'mcap-ros2-support': 'mcap-ros2-support',
-    'rosbags': 'python3-rosbags-pip',
+    'mcap-ros2-support': None,  # pip alone
+    'rosbags': None,  # pip alone
     'rich': 'python3-rich',
     'matplotlib': 'python3-matplotlib',
     'joblib': 'python3-joblib',
@@ -44,7 +52,8 @@ ROSDEP = {
     'pytest-xdist': 'python3-pytest-xdist',
     'pytest-timeout': 'python3-pytest-timeout',
     'hypothesis': 'python3-hypothesis',
-    'ruff': 'python3-ruff-pip',
+    'pytest-cov': None,  # `make coverage` alone
+    'ruff': None,  # pip alone
     'mypy': 'python3-mypy',
     'types-pyyaml': 'python3-types-pyyaml',
     'idyntree': None,  # not released into Jazzy: its tests skip there
@@ -52,16 +61,18 @@ ROSDEP = {
     'cyclonedds': None,  # Jazzy has the C library alone; its tests skip without the wheel
     'colcon-common-extensions': 'python3-colcon-common-extensions',
     'setuptools': 'python3-setuptools',
+    'tomli': None,  # Jazzy's Python reads TOML itself
 }
 
 
 def declared() -> dict[str, list[str]]:
-    """REQUIRES, and the extras by name, as setup.py states them."""
-    constants = {}
-    for statement in ast.parse((REPOSITORY / 'setup.py').read_text()).body:
-        if isinstance(statement, ast.Assign) and statement.targets[0].id in ('REQUIRES', 'EXTRAS'):
-            constants[statement.targets[0].id] = ast.literal_eval(statement.value)
-    return {'': constants['REQUIRES'], **constants['EXTRAS']}
+    """The dependencies under '', and the extras by name, as pyproject.toml states them."""
+    project = pyproject()['project']
+    return {'': project['dependencies'], **project['optional-dependencies']}
+
+
+def pyproject() -> dict:
+    return tomllib.loads((REPOSITORY / 'pyproject.toml').read_text())
 
 
 def plain(requirement: str) -> str:
@@ -78,29 +89,43 @@ def keys(*tags: str) -> set[str]:
 
 
 def wanted_keys(requirements: list[str]) -> set[str]:
-    found = [ROSDEP[plain(requirement)] for requirement in requirements]
+    found = [ROSDEP[plain(requirement)] for requirement in requirements if plain(requirement) != 'semiparam_ros']
     return {key for entry in found if entry for key in ([entry] if isinstance(entry, str) else entry)}
 
 
-def test_package_xml_declares_what_setup_py_requires():
+def test_package_xml_declares_what_pyproject_requires():
     assert wanted_keys(declared()['']) <= keys('exec_depend')
     assert wanted_keys(declared()['test']) <= keys('exec_depend', 'test_depend')
 
 
-def test_package_xml_declares_no_python_package_that_setup_py_lacks():
-    python = {key for key in keys('exec_depend', 'test_depend') if key.startswith('python3-') or key.endswith('-pip')}
+def test_package_xml_declares_no_python_package_that_pyproject_lacks():
+    python = {key for key in keys('exec_depend', 'test_depend') if key.startswith('python3-')}
     assert python <= wanted_keys([*declared()[''], *declared()['test']])
+
+
+def test_package_xml_depends_on_no_key_that_installs_with_pip():
+    every = {element.text for element in manifest() if element.tag.endswith('depend')}
+    assert not [key for key in every if key.endswith('-pip') or key == 'mcap-ros2-support']
+
+
+def test_every_dependency_has_a_lower_bound():
+    """An old numpy would otherwise let pip choose pin 2.7, with which nothing works."""
+    unbounded = [each for each in [*declared()[''], *declared()['rosbags'], *declared()['dask']] if '>=' not in each]
+    assert unbounded == []
 
 
 def test_versions_and_licence_agree():
     assert manifest().findtext('version') == semiparam_ros.__version__
+    assert f'\n{semiparam_ros.__version__} ' in (REPOSITORY / 'CHANGELOG.rst').read_text()
+    assert f'\nversion: {semiparam_ros.__version__}\n' in (REPOSITORY / 'CITATION.cff').read_text()
     assert manifest().findtext('license') == 'Apache-2.0'
     assert 'Apache License' in (REPOSITORY / 'LICENSE').read_text()[:200]
 
 
-@pytest.mark.parametrize('folder, extras', [('semiparam_ros', ['', 'dask']), ('test', ['', 'test', 'dask'])])
+@pytest.mark.parametrize('folder, extras', [('semiparam_ros', ['', 'rosbags', 'dask']),
+                                            ('test', ['', 'rosbags', 'test', 'dask'])])
 def test_every_import_is_declared(folder, extras):
-    """Each distribution that is imported is in setup.py, or is what ros-jazzy-... stands for."""
+    """Each distribution that is imported is in pyproject.toml, or is what ros-jazzy-... stands for."""
     sources = list((REPOSITORY / folder).rglob('*.py'))
     imported = {name.split('.')[0] for path in sources for name in imports(path)}
     outside = imported - {'semiparam_ros', *sys.stdlib_module_names, *(path.stem for path in sources)}
@@ -128,17 +153,22 @@ def optional() -> set[str]:
     return {'distributed', 'dask', 'launch_ros'}
 
 
+@pytest.mark.slow
+def test_the_distributions_hold_every_file(tmp_path):
+    """The wheel holds the whole package, and the source distribution whatever a clone holds."""
+    source = copy_sources(tmp_path / 'source')
+    files = {str(path.relative_to(source)) for path in source.rglob('*') if path.is_file()}
+    for build in ('build_sdist', 'build_wheel'):
+        run(sys.executable, '-c', f'from setuptools.build_meta import {build}; {build}({str(tmp_path)!r})', cwd=source)
+    with tarfile.open(next(tmp_path.glob('*.tar.gz'))) as archive:
+        assert files - {name.partition('/')[2] for name in archive.getnames()} == set()
+    with zipfile.ZipFile(next(tmp_path.glob('*.whl'))) as archive:
+        assert {name for name in files if name.startswith('semiparam_ros/')} - set(archive.namelist()) == set()
+
+
 def copy_sources(target: Path) -> Path:
     """A clean copy of what the package is built from: building in place would leave traces in the checkout."""
-    target.mkdir(parents=True)
-    skip = shutil.ignore_patterns('__pycache__', '*.egg-info', '.*cache')
-    for name in SOURCES:
-        source = REPOSITORY / name
-        if source.is_dir():
-            shutil.copytree(source, target / name, symlinks=True, ignore=skip)
-        elif source.exists():
-            shutil.copy(source, target / name)
-    return target
+    return shutil.copytree(REPOSITORY, target, symlinks=True, ignore=shutil.ignore_patterns(*SKIPPED))
 
 
 def run(*command: object, **options) -> str:
@@ -172,8 +202,11 @@ def test_pip_puts_the_programs_into_bin(prefix):
 
 @pytest.mark.slow
 def test_pip_installs_its_own_copy_with_the_data(prefix):
-    where = run(prefix / 'bin/python', '-c', 'import semiparam_ros; print(semiparam_ros.__file__)', cwd=prefix)
+    where = run(prefix / 'bin/python', '-c', 'import semiparam_ros; print(semiparam_ros.__file__)', cwd=prefix,
+                env=environment())
     assert Path(where.strip()).is_relative_to(prefix)
+    told = 'from importlib.metadata import version; print(version("semiparam_ros"))'
+    assert run(prefix / 'bin/python', '-c', told, cwd=prefix, env=environment()).strip() == semiparam_ros.__version__
     share = prefix / 'share/semiparam_ros'
     for folder in ('config', 'launch', 'bags'):
         shipped = {path.name for path in (REPOSITORY / folder).rglob('*') if path.is_file() and path.suffix != '.pyc'}

@@ -1,4 +1,7 @@
-"""sqlite3 bags of rosbag2 and bags of ROS 1, read with ``rosbags`` and handed on as CDR of ROS 2 types."""
+"""sqlite3 bags of rosbag2 and bags of ROS 1, read with ``rosbags`` and handed on as CDR of ROS 2 types.
+
+``rosbags`` is an optional dependency: only :mod:`semiparam_ros.bags.reader` imports this module, when it is needed.
+"""
 
 from __future__ import annotations
 
@@ -126,13 +129,3 @@ def _refuse_cut_database(path: Path) -> None:
         if file.stat().st_size < expected:
             raise SemiparamError(f'{str(file)!r} cannot be read as a rosbag2 bag: it is cut off, {expected} bytes were '
                                  f'expected and {file.stat().st_size} are there.')
-
-
-def is_sqlite(path: Path, magic: bytes) -> bool:
-    """Whether a file is sqlite by its first bytes, or by its name where those are damaged."""
-    return magic.startswith(b'SQLite format 3\x00') or path.suffix == '.db3'
-
-
-def is_ros1(path: Path, magic: bytes) -> bool:
-    """Whether a file is a ROS 1 bag by its first bytes, or by its name where those are damaged."""
-    return magic.startswith(b'#ROSBAG') or path.suffix == '.bag'

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from semiparam_ros.bags import readings
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.alignment import SampleStream
-from semiparam_ros.bags.base import BagReader
-from semiparam_ros.bags.losses import Losses
-from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.core.kinematics import CausalDifferentiator
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.robot_description import moving_joints, robot_description
 from semiparam_ros.settings.table import Table
+
+if TYPE_CHECKING:
+    from semiparam_ros.bags.base import BagReader
+    from semiparam_ros.bags.losses import Losses
 
 
 class Topics(NamedTuple):
@@ -48,6 +49,8 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
 
     A bag without a topic that ``settings`` need, or with no sample at all, raises SemiparamError.
     """
+    from semiparam_ros.bags.reader import open_bag  # the node, which shares this module, reads no bags
+
     topics = topics or Topics()
     with open_bag(path) as bag:
         measured = measured_accelerations(settings, topics.accelerations in bag.topics)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from semiparam_ros.bags.base import BagReader, Message, TopicInfo
-from semiparam_ros.bags.foreign_reader import Ros1Bag, SqliteBag, is_ros1, is_sqlite
 from semiparam_ros.bags.losses import Losses
 from semiparam_ros.bags.mcap_reader import McapBag, is_mcap
 from semiparam_ros.bags.merging import MergedBag
@@ -51,9 +52,9 @@ def _open_file(path: Path) -> BagReader:
     if is_mcap(path, magic):
         return McapBag(path)
     if is_sqlite(path, magic):
-        return SqliteBag(path)
+        return _sqlite_bag(path)
     if is_ros1(path, magic):
-        return Ros1Bag(path)
+        return _ros1_bag(path)
     raise SemiparamError(f'{str(path)!r} is no bag: expected an MCAP file, a rosbag2 directory, a .db3 file or a '
                          'ROS 1 .bag.')
 
@@ -69,7 +70,7 @@ def _open_directory(path: Path) -> BagReader:
     if not files:
         raise SemiparamError(f'{str(path)!r} is no bag: expected a directory with metadata.yaml, .mcap or .db3 files.')
     if packed or (description and files[0].suffix == '.db3'):
-        return SqliteBag(path)
+        return _sqlite_bag(path)
     return MergedBag(path, [_open_file(file) for file in files])
 
 
@@ -79,3 +80,37 @@ def _metadata(path: Path) -> dict[str, Any]:
         return dict(yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information'])
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError):
         return {}
+
+
+def is_sqlite(path: Path, magic: bytes) -> bool:
+    """Whether a file is sqlite by its first bytes, or by its name where those are damaged."""
+    return magic.startswith(b'SQLite format 3\x00') or path.suffix == '.db3'
+
+
+def is_ros1(path: Path, magic: bytes) -> bool:
+    """Whether a file is a ROS 1 bag by its first bytes, or by its name where those are damaged."""
+    return magic.startswith(b'#ROSBAG') or path.suffix == '.bag'
+
+
+def _sqlite_bag(path: Path) -> BagReader:
+    with _needs_rosbags(path, 'rosbag2 bag'):
+        from semiparam_ros.bags.foreign_reader import SqliteBag
+    return SqliteBag(path)
+
+
+def _ros1_bag(path: Path) -> BagReader:
+    with _needs_rosbags(path, 'ROS 1 bag'):
+        from semiparam_ros.bags.foreign_reader import Ros1Bag
+    return Ros1Bag(path)
+
+
+@contextmanager
+def _needs_rosbags(path: Path, kind: str) -> Iterator[None]:
+    """Turn the import error of a missing ``rosbags`` into one sentence; any other import error passes."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name != 'rosbags':
+            raise
+        raise SemiparamError(f"{str(path)!r} is a {kind} that only the Python package 'rosbags' reads, which is not "
+                             'installed: pip install rosbags.') from error

@@ -1,18 +1,19 @@
 """Message definitions of ROS 2 Jazzy by type name, and the CDR codec that they give.
 
-The definitions come from the type store of ``rosbags``; encoding and decoding is ``mcap-ros2-support`` for every
-kind of bag, so that a message looks the same whichever file it came from.
+``jazzy_types.json`` holds the definitions; ``mcap-ros2-support`` encodes and decodes for every kind of bag, so that
+a message looks the same whichever file it came from.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
-from rosbags.typesys import Stores, get_types_from_idl, get_typestore
-from rosbags.typesys.store import Typestore
 
 from semiparam_ros.errors import SemiparamError
 
@@ -30,10 +31,18 @@ class Schema(NamedTuple):
 UNKNOWN = Schema('', '')
 
 
+class JazzyType(NamedTuple):
+    """The full definition of a type, those it is made of included, and its RIHS01 hash."""
+
+    definition: str
+    hash: str
+
+
 @cache
-def jazzy_types() -> Typestore:
-    """The message types of ROS 2 Jazzy."""
-    return get_typestore(Stores.ROS2_JAZZY)
+def jazzy_types() -> dict[str, JazzyType]:
+    """The message types of ROS 2 Jazzy by name."""
+    text = Path(__file__).with_name('jazzy_types.json').read_text(encoding='utf-8')
+    return {name: JazzyType(**entry) for name, entry in json.loads(text).items()}
 
 
 def full_type(name: str) -> str:
@@ -44,7 +53,7 @@ def full_type(name: str) -> str:
 
 def is_jazzy_type(type_name: str) -> bool:
     """Whether ROS 2 Jazzy's common interfaces define ``type_name``."""
-    return full_type(type_name) in jazzy_types().fielddefs
+    return full_type(type_name) in jazzy_types()
 
 
 @cache
@@ -53,26 +62,28 @@ def jazzy_schema(type_name: str) -> Schema:
     if not is_jazzy_type(type_name):
         raise SemiparamError(f'message type {type_name!r} is unknown: expected one of ROS 2 Jazzy, '
                              "for example 'sensor_msgs/msg/JointState'.")
-    return Schema('ros2msg', jazzy_types().generate_msgdef(full_type(type_name), ros_version=2)[0])
+    return Schema('ros2msg', jazzy_types()[full_type(type_name)].definition)
 
 
 @cache
 def type_hash(type_name: str) -> str:
     """The RIHS01 hash of a Jazzy type, '' for other types."""
-    return jazzy_types().hash_rihs01(full_type(type_name)) if is_jazzy_type(type_name) else ''
+    return jazzy_types()[full_type(type_name)].hash if is_jazzy_type(type_name) else ''
 
 
 @cache
 def message_text(type_name: str, schema: Schema) -> str | None:
-    """The definition as .msg text: the bag's own, else Jazzy's, else None."""
+    """The definition as .msg text: the bag's own, else Jazzy's, else None. IDL needs ``rosbags``."""
     if schema.encoding == 'ros2msg' and schema.text:
         return schema.text
-    if schema.encoding == 'ros2idl' and schema.text:
+    if schema.encoding == 'ros2idl' and schema.text and find_spec('rosbags'):
         return _text_from_idl(type_name, schema.text)
     return jazzy_schema(type_name).text if is_jazzy_type(type_name) else None
 
 
 def _text_from_idl(type_name: str, text: str) -> str:
+    from rosbags.typesys import Stores, get_types_from_idl, get_typestore
+
     store = get_typestore(Stores.EMPTY)
     parts = [part.split('\n', 1)[-1] if part.startswith('IDL: ') else part for part in text.split('=' * 80 + '\n')]
     for part in filter(str.strip, parts):

@@ -20,6 +20,10 @@ from semiparam_ros.errors import SemiparamError
 
 COMMANDS = ('run', 'replay', 'evaluate', 'fit', 'compare', 'diagnose', 'simulate', 'convert', 'bench', 'record')
 
+DISTRIBUTIONS = {'mcap': 'mcap-ros2-support', 'mcap_ros2': 'mcap-ros2-support', 'pinocchio': 'pin',
+                 'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}
+"""What to install for a module whose distribution has another name."""
+
 FAILED, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
 
@@ -47,6 +51,8 @@ def main(argv: Sequence[str] | None = None, prog: str = 'semiparam') -> int:
     except OSError as error:
         name = f'{error.filename}: ' if error.filename else ''
         return _complain(prog, f'{name}{error.strerror or error}.', BAD_INPUT)
+    except ModuleNotFoundError as error:
+        return _unexpected(prog, error) if _ours(error) else _complain(prog, _missing(error), BAD_INPUT)
     except Exception as error:
         return _unexpected(prog, error)
 
@@ -114,6 +120,18 @@ def _complain(prog: str, sentence: str, code: int) -> int:
     """One sentence on standard error."""
     print(f'{prog}: {sentence}', file=sys.stderr)
     return code
+
+
+def _ours(error: ModuleNotFoundError) -> bool:
+    """Whether a module of this package is missing, which no user can mend."""
+    return (error.name or 'semiparam_ros').partition('.')[0] == 'semiparam_ros'
+
+
+def _missing(error: ModuleNotFoundError) -> str:
+    """apt cannot install every package that some commands need, so that an installation without them is no fault."""
+    module = str(error.name).partition('.')[0]
+    package = DISTRIBUTIONS.get(module, module)
+    return f"this command needs the Python package '{package}', which is not installed: pip install {package}."
 
 
 def _unexpected(prog: str, error: Exception) -> int:
