@@ -21,7 +21,7 @@ setup(
     python_requires='>=3.10',
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
-        # `colcon build --symlink-install` builds in a folder that holds this file, the package and the files named here.
+        # `colcon build --symlink-install` builds in a folder with this file, the package and what is named here.
         (SHARE, ['package.xml', 'pyproject.toml', 'README.md']),
         # What `ros2 run semiparam_ros evaluate` starts; kept out of bin, where names such as `convert` are taken.
         (f'lib/{NAME}', [str(path.relative_to(HERE)) for path in sorted((HERE / 'scripts').iterdir())]),
