@@ -13,8 +13,13 @@ from semiparam_ros.core.rigid_body import RigidBody
 class Nothing:
     """An effect without effect: what the others here start from."""
 
-    n_columns = 0
-    prior_scale = np.zeros(0)
+    scale = np.zeros(0)
+
+    def check(self, body):
+        pass
+
+    def prior_scale(self, body):
+        return self.scale
 
     def correct(self, body, samples, memory):
         return body, samples, memory
@@ -29,8 +34,7 @@ class Nothing:
 class Drift(Nothing):
     """Grows with the time since the origin: needs the origin, but no memory."""
 
-    n_columns = 6
-    prior_scale = np.full(6, 5.0)
+    scale = np.full(6, 5.0)
 
     def columns(self, body, samples, memory):
         return samples.time[:, None, None] * np.eye(6), None
@@ -39,8 +43,7 @@ class Drift(Nothing):
 class Travel(Nothing):
     """The distance that the joints have gone so far: remembers where they were and how far it was."""
 
-    n_columns = 6
-    prior_scale = np.ones(6)
+    scale = np.ones(6)
 
     def columns(self, body, samples, memory):
         distance, last = (0.0, samples.position[0]) if memory is None else memory

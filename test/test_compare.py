@@ -13,6 +13,7 @@ import pytest
 import recordings
 from recordings import FRAME, JOINTS, write_arm
 
+from semiparam_ros.cli.evaluate import load_bags
 from semiparam_ros.cli.main import main
 from semiparam_ros.core.hyperparameters import Hyperparameters
 from semiparam_ros.core.variants import VARIANTS
@@ -20,7 +21,8 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.report.comparison import parallel
 from semiparam_ros.report.comparison.figures import Spread, VariantFigures, index_figures, mode_figures
 from semiparam_ros.report.comparison.findings import findings_of, verdict
-from semiparam_ros.report.comparison.runs import Trace
+from semiparam_ros.report.comparison.runs import Trace, follow, learn
+from semiparam_ros.report.comparison.scenario import scenario_from
 from semiparam_ros.settings import Settings, dump_params, load_params
 
 INITIAL = 150
@@ -94,6 +96,20 @@ def test_it_is_the_estimator_of_evaluate(compare, folder):
         if mode == 'learning':
             early = compared['eps_force']['first_30_s']['mean']
             assert early == pytest.approx(evaluated['eps_force']['mean'], rel=1e-9)
+
+
+def test_the_time_of_an_effect_counts_from_the_recordings_start_in_every_part(folder):
+    """What begins after 3 s is there in the second part, which begins after 4 s, from its first sample on."""
+    scenarios = {}
+    for start, effect in ((3.0, 'external_force@r_hand{"start_s": 3}'), (0.0, 'external_force@r_hand')):
+        settings = Settings.from_mapping({**PARAMETERS, 'variant': 'P', 'effects': [effect]})
+        train, test = load_bags([folder / 'train.mcap', folder / 'test.mcap'], settings)
+        scenarios[start] = scenario_from(settings, train, test, subsets=2, variants=['P'], seeds=[0])
+    model = learn(scenarios[3.0], 'P', 0).model
+    always = model._replace(settings=replace(model.settings, effects=scenarios[0.0].settings.effects))
+    for subset, same in ((0, False), (1, True)):
+        late = follow(scenarios[3.0], model, subset).frozen.errors
+        assert np.array_equal(late, follow(scenarios[0.0], always, subset).frozen.errors) == same
 
 
 def test_several_processes_change_nothing(quick, compare):

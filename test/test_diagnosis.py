@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from arms import icub, smooth_motion
 
-from semiparam_ros.cli.diagnose import diagnose_bag
+from semiparam_ros.cli.diagnose import diagnose_bag, write_parameters
 from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.model import Estimator
 from semiparam_ros.diagnosis.blocks import BLOCKS, FOLDS, folds, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.candidates import added_columns, best_start
 from semiparam_ros.diagnosis.declaration import declare
@@ -24,12 +25,13 @@ from semiparam_ros.diagnosis.regression import fit
 from semiparam_ros.diagnosis.rivals import simplest
 from semiparam_ros.diagnosis.search import worth_refining
 from semiparam_ros.diagnosis.words import in_words
-from semiparam_ros.effects import Effect, effect_to_text, kinds
+from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.report.diagnosis_tables import relative_floor
 from semiparam_ros.report.scoreboard import body_of, samples_of
 from semiparam_ros.report.variants_with_effects import judge_variants
-from semiparam_ros.settings import load_params
+from semiparam_ros.ros import diagnosis_job
+from semiparam_ros.settings import Settings, load_params
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 
@@ -166,6 +168,27 @@ def test_a_payload_is_named_with_its_start_and_mass(payload):
     assert abs(mass.value - truth_of(PAYLOAD)['mass']) < 4.0 * mass.std
 
 
+def test_what_was_found_late_is_there_for_whoever_loads_the_file(payload, tmp_path):
+    twice = replace(payload, final=replace(payload.final, effects=(
+        *payload.final.effects, payload.final.effects[0].with_shape(start_s=45.0))))
+    for number, diagnosis in enumerate((payload, twice)):
+        write_parameters(tmp_path / f'{number}.yaml', Settings(sensor_frame='r_arm_ft_sensor'), diagnosis)
+        effects = [effect_from_text(text) for text in load_params(tmp_path / f'{number}.yaml').effects]
+        assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
+        fresh = Estimator(BODY, effects=effects)
+        assert np.abs(fresh.predict(samples_of(PAYLOAD)[0]).columns[:, -10:]).max() > 1.0
+
+
+def test_a_node_is_told_the_stamp_of_the_start_and_understands_it_again(payload):
+    effects = [effect_from_text(text) for text in diagnosis_job.declared(payload)]
+    stamp = payload.recorded.samples.origin + payload.final.effects[0].start_s * 1e9
+    assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
+    assert effects[0].start_stamp == pytest.approx(stamp, abs=1000)
+    again = found_in(PAYLOAD, effects=effects)
+    assert again.verdict == 'nothing_missing'
+    assert diagnosis_job.declared(again) == diagnosis_job.declared(payload)  # so that nothing is to be applied
+
+
 def test_a_joint_offset_is_named_with_its_joint_and_angle(joint_offset):
     first = joint_offset.findings[0]
     assert (first.effect.kind, first.effect.where, first.effect.start_s) == ('joint_offset', 'r_shoulder_yaw', None)
@@ -214,10 +237,6 @@ class Magnet(Effect):
     sentence = 'a magnet near the table pulls the hand'
     mistaken_for = ('cable_spring',)
     separated_by = 'motion farther from the table'
-
-    @property
-    def n_columns(self):
-        return 1
 
     def coefficients(self, body):
         from semiparam_ros.effects import Coefficient

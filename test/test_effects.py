@@ -90,9 +90,10 @@ def check_sentences(body: RigidBody, effect: Effect) -> None:
 def check_coefficients(body: RigidBody, effect: Effect) -> None:
     named = [*effect.coefficients(body), *effect.calibrations]
     assert len({name for name, _ in named}) == len(named) > 0
-    assert len(effect.coefficients(body)) == effect.n_columns == len(effect.prior_scale)
-    assert (effect.prior_scale > 0).all()
-    assert effect.is_calibration == (effect.n_columns == 0)
+    columns, _ = effect.columns(body, MOTION, None)
+    assert len(effect.coefficients(body)) == columns.shape[2] == len(effect.prior_scale(body))
+    assert (effect.prior_scale(body) > 0).all()
+    assert effect.is_calibration == (columns.shape[2] == 0)
     for name, unit in named:
         assert set(re.findall('[A-Za-z]+', unit)) <= UNITS, f'{name} [{unit}]'
 
@@ -142,7 +143,7 @@ def check_candidate_columns(body: RigidBody, effect: Effect) -> None:
     outputs = body.regressors(MOTION) @ body.base_parameters
     state = fit(body, replace(MOTION, outputs=outputs), [], everything, np.ones(body.n_outputs))
     columns = added_columns(state, effect)
-    assert columns.shape == (len(MOTION), body.n_outputs, effect.n_columns or len(effect.calibrations))
+    assert columns.shape == (len(MOTION), body.n_outputs, len(effect.coefficients(body)) or len(effect.calibrations))
     assert np.isfinite(columns).all()
     assert np.abs(columns).max() > 0.0 or (effect.kind, effect.where) == UNSEEN
 
@@ -176,8 +177,104 @@ def test_both_outputs_have_the_kinds_that_the_design_lists():
     name for name, case in zip(NAMES, CASES, strict=True) if case[1].where])
 def test_an_unknown_place_is_refused_by_name(outputs, effect):
     astray = replace(effect, where='r_tentacle')
-    with pytest.raises(SemiparamError, match="'r_tentacle'"):
-        CoupledColumns(BODIES[outputs], [disturbed(astray)]).batch(MOTION)
+    with pytest.raises(SemiparamError, match=r"'r_tentacle'.* expected .* with one of"):
+        CoupledColumns(BODIES[outputs], [disturbed(astray)])
+
+
+BARE = [(outputs, kind(where)) for outputs, body in BODIES.items() for kind in kinds(outputs).values()
+        for where in kind.permitted(body)]
+
+
+@pytest.mark.parametrize(('outputs', 'effect'), BARE, ids=[f'{outputs}-{effect.kind}@{effect.where}'
+                                                           for outputs, effect in BARE])
+@pytest.mark.parametrize('start', [{}, {'start_s': START_S}, {'start_stamp_s': START_S}], ids=['always', 's', 'stamp'])
+def test_every_kind_can_be_declared_without_values_wherever_it_is_permitted(outputs, effect, start):
+    assembly = CoupledColumns(BODIES[outputs], [replace(effect, shape=start)])
+    columns, _ = assembly.batch(MOTION[:5])
+    assert columns.shape[2] == assembly.n_columns == assembly.n_own + len(effect.coefficients(BODIES[outputs]))
+    assert np.isfinite(columns).all()
+
+
+@pytest.mark.parametrize('outputs', BODIES)
+def test_every_text_is_answered_with_columns_or_a_sentence(outputs):
+    """Each kind at no place, at a joint, at a link, on a channel, in the wrong outputs."""
+    body = BODIES[outputs]
+    links = sorted({place for kind in kinds().values() for place in kind.permitted(body)} - {None, *body.joints},
+                   key=str)
+    for name, kind in kinds().items():
+        for where in (None, body.joints[0], links[0], body.output_names[0], 'base_link', 'r_tentacle'):
+            effect = effect_from_text(name + (f'@{where}' if where else ''))
+            if outputs in kind.outputs and where in kind.permitted(body):
+                columns, _ = CoupledColumns(body, [effect]).batch(MOTION[:3])
+                assert np.isfinite(columns).all()
+            else:
+                with pytest.raises(SemiparamError, match=f"effect '{name}' .*expected"):
+                    CoupledColumns(body, [effect])
+
+
+MISDECLARED = {
+    'periodic_disturbance@r_elbow': 'cannot act at .r_elbow.; expected periodic_disturbance@PLACE with one of',
+    'cable_spring': 'names no place; expected cable_spring@PLACE with one of .*r_hand',
+    'sensor_drift@r_hand': 'expected none, for it has no place',
+    'viscous_friction@r_elbow': 'does not act on outputs wrench; expected outputs effort',
+    'thermal_drift{"time_constant_s": 0}': 'has time_constant_s 0; expected more than 0',
+    'cable_hysteresis@r_hand{"slip": -0.1}': 'has slip -0.1; expected more than 0',
+    'payload@r_hand{"start_s": 3, "start_stamp_s": 1.7e9}': 'has start_s and start_stamp_s; expected one of them',
+    'payload@r_hand{"reference": [1, 2]}': 'has a reference of 2 values; expected 17',
+    'terms@fx{"sin(q_elbow)": 1}': "names the joint 'elbow'; expected one of r_shoulder_pitch",
+}
+
+
+@pytest.mark.parametrize('text', MISDECLARED)
+def test_what_cannot_be_is_refused_where_it_is_declared(text):
+    from semiparam_ros.core.model import Estimator
+
+    with pytest.raises(SemiparamError, match=MISDECLARED[text]):
+        Estimator(BODIES['wrench'], effects=[effect_from_text(text)])
+
+
+def test_a_file_of_earlier_versions_may_hold_what_now_follows_from_the_place():
+    assert effect_from_text('periodic_disturbance@r_hand{"frequency_hz": 3, "directions": 3, "link_axes": 1}') == \
+        effect_from_text('periodic_disturbance@r_hand{"frequency_hz": 3, "link_axes": 1}')
+    assert effect_from_text('cable_spring@r_hand{"at_link": 1}') == effect_from_text('cable_spring@r_hand')
+
+
+def test_columns_of_another_package_that_do_not_fit_its_coefficients_are_refused():
+    class Wide(type(effect_from_text('external_force'))):
+        def basis(self, body, samples, memory):
+            return np.zeros((len(samples), body.n_outputs, 4)), None
+
+    with pytest.raises(SemiparamError, match=r"'external_force' gives columns of shape \(6, 4\); expected \(6, 3\)"):
+        CoupledColumns(BODIES['wrench'], [Wide('r_hand')]).batch(MOTION)
+
+
+ORIGIN = 1_750_000_000_123_456_789
+STAMPED = replace(MOTION, stamps=MOTION.stamps - MOTION.stamps[0] + ORIGIN, origin=ORIGIN)
+
+
+@pytest.mark.parametrize('row', range(0, 40, 3))
+def test_a_start_may_be_told_as_a_stamp(row):
+    """To the sample, whoever counts time from wherever: a double holds such a stamp to 0.24 us."""
+    payload = kinds()['payload']('r_hand', {'start_s': float(STAMPED.time[row])})
+    stamped = payload.at_stamp(ORIGIN)
+    assert set(stamped.shape) == {'start_stamp_s'}
+    expected, _ = payload.columns(BODIES['wrench'], STAMPED, None)
+    assert np.abs(expected[row]).max() > 0.0
+    for origin in (ORIGIN, ORIGIN + 10**9, 0):
+        columns, _ = stamped.columns(BODIES['wrench'], replace(STAMPED, origin=origin), None)
+        np.testing.assert_array_equal(columns, expected)
+    back = effect_from_text(effect_to_text(stamped)).in_recording(ORIGIN)
+    assert back.start_s == pytest.approx(payload.start_s, abs=1e-6)
+    assert back.at_stamp(ORIGIN) == stamped  # to the last digit, however often it goes to and fro
+
+
+def test_without_a_start_an_effect_is_always_there():
+    effect = kinds()['external_force']('r_hand', {'x': 0.1})
+    assert effect.at_stamp(ORIGIN) == effect.in_recording(ORIGIN) == effect
+    for start in ('start_s', 'start_stamp_s'):
+        assert effect.with_shape(**{start: 3.0}).without_start() == effect
+    terms = kinds()['terms']('fx', {'sin(q_r_elbow)': 1.0, 'start_stamp_s': 3.0})
+    assert terms.names == ('sin(q_r_elbow)',)
 
 
 BAD_TEXTS = {
@@ -188,6 +285,7 @@ BAD_TEXTS = {
     'trailing text': ('payload{"start_s": 1} and more', 'JSON'),
     'not a number': ('payload{"start_s": NaN}', 'start_s'),
     'infinite': ('payload{"start_s": 1e999}', 'start_s'),
+    'beyond any time': ('time_delay{"delay_s": 1e300}', 'delay_s'),
     'beyond any float': ('payload{"start_s": 1' + '0' * 400 + '}', 'start_s'),
     'text': ('payload{"start_s": "3"}', 'start_s'),
     'truth value': ('payload{"start_s": true}', 'start_s'),
@@ -239,10 +337,6 @@ OWN_KIND = '''
         mistaken_for = ('cable_spring',)
         separated_by = 'motion farther from the table'
         shape_units = {'reach': 'rad'}
-
-        @property
-        def n_columns(self):
-            return 1
 
         @classmethod
         def searches(cls, body, samples, where, residual):
@@ -365,8 +459,7 @@ COLUMNS = {
     'sensor_offset': (lambda p: {}, same('offset'), EXACT),
     'sensor_drift': (lambda p: {}, same('rate'), EXACT),
     'thermal_drift': (lambda p: {'time_constant_s': p['time_constant_s']['value']}, same('drift'), EXACT),
-    'periodic_disturbance': (lambda p: {'frequency_hz': p['frequency']['value'], 'directions': 3.0,
-                                        'link_axes': 1.0}, sine, EXACT),
+    'periodic_disturbance': (lambda p: {'frequency_hz': p['frequency']['value'], 'link_axes': 1.0}, sine, EXACT),
     'viscous_friction': (lambda p: {}, same('viscous'), EXACT),
     'rotor_inertia': (lambda p: {}, same('inertia'), EXACT),
     'joint_spring': (lambda p: {}, spring, EXACT),
@@ -391,10 +484,9 @@ def test_at_a_point_of_a_link_where_another_link_stands_a_kind_does_the_same(kin
     link, point = nearest_link(body, 'r_hand', shift)
     np.testing.assert_allclose(point, 0.0, atol=1e-12)
     assert link == 'r_gripper'
-    shape = {'at_link': 1.0} if 'cable' in kind else {}
-    moved = kinds()[kind]('r_hand', {**shape, **dict(zip('xyz', shift.tolist(), strict=True))})
-    columns, plain = (effect.columns(body, MOTION, None)[0] for effect in (moved, kinds()[kind]('r_hand', shape)))
-    np.testing.assert_allclose(columns, kinds()[kind]('r_gripper', shape).columns(body, MOTION, None)[0], atol=1e-9)
+    moved = kinds()[kind]('r_hand', dict(zip('xyz', shift.tolist(), strict=True)))
+    columns, plain = (effect.columns(body, MOTION, None)[0] for effect in (moved, kinds()[kind]('r_hand')))
+    np.testing.assert_allclose(columns, kinds()[kind]('r_gripper').columns(body, MOTION, None)[0], atol=1e-9)
     assert np.abs(columns - plain).max() > 1e-3
 
 
@@ -526,7 +618,7 @@ def test_the_documented_texts_are_read(page):
     assembly = CoupledColumns(BODIES['wrench'], [effect_from_text(text) for text in texts])
     columns, _ = assembly.batch(MOTION)
     assert columns.shape[2] == assembly.n_columns
-    assert effect_from_text(re.search(r'`(terms@fx\{.*?\})`', page)[1]).n_columns == 1
+    assert effect_from_text(re.search(r'`(terms@fx\{.*?\})`', page)[1]).coefficients(BODIES['wrench'])
 
 
 @pytest.mark.parametrize('size', [1.0, 2.0])

@@ -13,6 +13,7 @@ from semiparam_ros.core.model import Estimator, ModelOptions, log_density
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 
 WINDOW, COUNT = 120, 400
@@ -249,9 +250,13 @@ def test_without_motion_but_with_noise_every_variant_stays_finite(arm):
 
 def test_the_time_of_an_effect_starts_with_the_first_sample_also_when_it_was_not_learnt(arm, recording):
     class Ramp:
-        n_columns = 6
-        prior_scale = np.ones(6)
         seen: list = []  # noqa: RUF012
+
+        def check(self, body):
+            pass
+
+        def prior_scale(self, body):
+            return np.ones(6)
 
         def correct(self, body, samples, memory):
             return body, samples, memory
@@ -267,6 +272,17 @@ def test_the_time_of_an_effect_starts_with_the_first_sample_also_when_it_was_not
     run(model, recording[:20], learn=False)
     run(model, recording[20:70])
     np.testing.assert_allclose(Ramp.seen, np.arange(70) / 20, atol=1e-9)  # and each column is computed once
+
+
+def test_the_time_of_an_effect_may_start_before_the_first_sample(arm, recording):
+    push = effect_from_text('external_force@r_hand{"start_s": 6.0}')
+    late = recording[200:]
+    begun = (late.stamps - recording.origin) * 1e-9 >= 6.0
+    for origin, expected in ((recording.origin, begun), (None, begun & False)):
+        model = Estimator(arm, ModelOptions(variant='P', initial_samples=300), [push], origin)
+        shown = [np.abs(model.step(sample, learn=False).columns[:, -3:]).max() > 0.0 for sample in late[:100]]
+        np.testing.assert_array_equal(shown, expected[:100])
+        assert model.origin == (recording.origin if origin is not None else late[0].stamp)
 
 
 def test_a_variant_with_features_beats_p_where_something_is_unmodelled(arm):

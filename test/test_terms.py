@@ -78,7 +78,7 @@ def test_a_declared_formula_is_learnt():
     rows = columns.reshape(-1, len(truth))
     found = np.linalg.lstsq(rows, outputs.ravel(), rcond=1e-12)[0]
     np.testing.assert_allclose(found[-2:], [0.7, -0.3], rtol=1e-5)
-    np.testing.assert_allclose(effect.prior_scale, [5.0, 2.0])
+    np.testing.assert_allclose(effect.prior_scale(body), [5.0, 2.0])
 
 
 def test_unknown_joints_and_channels_are_named():

@@ -102,11 +102,16 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
 
 
 def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> None:
-    """The parameter file with every effect of the final model declared."""
+    """The parameter file with every effect of the final model declared.
+
+    What began late in the recording is there for whoever loads the file, so it has no start.
+    """
     from semiparam_ros.effects import effect_to_text
     from semiparam_ros.settings import dump_params
 
-    dump_params(replace(settings, effects=tuple(map(effect_to_text, diagnosis.final.effects))), path)
+    standing = {(effect.kind, effect.where, *effect.without_start().shape.items()): effect.without_start()
+                for effect in diagnosis.final.effects}  # two loads picked up one after the other are one now
+    dump_params(replace(settings, effects=tuple(map(effect_to_text, standing.values()))), path)
 
 
 def _judge_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
 
 OFFSET_PRIOR_SCALE = 100.0
 Memory = Any
@@ -27,13 +28,11 @@ class Effect(Protocol):
     def of_sensor(self) -> bool:
         """Whether it changes only what the sensor shows, not what the arm needs."""
 
-    @property
-    def n_columns(self) -> int:
-        """Coefficients that the estimator learns for it."""
+    def check(self, body: RigidBody) -> None:
+        """Raise SemiparamError when the effect cannot be declared on this robot."""
 
-    @property
-    def prior_scale(self) -> Array:
-        """(n_columns,) prior standard deviation of each coefficient over gamma, in the coefficient's unit."""
+    def prior_scale(self, body: RigidBody) -> Array:
+        """(c,) prior standard deviation of each coefficient over gamma, in its unit; as many as there are columns."""
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         """The body and the inputs as they really are (a joint's zero, the direction of gravity, a delay)."""
@@ -42,7 +41,7 @@ class Effect(Protocol):
         """The regressors (N, n, p) as the sensor reports them (a gain, a rotation)."""
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """(N, n, n_columns) further columns."""
+        """(N, n, c) further columns."""
 
     def desired(self) -> Effect:
         """The effect as it acts on a desired state, which is exact and belongs to no known time."""
@@ -53,13 +52,15 @@ class Absent:
 
     of_sensor = False
 
-    def __init__(self, n_columns: int) -> None:
-        self.n_columns = n_columns
+    def __init__(self, effect: Effect) -> None:
+        self._effect = effect
 
-    @property
-    def prior_scale(self) -> Array:
-        """(n_columns,) ones: nothing is learnt of it."""
-        return np.ones(self.n_columns)
+    def check(self, body: RigidBody) -> None:
+        """It can be absent anywhere."""
+
+    def prior_scale(self, body: RigidBody) -> Array:
+        """(c,) that of the effect."""
+        return self._effect.prior_scale(body)
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         """Nothing moves."""
@@ -70,8 +71,8 @@ class Absent:
         return regressors
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """(N, n, n_columns) zeros."""
-        return np.zeros((len(samples), body.n_outputs, self.n_columns)), None
+        """(N, n, c) zeros."""
+        return np.zeros((len(samples), body.n_outputs, len(self.prior_scale(body)))), None
 
     def desired(self) -> Effect:
         """Absent too."""
@@ -82,7 +83,11 @@ class CoupledColumns:
     """Assembles C for a rigid body and its declared effects; a wrench always has a constant offset."""
 
     def __init__(self, body: RigidBody, effects: Sequence[Effect] = ()) -> None:
+        """Raises SemiparamError when an effect cannot be declared on this robot."""
         self.body, self.effects = body, tuple(effects)
+        for effect in self.effects:
+            effect.check(body)
+        self._effect_scales = [effect.prior_scale(body) for effect in self.effects]
         self.has_offset = body.outputs == 'wrench'
         self._offset = np.eye(body.n_outputs)[:, :body.n_outputs * self.has_offset]
         self._rigid_body = slice(body.n_parameters)
@@ -91,13 +96,18 @@ class CoupledColumns:
     @property
     def n_columns(self) -> int:
         """p, all blocks together."""
-        return self.body.n_parameters + self._offset.shape[1] + sum(effect.n_columns for effect in self.effects)
+        return self.n_own + sum(map(len, self._effect_scales))
+
+    @property
+    def n_own(self) -> int:
+        """Columns of the rigid body and the offset, before those of the effects."""
+        return self.body.n_parameters + self._offset.shape[1]
 
     @property
     def blocks(self) -> dict[str, slice]:
         """Where the rigid body and the offset stand in theta, and each effect under its place in the list."""
         sizes = {'rigid_body': self.body.n_parameters, 'offset': self._offset.shape[1]}
-        sizes |= {str(index): effect.n_columns for index, effect in enumerate(self.effects)}
+        sizes |= {str(index): len(scale) for index, scale in enumerate(self._effect_scales)}
         ends = np.cumsum(list(sizes.values())).tolist()
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
@@ -105,7 +115,7 @@ class CoupledColumns:
     def prior_scale(self) -> Array:
         """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters, wide for an offset."""
         return np.concatenate([np.ones(self.body.n_parameters), np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE),
-                               *(effect.prior_scale for effect in self.effects)])
+                               *self._effect_scales])
 
     @property
     def prior_mean(self) -> Array:
@@ -130,9 +140,13 @@ class CoupledColumns:
         body, inputs, corrected = self.corrected(samples, [entry[0] for entry in past])
         psi = body.regressors(inputs)
         parts, added = [], []
-        for effect, entry in zip(self.effects, past, strict=True):
+        for effect, scale, entry in zip(self.effects, self._effect_scales, past, strict=True):
             psi = effect.transform(body, psi)
             columns, remembered = effect.columns(body, inputs, entry[1])
+            if columns.shape[1:] != (body.n_outputs, len(scale)):
+                raise SemiparamError(f"effect '{getattr(effect, 'kind', effect)}' gives columns of shape "
+                                     f'{columns.shape[1:]}; expected {(body.n_outputs, len(scale))}, one for each of '
+                                     'its coefficients.')
             parts.append(columns)
             added.append(remembered)
         offset = np.broadcast_to(self._offset, (len(samples), *self._offset.shape))
@@ -153,7 +167,7 @@ class CoupledColumns:
         shown = CoupledColumns(self.body, acting).batch(rows)[0][-1]
         needed = shown.copy()
         if any(effect.of_sensor for effect in self.effects):
-            own = [Absent(effect.n_columns) if effect.of_sensor else effect for effect in acting]
+            own = [Absent(effect) if effect.of_sensor else effect for effect in acting]
             needed = CoupledColumns(self.body, own).batch(rows)[0][-1]
         needed[:, self.blocks['offset']] = 0.0
         return shown, needed

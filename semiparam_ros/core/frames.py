@@ -52,6 +52,13 @@ def loaded_links(body: RigidBody) -> dict[str, int]:
     return {name: joint - 1 for joint, (_, name) in sorted(links.items())}
 
 
+@lru_cache(maxsize=8)
+def felt_links(body: RigidBody) -> tuple[str, ...]:
+    """Every link that the outputs feel, by name."""
+    model = body.arm if body.distal is None else body.distal
+    return tuple(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint != 0)
+
+
 def links_beside(body: RigidBody, link: str) -> list[str]:
     """The links fixed to the same body as ``link``, itself first, that stand at clearly different places."""
     model = body.arm if body.distal is None else body.distal

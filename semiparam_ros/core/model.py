@@ -85,14 +85,20 @@ class Estimator:
     inertias. They then give the hyperparameters, are learnt by the chosen variant, and it takes over.
     """
 
-    def __init__(self, body: RigidBody, options: ModelOptions | None = None, effects: Sequence[Effect] = ()) -> None:
+    def __init__(self, body: RigidBody, options: ModelOptions | None = None, effects: Sequence[Effect] = (),
+                 origin: int | None = None) -> None:
+        """Nothing learnt yet.
+
+        :param origin: [ns] where the effects' time starts; None: with the first sample observed.
+        Raises SemiparamError when the options or the effects do not fit the robot.
+        """
         self.options = options or ModelOptions()
         self.variant = variant_named(self.options.variant)
         self.columns = CoupledColumns(body, effects)
         self.body = body
         self.window: list[Remembered] = []
         self.input_scaling: tuple[Array, Array] | None = None
-        self._origin: int | None = None
+        self.origin = origin
         self._newest: int | None = None
         self._memory: Memory = None
         given = self.options.hyperparameters
@@ -112,8 +118,10 @@ class Estimator:
         """
         x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
         require_finite('positions, velocities and accelerations', x)
-        origin = sample.stamp if self._origin is None else self._origin
+        origin = sample.stamp if self.origin is None else self.origin
         columns, memory = self.columns.one(sample, origin, self._memory)
+        if self.columns.effects:
+            require_finite('columns of the effects', columns)
         prior, learnt, fixed = self.model.predict(x, columns)
         scale = self.model.output_scale
         mean, std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
@@ -127,7 +135,7 @@ class Estimator:
         """
         x = np.concatenate([position, velocity, acceleration])
         require_finite('desired positions, velocities and accelerations', x)
-        origin = self._origin or 0
+        origin = self.origin or 0
         now = origin if self._newest is None else self._newest
         shown, needed = self.columns.desired(position, velocity, acceleration, now, origin)
         model = self.model
@@ -144,7 +152,7 @@ class Estimator:
         """
         sample, recursion = prediction.sample, self.model.recursion
         require_finite('outputs', sample.outputs)
-        self._origin = sample.stamp if self._origin is None else self._origin
+        self.origin = sample.stamp if self.origin is None else self.origin
         self._newest, self._memory = sample.stamp, prediction.memory
         outputs = sample.outputs / self.model.output_scale
         complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)

@@ -102,6 +102,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     Raises SemiparamError when the recording is too short or nothing moves in it.
     """
     check(samples, body)
+    effects = [effect.in_recording(samples.origin) for effect in effects]
     suspected = setup_problems(body, samples)
     clean = ~excluded(samples)
     may_fit = _fitting(samples, use, other is not None)

@@ -39,7 +39,7 @@ def without_needless(state: Fit, declared: set[Place], least_evidence: float) ->
 def _worth(state: Fit, effect: Effect, least_evidence: float) -> tuple[float, Fit]:
     """Evidence [nat] of an effect over the model without it, and that model."""
     others = [known for known in state.effects if known is not effect]
-    spent = effect.n_columns + len(effect.calibrations) + nonlinear(effect)
+    spent = len(effect.coefficients(state.body)) + len(effect.calibrations) + nonlinear(effect)
     whole = Trial(effect, state.residual, spent)
     correlation = correlation_times(state.residual[state.use])
     rest = fit(state.body, state.samples, others, state.use, state.scale)

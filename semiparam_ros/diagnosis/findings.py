@@ -15,7 +15,7 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.rivals import Rival
 from semiparam_ros.diagnosis.search import Step
 from semiparam_ros.effects import Effect, kinds
-from semiparam_ros.effects.base import FLAGS
+from semiparam_ros.effects.base import FLAGS, STARTS
 
 
 @dataclass(frozen=True)
@@ -95,4 +95,4 @@ def _calibrations(state: Fit, effect: Effect) -> dict[str, Quantity]:
 def _searched(effect: Effect) -> dict[str, Quantity]:
     calibrated = {coefficient.name for coefficient in effect.calibrations}
     return {name: Quantity(float(value), None, effect.unit_of(name)) for name, value in effect.shape.items()
-            if name not in calibrated and name not in FLAGS and name != 'start_s'}
+            if name not in calibrated and name not in (*FLAGS, *STARTS)}

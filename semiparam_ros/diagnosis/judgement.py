@@ -13,7 +13,6 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.blocks import ranges
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.effects import Effect
 
 HORIZON = 25
 BOOTSTRAP_DRAWS = 400
@@ -89,7 +88,7 @@ def judge_there(state: Fit, samples: Samples, valid: Mask) -> Judgement:
 
     What belongs to the first recording's own clock (a drift, a phase) is left out.
     """
-    effects = [_carried(effect) for effect in state.effects]
+    effects = [effect.without_start() for effect in state.effects]
     assembly = CoupledColumns(state.body, effects)
     theta = state.theta.copy()
     for index, effect in enumerate(effects):
@@ -98,7 +97,3 @@ def judge_there(state: Fit, samples: Samples, valid: Mask) -> Judgement:
     columns, _ = assembly.batch(samples)
     there = replace(state, samples=samples, residual=samples.outputs - columns @ theta)
     return judge_here(there, valid)
-
-
-def _carried(effect: Effect) -> Effect:
-    return replace(effect, shape={name: value for name, value in effect.shape.items() if name != 'start_s'})

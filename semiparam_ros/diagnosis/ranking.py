@@ -21,7 +21,7 @@ from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, residual_scale, reweighted
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.attack import POINT
-from semiparam_ros.effects.base import FLAGS
+from semiparam_ros.effects.base import FLAGS, STARTS
 
 REFINE_EVALUATIONS = 14
 START_WORTH = 1.1
@@ -93,10 +93,9 @@ def refined(state: Fit, trial: Trial) -> Trial:
         return _calibrated(near, trial)
     effect = trial.effect
     for name in effect.shape:
-        if name not in (*FLAGS, 'start_s'):
+        if name not in (*FLAGS, *STARTS):
             effect = _line_search(near, effect, name)
-    effect = replace(effect, shape={k: v for k, v in effect.shape.items() if k != 'start_s'})
-    best = _at_best_link(near, _linear_trial(near, effect))
+    best = _at_best_link(near, _linear_trial(near, effect.without_start()))
     return _at_best_point(state, best) if best.physical else trial
 
 

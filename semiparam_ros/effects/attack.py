@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
-from semiparam_ros.core.frames import FrameMotion, frame_motion
+from semiparam_ros.core.frames import FrameMotion, felt_links, frame_motion
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects.base import Effect
@@ -19,6 +19,10 @@ class AtPoint(Effect):
     """Something whose point of attack matters: the origin of the link's frame, or x, y and z [m] in it."""
 
     shape_units: ClassVar[Mapping[str, str]] = POINT
+
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return felt_links(body)
 
     def motion(self, body: RigidBody, samples: Samples) -> FrameMotion:
         """How the point moves, and what a force there does."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
@@ -24,8 +25,11 @@ Shape = dict[str, float]
 Self = TypeVar('Self', bound='Effect')
 CHANNELS = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 ALWAYS: Shape = {}
-FLAGS = ('at_link', 'directions', 'link_axes')
+FLAGS = ('link_axes',)
 """Values of a shape that choose the form of the columns; they are no physical quantities."""
+STARTS = ('start_s', 'start_stamp_s')
+STAMP_TOLERANCE_NS = 1000
+"""A double holds today's stamps [s] to 0.24 us."""
 
 
 class Coefficient(NamedTuple):
@@ -40,7 +44,8 @@ class Effect:
     """Base of every kind.
 
     :param where: joint, axis or link that it acts on; None when it has no place.
-    :param shape: nonlinear parameters by name, ``start_s`` among them for what begins during a recording.
+    :param shape: nonlinear parameters by name. What begins at some time has ``start_s`` [s] after the start of the
+        recording (of the node's life), or ``start_stamp_s`` [s] as the stamps of headers count.
     :param reference: (p,) base parameters, for the few kinds whose columns depend on the arm's own load.
     """
 
@@ -60,12 +65,19 @@ class Effect:
     refine_link: ClassVar[bool] = False
     calibrations: ClassVar[tuple[Coefficient, ...]] = ()
     shape_units: ClassVar[Mapping[str, str]] = {}
+    positive: ClassVar[tuple[str, ...]] = ()
+    """Values of the shape that make sense above 0 alone."""
     coefficient_scale: ClassVar[float] = 100.0
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        """Where the kind could act on this robot."""
+        """Where a search tries the kind on this robot."""
         return (None,)
+
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        """Where the kind may be declared: where a search tries it, unless it says otherwise."""
+        return cls.places(body)
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None,
@@ -77,25 +89,42 @@ class Effect:
         return (ALWAYS,)
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        """Names and units of the columns' coefficients, in order."""
+        """Names and units of the columns' coefficients, in order; they follow from kind, place and robot alone."""
         return ()
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """(N, n, c) columns as if the effect had always been there."""
         return np.zeros((len(samples), body.n_outputs, 0)), None
 
-    @property
-    def n_columns(self) -> int:
-        """Number of coefficients learnt with the model; known from the kind and its place alone."""
-        return 0
+    def prior_scale(self, body: RigidBody) -> Array:
+        """(c,) wide prior standard deviations over gamma, one for each coefficient, in its unit."""
+        return np.full(len(self.coefficients(body)), self.coefficient_scale)
 
-    @property
-    def prior_scale(self) -> Array:
-        """(n_columns,) wide prior standard deviations over gamma, in the coefficients' units."""
-        return np.full(self.n_columns, self.coefficient_scale)
+    def check(self, body: RigidBody) -> None:
+        """Raise SemiparamError when the effect cannot be declared on this robot: its outputs, its place, its values."""
+        if body.outputs not in self.outputs:
+            raise SemiparamError(f"effect '{self.kind}' does not act on outputs {body.outputs}; expected outputs "
+                                 f'{self.outputs[0]}.')
+        places = self.permitted(body)
+        if self.where not in places:
+            raise SemiparamError(self._misplaced([place for place in places if place is not None]))
+        for name in self.positive:
+            if name in self.shape and not self.value(name) > 0.0:
+                raise SemiparamError(f"effect '{self.kind}' has {name} {self.value(name):g}; expected more than 0.")
+        if all(name in self.shape for name in STARTS):
+            raise SemiparamError(f"effect '{self.kind}' has {' and '.join(STARTS)}; expected one of them.")
+        if len(self.reference) not in (0, body.n_parameters):
+            raise SemiparamError(f"effect '{self.kind}' has a reference of {len(self.reference)} values; expected "
+                                 f'{body.n_parameters}, the base parameters of this robot, or none.')
+
+    def _misplaced(self, places: Sequence[str]) -> str:
+        if not places:
+            return f"effect '{self.kind}' names the place '{self.where}'; expected none, for it has no place."
+        named = 'names no place' if self.where is None else f"cannot act at '{self.where}'"
+        return f"effect '{self.kind}' {named}; expected {self.kind}@PLACE with one of {', '.join(places)}."
 
     def physical(self, coefficients: Array) -> bool:
-        """False for coefficients (n_columns,) that this cause cannot have, such as a friction that drives the joint."""
+        """False for coefficients (c,) that this cause cannot have, such as a friction that drives the joint."""
         return True
 
     def is_noticeable(self, samples: Samples) -> bool:
@@ -113,8 +142,33 @@ class Effect:
 
     @property
     def start_s(self) -> float | None:
-        """Seconds after the start of the recording when it begins; None when it was always there."""
+        """Seconds after the start of the recording when it begins; None when it was always there, or has a stamp."""
         return self.shape.get('start_s')
+
+    @property
+    def start_stamp(self) -> int | None:
+        """Stamp [ns] from which on it is there; None when it was always there, or counts from the start."""
+        seconds = self.shape.get('start_stamp_s')
+        return None if seconds is None else round(Fraction(seconds) * 10**9)
+
+    def at_stamp(self: Self, origin: int) -> Self:
+        """The same effect with the absolute stamp of its start, for whoever counts time from elsewhere.
+
+        :param origin: [ns] where ``start_s`` counts from.
+        """
+        if self.start_s is None:
+            return self
+        return self.without_start().with_shape(start_stamp_s=(origin + round(self.start_s * 1e9)) / 10**9)
+
+    def in_recording(self: Self, origin: int) -> Self:
+        """The same effect with its start in seconds after ``origin`` [ns]; the inverse of :meth:`at_stamp`."""
+        if self.start_stamp is None:
+            return self
+        return self.without_start().with_shape(start_s=(self.start_stamp - origin) * 1e-9)
+
+    def without_start(self: Self) -> Self:
+        """The same effect, there from the beginning."""
+        return replace(self, shape={name: value for name, value in self.shape.items() if name not in STARTS})
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         """Inputs are left as they are unless a kind says otherwise."""
@@ -125,10 +179,12 @@ class Effect:
         return regressors
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """(N, n, n_columns) columns, zero before the start."""
+        """(N, n, c) columns, zero before the start."""
         columns, memory = self.basis(body, samples, memory)
         if self.start_s is not None:
             columns = columns * (samples.time >= self.start_s)[:, None, None]
+        if self.start_stamp is not None:
+            columns = columns * (samples.stamps >= self.start_stamp - STAMP_TOLERANCE_NS)[:, None, None]
         return columns, memory
 
     def desired(self) -> Acting:
@@ -151,11 +207,11 @@ class Effect:
     @classmethod
     def value_names(cls) -> tuple[str, ...]:
         """Everything that a shape of this kind may hold."""
-        return 'start_s', *cls.shape_units, *(name for name, _ in cls.calibrations), *FLAGS
+        return *STARTS, *cls.shape_units, *(name for name, _ in cls.calibrations), *FLAGS
 
     def unit_of(self, name: str) -> str:
         """Unit of a nonlinear parameter or calibration."""
-        known: dict[str, Any] = {'start_s': 's', **self.shape_units, **dict(self.calibrations)}
+        known: dict[str, Any] = {**dict.fromkeys(STARTS, 's'), **self.shape_units, **dict(self.calibrations)}
         return str(known.get(name, ''))
 
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.frames import frame_motion, links_beside, loaded_links
+from semiparam_ros.core.frames import felt_links, frame_motion, links_beside, loaded_links
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -29,6 +29,10 @@ class _Cable(AtPoint):
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         return (*loaded_links(body), *body.joints)
 
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return (*felt_links(body), *body.joints)
+
 
 class CableSpring(_Cable):
     """A spring: at a link its force is affine in position, along a joint its wrench is linear in the angle."""
@@ -43,23 +47,15 @@ class CableSpring(_Cable):
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         return (*(link for tip in loaded_links(body) for link in links_beside(body, tip)), *body.joints)
 
-    @property
-    def n_columns(self) -> int:
-        return 9 if self.value('at_link') else len(CHANNELS)
-
-    @classmethod
-    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
-        return ({'at_link': float(where not in body.joints)},)
-
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        if not self.value('at_link'):
+        if self.where in body.joints:
             return tuple(Coefficient(f'stiffness_{name}', f'{unit}/rad')
                          for name, unit in zip(CHANNELS, body.output_units, strict=True))
         stiffnesses = tuple(Coefficient(f'stiffness_{"xyz"[i]}{"xyz"[j]}', 'N/m') for i, j in SYMMETRIC)
         return (*(Coefficient(f'force_{axis}', 'N') for axis in 'xyz'), *stiffnesses)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        if not self.value('at_link'):
+        if self.where in body.joints:
             return samples.position[:, joint_index(body, self.where), None, None] * np.eye(len(CHANNELS)), None
         motion = self.motion(body, samples)
         forces = np.zeros((len(samples), 3, 9))
@@ -79,27 +75,24 @@ class CableHysteresis(_Cable):
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_spring', 'viscous_drag')
     separated_by: ClassVar[str] = 'reversals after long and after short travels'
     shape_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **POINT}
-
-    @property
-    def n_columns(self) -> int:
-        return 1 if self.value('at_link') else len(CHANNELS)
+    positive: ClassVar[tuple[str, ...]] = ('slip',)
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
         if where in body.joints:
             reach = float(np.ptp(samples.position[:, joint_index(body, where)]))
-            return [{'at_link': 0.0, 'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
-        reach = float(np.ptp(frame_motion(body, samples, str(where)).position, axis=0).max())
-        return [{'at_link': 1.0, 'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
+        else:
+            reach = float(np.ptp(frame_motion(body, samples, str(where)).position, axis=0).max())
+        return [{'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        if self.value('at_link'):
-            return (Coefficient('force', 'N'),)
-        return tuple(Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True))
+        if self.where in body.joints:
+            return tuple(Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True))
+        return (Coefficient('force', 'N'),)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         slip = self.value('slip', 0.1)
-        if not self.value('at_link'):
+        if self.where in body.joints:
             travel = samples.position[:, joint_index(body, self.where), None]
             state, memory = dahl_state(travel, slip, memory)
             return state[:, :, None] * np.eye(len(CHANNELS)), memory

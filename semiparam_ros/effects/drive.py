@@ -120,6 +120,7 @@ class Backlash(JointEffect):
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction',)
     separated_by: ClassVar[str] = 'small reversals, within and beyond the play'
     shape_units: ClassVar[dict[str, str]] = {'gap': 'rad'}
+    positive: ClassVar[tuple[str, ...]] = ('gap',)
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('torque', 'N m'),)
 
     @classmethod

@@ -30,10 +30,6 @@ class JointEffect(Effect):
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         return body.joints
 
-    @property
-    def n_columns(self) -> int:
-        return len(self.names)
-
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return self.names
 
@@ -54,6 +50,7 @@ class _Sliding(JointEffect):
     """Depends on the direction of sliding, which turns over within ``turn_speed`` or within a way of ``presliding``."""
 
     shape_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'presliding': 'rad', 'stribeck_speed': 'rad/s'}
+    positive: ClassVar[tuple[str, ...]] = ('turn_speed', 'presliding', 'stribeck_speed')
     resists: ClassVar[bool] = True
 
     @classmethod

@@ -80,7 +80,7 @@ class TimeDelay(Effect):
 
     def desired(self) -> Absent:
         """A delay lies between two measurements; a desired state is not one."""
-        return Absent(self.n_columns)
+        return Absent(self)
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         past = _Past(samples.stamps, samples.position, samples.velocity, samples.acceleration)

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.frames import links_beside, load_regressor, loaded_links
+from semiparam_ros.core.frames import felt_links, links_beside, load_regressor, loaded_links
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -30,9 +30,9 @@ class Payload(Effect):
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         return tuple(loaded_links(body))
 
-    @property
-    def n_columns(self) -> int:
-        return 10
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return felt_links(body)
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         moments = (Coefficient(f'first_moment_{axis}', 'kg m') for axis in 'xyz')
@@ -60,10 +60,6 @@ class ExternalForce(AtAnyLink):
     separated_by: ClassVar[str] = 'faster motion: a load has inertia, a constant force has none'
     may_start: ClassVar[bool] = True
 
-    @property
-    def n_columns(self) -> int:
-        return 3
-
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return tuple(Coefficient(f'force_{axis}', 'N') for axis in 'xyz')
 
@@ -75,10 +71,6 @@ class _Drag(AtAnyLink):
     """A force against the velocity of a link's point."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)
-
-    @property
-    def n_columns(self) -> int:
-        return 1
 
     def physical(self, coefficients: Array) -> bool:
         return bool(coefficients[0] > 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from semiparam_ros.core.columns import Absent, Memory
-from semiparam_ros.core.frames import frame_motion, loaded_links
+from semiparam_ros.core.frames import felt_links, frame_motion, loaded_links
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -33,13 +33,13 @@ class PeriodicDisturbance(Effect):
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         return (None, *loaded_links(body)) if body.outputs == 'wrench' else body.joints
 
-    @property
-    def n_columns(self) -> int:
-        return 2 * int(self.value('directions', 1.0))
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return (None, *felt_links(body)) if body.outputs == 'wrench' else body.joints
 
     def desired(self) -> Absent:
         """Its phase when the state will be reached is not known; its mean over all of them is zero."""
-        return Absent(self.n_columns)
+        return Absent(self)
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
@@ -48,7 +48,7 @@ class PeriodicDisturbance(Effect):
         for along in turning:
             directions = cls._directions(body, samples, where, along)
             signal = np.einsum('tni,tn->ti', directions, residual)
-            found += [{'frequency_hz': frequency, 'directions': float(directions.shape[2]), 'link_axes': along}
+            found += [{'frequency_hz': frequency, 'link_axes': along}
                       for frequency in spectral_peaks(samples.time, signal)]
         return found
 

@@ -43,7 +43,10 @@ from semiparam_ros.effects.terms import Terms
 from semiparam_ros.errors import SemiparamError
 
 GROUP = 'semiparam_ros.effects'
-LARGEST = sys.float_info.max
+LARGEST = 4e9
+"""Of a value: seconds up to it, stamps among them, can be counted in ns in 64 bits, and no column overflows."""
+SUPERSEDED = ('at_link', 'directions')
+"""Values that older files hold and that follow from the place."""
 BUILT_IN: tuple[type[Effect], ...] = (
     Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
     JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
@@ -99,6 +102,10 @@ def effect_from_text(text: str) -> Effect:
     wrong = [key for key, value in values.items() if not _is_number(value)]
     if wrong:
         raise SemiparamError(f"effect '{text}' has values that are not finite numbers: {', '.join(wrong)}.")
+    for key, value in values.items():
+        if not -LARGEST <= float(str(value)) <= LARGEST:
+            raise SemiparamError(f"effect '{text}' has {key} {value}; expected at most {LARGEST:g}.")
+    values = {key: value for key, value in values.items() if key not in SUPERSEDED}
     known = _all_kinds()[name].value_names()
     unknown = [key for key in values if key not in known]
     if unknown:
@@ -118,4 +125,4 @@ def _values(text: str, part: str) -> dict[str, object]:
 def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return -LARGEST <= value <= LARGEST
+    return -sys.float_info.max <= value <= sys.float_info.max

@@ -24,10 +24,6 @@ class _ChannelEffect(Effect):
     of_sensor: ClassVar[bool] = True
     per: ClassVar[str] = ''
 
-    @property
-    def n_columns(self) -> int:
-        return N_CHANNELS
-
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return channel_units(body, self.per)
 
@@ -72,6 +68,7 @@ class ThermalDrift(_ChannelEffect):
     mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_drift', 'sensor_offset')
     separated_by: ClassVar[str] = 'a recording of several time constants from a cold start'
     shape_units: ClassVar[dict[str, str]] = {'time_constant_s': 's'}
+    positive: ClassVar[tuple[str, ...]] = ('time_constant_s',)
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None,

@@ -26,7 +26,7 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import Coefficient, Effect
+from semiparam_ros.effects.base import STARTS, Coefficient, Effect
 from semiparam_ros.errors import SemiparamError
 
 FUNCTIONS: dict[str, Callable[[Array], Array]] = {'sin': np.sin, 'cos': np.cos, 'abs': np.abs, 'sign': np.sign}
@@ -161,19 +161,24 @@ class Terms(Effect):
 
     @classmethod
     def value_names(cls) -> tuple[str, ...]:
-        return _EveryTerm(('start_s', 'TERM'))
+        return _EveryTerm((*STARTS, 'TERM'))
 
     @property
     def names(self) -> tuple[str, ...]:
         """The terms, in the order of the columns."""
-        return tuple(name for name in self.shape if name != 'start_s')
+        return tuple(name for name in self.shape if name not in STARTS)
 
-    @property
-    def n_columns(self) -> int:
-        return len(self.names)
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return body.output_names
 
-    @property
-    def prior_scale(self) -> Array:
+    def check(self, body: RigidBody) -> None:
+        super().check(body)
+        for factor in (factor for name in self.names for factor in parse_term(name)):
+            if factor.variable != 'time':
+                _joint(factor.variable.split('_', 1)[1], body)
+
+    def prior_scale(self, body: RigidBody) -> Array:
         found = np.array([abs(self.shape[name]) for name in self.names])
         return np.asarray(np.where(found > 0.0, FREEDOM * found, self.coefficient_scale))
 
@@ -182,7 +187,7 @@ class Terms(Effect):
         return tuple(Coefficient(name, term_unit(name, body, channel)) for name in self.names)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        columns = np.zeros((len(samples), body.n_outputs, self.n_columns))
+        columns = np.zeros((len(samples), body.n_outputs, len(self.names)))
         channel = self._channel(body)
         for column, name in enumerate(self.names):
             columns[:, channel, column] = term_values(name, body, samples)

@@ -66,9 +66,12 @@ def _draws(variant: str) -> int:
 def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Sequence[Effect]) -> dict[str, Any]:
     options = model_options(settings)
     window = min(options.initial_samples, int(recorded.fitting.sum()))
-    estimator = Estimator(body, replace(options, initial_samples=window), effects)
+    first, judged = recorded.samples, recorded.judged
+    estimator = Estimator(body, replace(options, initial_samples=window), effects, first.origin)
     for sample, learn in zip(recorded.samples, recorded.fitting, strict=True):
         estimator.step(sample, bool(learn))
     estimator.clear_pending()
-    residual = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in recorded.judged])
-    return judgement_of(body, recorded.judged.outputs, residual, recorded.valid).as_dict()
+    if judged is not first:  # it goes on where the first one ends: what began during that one is there
+        estimator.origin = int(judged.stamps[0] - (first.stamps[-1] - first.origin))
+    residual = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in judged])
+    return judgement_of(body, judged.outputs, residual, recorded.valid).as_dict()

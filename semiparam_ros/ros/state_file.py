@@ -136,7 +136,7 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
     estimator.model.recursion.restore(_group(arrays, 'recursion'))
     if chapter.samples is not None:
         # What no array holds: where time begins, and what effects remember, which they gain from the samples anew.
-        estimator._origin = chapter.samples.origin
+        estimator.origin = chapter.samples.origin
         estimator._newest = int(chapter.samples.stamps[-1])
         estimator._memory = estimator.columns.batch(chapter.samples)[1] if settings.effects else None
     return estimator

@@ -16,13 +16,14 @@ if TYPE_CHECKING:
     from semiparam_ros.effects import Effect
 
 
-def build_estimator(settings: Table, robot_description: str | None = None) -> Estimator:
+def build_estimator(settings: Table, robot_description: str | None = None, origin: int | None = None) -> Estimator:
     """The estimator of these settings; ``robot_description`` is the URDF of the topic or the bag, if there is one.
 
+    :param origin: [ns] where the effects' time starts; None: with the first sample.
     Raises SemiparamError when the URDF, a joint, the sensor frame, an effect or a hyperparameter does not fit.
     """
     body = build_rigid_body(settings, robot_description)
-    return Estimator(body, model_options(settings), declared_effects(settings, body))
+    return Estimator(body, model_options(settings), declared_effects(settings, body), origin)
 
 
 def build_rigid_body(settings: Table, robot_description: str | None = None) -> RigidBody:

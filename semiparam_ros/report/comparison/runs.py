@@ -65,7 +65,7 @@ def learn(scenario: Scenario, variant: str, seed: int) -> Learnt:
     settings, hyperparameters = fitted_settings(chosen, scenario.train[:initial], scenario.robot_description,
                                                 scenario.estimation)
     seconds = time.perf_counter() - start
-    estimator = build_estimator(settings, scenario.robot_description)
+    estimator = build_estimator(settings, scenario.robot_description, scenario.train.origin)
     run_through(estimator, scenario.train[:initial], learning=True)
     estimator.clear_pending()
     trace = run_through(estimator, scenario.train[initial:], learning=True)
@@ -79,7 +79,7 @@ def follow(scenario: Scenario, model: TrainedModel, subset: int) -> Followed:
     samples = scenario.test[first:last]
     traces = []
     for learning in (True, False):
-        estimator = build_estimator(model.settings, scenario.robot_description)
+        estimator = build_estimator(model.settings, scenario.robot_description, samples.origin)
         estimator.model.recursion.restore(model.state)
         traces.append(run_through(estimator, samples, learning))
     return Followed(model.variant, model.seed, subset, *traces)
