@@ -42,7 +42,7 @@ class Pair:
             own = folder / name
             own.mkdir()
             self.states.append(own / 'state.npz')
-            dump_params(replace(settings, state_file=str(self.states[-1])), own / 'p.yaml', node='/**')
+            dump_params(replace(settings, state_file='state.npz', state_folder=str(own)), own / 'p.yaml', node='/**')
             self.nodes.append(NodeProcess(own, own / 'p.yaml', '-r', f'__ns:=/{name}'))
             self.clients.append(Client('estimator', f'/{name}'))
         self.answered, self.worst, self.memory = 0, dict.fromkeys(ANSWERS, 0.0), []
@@ -80,8 +80,8 @@ class Pair:
         return max(float(each.max(initial=0.0)) for each in apart), sum(each.size for each in apart)
 
     def parameters_equal(self):
-        """Whether a read of every parameter gives the same from both, their files' names apart."""
-        names = [row.name for row in PARAMETERS if row.name != 'state_file']
+        """Whether a read of every parameter gives the same from both, their folders apart."""
+        names = [row.name for row in PARAMETERS if row.name != 'state_folder']
         ours, theirs = (client.get(*names) for client in self.clients)
         return ours == theirs
 

@@ -39,6 +39,8 @@ CHANGES = {
     'effect at an unknown place': {'effects': ['external_force@nowhere']},
     'effect with broken values': {'effects': ['payload{"mass":']},
     'the same effect twice': {'effects': ['viscous_friction@a', 'viscous_friction@a']},
+    'a state file in another folder': {'state_file': '../../etc/passwd'},
+    'a hidden state file': {'state_file': '.bashrc'},
     'unknown shadow variant': {'shadow_variants': ['Q']},
     'the same shadow variant twice': {'shadow_variants': ['P', 'P']},
     'rule across parameters broken': {'gate__release': 9.0},
@@ -156,10 +158,14 @@ class InvalidRequests:
             self._note('~/save_state while samples come', 'done, or refused while hyperparameters are estimated')
             self._call(Trigger, 'save_state', Trigger.Request(), 'save', lambda reply: [], None)
         else:
-            self._set_file('/proc/none/state.npz')
-            self._service('~/save_state to a place that is none', 'save_state', '')
-            self._service('~/load_state from a place that is none', 'load_state', 'there is no file')
-            self._set_file(str(self.state_file))
+            self._set_file(self._other_file().name)
+            self._service('~/save_state over what is no state', 'save_state', 'is no saved state', b'a letter')
+            self._set_file('none.npz')
+            self._service('~/load_state of a file that does not exist', 'load_state', 'there is no file')
+            self._set_file(self.state_file.name)
+
+    def _other_file(self):
+        return self.state_file.with_name('other.npz')
 
     def _set_file(self, path):
         self._note('state_file changed', DONE)
@@ -176,7 +182,9 @@ class InvalidRequests:
                 return
             self._files = spoilt(self.state_file.read_bytes())
         name = self.chance.choice(list(self._files))
+        self._set_file(self._other_file().name)
         self._service(f'~/load_state of {name}', 'load_state', '', self._files[name])
+        self._set_file(self.state_file.name)
 
     def _service(self, name, service, sentence, content=None):
         self._note(name, REFUSED)
@@ -193,7 +201,7 @@ class InvalidRequests:
         self.answers[name] = answer
 
     def _call(self, kind, service, request, name, results, success=False, sentence='', content=None):
-        """``success``: what the reply must say, None for either. ``content``: what the state file holds then."""
+        """``success``: what the reply must say, None for either. ``content``: what the other file holds then."""
         self._calls.append((kind, service, request, name, results, success, sentence, content))
 
     def _drain(self):
@@ -209,7 +217,7 @@ class InvalidRequests:
         if self._running is None and self._calls:
             call = self._calls.popleft()
             if call[7] is not None:
-                self.state_file.write_bytes(call[7])
+                self._other_file().write_bytes(call[7])
             self._running = self.client.begin(*call[:3]), call
 
     def _judge(self, reply, name, results, success, sentence):

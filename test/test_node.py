@@ -28,7 +28,7 @@ from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.table import PARAMETERS
 
-LIVE = replace(SETTINGS, acceleration_source='measured', state_file='', features_count=500)
+LIVE = replace(SETTINGS, acceleration_source='measured', features_count=500)
 
 
 @pytest.fixture(scope='module', autouse=True)
@@ -47,7 +47,7 @@ def domain(tmp_path_factory):
 def node(tmp_path_factory):
     """One node for all tests that do not need their own; each begins with a reset."""
     folder = tmp_path_factory.mktemp('node')
-    dump_params(replace(LIVE, state_file=str(folder / 'state.npz')), folder / 'p.yaml')
+    dump_params(replace(LIVE, state_file='state.npz', state_folder=str(folder / 'states')), folder / 'p.yaml')
     with NodeProcess(folder, folder / 'p.yaml') as process:
         yield process
         code, took = process.stop()
@@ -211,9 +211,10 @@ def test_pause_tare_save_and_load(client):
     assert client.values('predicted_wrench')[-40:] == first, 'bit for bit'
     tared = client.trigger('tare')
     assert tared.success and 'the bias is now [' in tared.message
-    assert client.set(state_file='/none/here.npz')[0].successful
-    assert client.trigger('load_state').message == 'there is no file /none/here.npz; save_state writes it.'
-    assert client.trigger('save_state').message.startswith('cannot write /none/here.npz')
+    assert client.set(state_file='none.npz')[0].successful
+    assert client.trigger('load_state').message.endswith('states/none.npz; save_state writes it.')
+    refused = client.set(state_file='/none/here.npz')[0]
+    assert not refused.successful and 'expected a plain name' in refused.reason
 
 
 def test_a_clock_that_jumps_back_keeps_the_model(client):

@@ -70,7 +70,7 @@ def test_a_file_written_is_read_back(tmp_path):
                        st.floats(0.6, 1.0)), st.text('aé%: #"\\\'', max_size=8))
 def test_any_value_survives_a_file(tmp_path_factory, doubles, text):
     path = tmp_path_factory.mktemp('params') / 'p.yaml'
-    settings = WRENCH.changed({**doubles, 'gate.release': 0.5, 'state_file': text})
+    settings = WRENCH.changed({**doubles, 'gate.release': 0.5, 'robot_description_file': text})
     dump_params(settings, path)
     assert load_params(path) == settings
 
@@ -141,6 +141,7 @@ BROKEN = {
     'hyperparameters_have_sizes': {'hyperparameters.gamma': [1.0, 2.0]},
     'input_scaling_is_whole': {'hyperparameters.input_mean': [0.0, 0.0, 0.0], 'joints': ['a']},
     'hyperparameters_suffice': {'hyperparameters.sigma': [1.0]},
+    'state_file_is_a_plain_name': {'state_file': '../x.npz'},
     'effects_are_known': {'effects': ['payload{"a": }']},
 }
 

@@ -14,6 +14,9 @@ from semiparam_ros.errors import SemiparamError
 
 OFFSET_PRIOR_SCALE = 100.0
 Memory = Any
+"""What an effect remembers of earlier samples: None, numbers, texts, arrays, or tuples, lists and dicts of them, never
+changed in place; a saved state holds it."""
+
 APPROACH_NS = 100_000_000
 """How long a desired state has moved on at its own velocity, for what remembers the way travelled."""
 

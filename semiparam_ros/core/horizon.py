@@ -12,12 +12,13 @@ and T gains and innovations do the work of T models: T (D + n p) operations a sa
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from semiparam_ros.core.recursion import Correction, Prior
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 
 LEAST_POWER = 1e-18
@@ -57,6 +58,30 @@ class HorizonIndex:
         """Forget the pending horizons, as after a jump of the clock."""
         self._filled = 0
         self._start = 2 * self.length
+
+    def state(self) -> dict[str, Array | Stamps]:
+        """The pending horizons as arrays; :meth:`restore` takes them back bit for bit."""
+        used = slice(self._start, self._start + self._filled)
+        return {'filled': np.array(self._filled), 'start': np.array(self._start),
+                **{name: rows[used].copy() for name, rows in self._rows().items()}}
+
+    def restore(self, state: Mapping[str, Array | Stamps]) -> None:
+        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it is of another size."""
+        filled, start = int(state['filled']), int(state['start'])
+        if not 0 <= filled <= min(self.length, 2 * self.length - start) or start < 0:
+            raise SemiparamError(f'the saved horizons are {filled} from row {start}; expected at most {self.length} in '
+                                 f'{2 * self.length} rows.')
+        for name, rows in self._rows().items():
+            if state[name].shape != (filled, *rows.shape[1:]):
+                raise SemiparamError(f"the saved '{name}' of the horizons has shape {state[name].shape}; expected "
+                                     f'{(filled, *rows.shape[1:])}.')
+        self._filled, self._start = filled, start
+        for name, rows in self._rows().items():
+            rows[start:start + filled] = state[name]
+
+    def _rows(self) -> dict[str, Array | Stamps]:
+        return {'gains': self._gains, 'innovations': self._innovations, 'theta': self._theta,
+                'squared_error': self._squared_error, 'outputs': self._outputs, 'origins': self._origins}
 
     def score(self, prior: Prior, fixed: Array, outputs: Array) -> HorizonErrors | None:
         """Charge one sample to the last T models; the errors of the oldest when its horizon is now complete.
@@ -120,7 +145,7 @@ class HorizonIndex:
         if self._start:
             return
         end = 2 * self.length
-        for rows in (self._gains, self._innovations, self._theta, self._squared_error, self._outputs, self._origins):
+        for rows in self._rows().values():
             rows[end - self._filled:] = rows[:self._filled]
         self._start = end - self._filled
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,13 +15,14 @@ from semiparam_ros.core.random_features import RandomFeatures, input_scaling, sp
 from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.core.variant_model import Model, log_density
 from semiparam_ros.core.variants import VARIANTS, variant_named
 from semiparam_ros.core.window import LengthScales, Noise
 from semiparam_ros.errors import SemiparamError
 
-__all__ = ['Estimator', 'Model', 'ModelOptions', 'Prediction', 'Remembered', 'log_density', 'variant_named']
+__all__ = ['Estimator', 'EstimatorState', 'Model', 'ModelOptions', 'Prediction', 'Remembered', 'log_density',
+           'variant_named']
 
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
 
@@ -76,6 +77,17 @@ class Remembered(NamedTuple):
 
     sample: Sample
     columns: Array
+
+
+class EstimatorState(NamedTuple):
+    """What an estimator has learnt and what it remembers, beside its options and hyperparameters."""
+
+    recursion: dict[str, Array]
+    horizon: Mapping[str, Array | Stamps]
+    window: tuple[Remembered, ...]
+    origin: int | None  # [ns]
+    newest: int | None  # [ns] stamp of the last sample
+    memory: Memory
 
 
 class Estimator:
@@ -177,13 +189,28 @@ class Estimator:
         self.model = self._build(hyperparameters)
         for sample, column in zip(samples, columns, strict=True):
             self._learn_quietly(sample, column)
-        self.ready = True
+        self.ready, self.window = True, []
         self.horizon = self._new_horizon()
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons and what effects remember, as after a jump of the clock; keep the model."""
         self.horizon.clear()
         self._memory = None
+
+    def state(self) -> EstimatorState:
+        """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
+        return EstimatorState(self.model.recursion.state(), self.horizon.state(), tuple(self.window), self.origin,
+                              self._newest, self._memory)
+
+    def restore(self, state: EstimatorState) -> None:
+        """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
+
+        Raises SemiparamError when it is that of another one.
+        """
+        self.model.recursion.restore(state.recursion)
+        self.horizon.restore(state.horizon)
+        self.window, self._memory = list(state.window), state.memory
+        self.origin, self._newest = state.origin, state.newest
 
     def hyperparameters(self) -> Hyperparameters:
         """Those in use, with pi as it stands."""

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import NamedTuple
 
 from semiparam_ros.core.model import Prediction
 from semiparam_ros.settings.table import Table
 
 NANOSECONDS = 1e9
+
+
+class GateState(NamedTuple):
+    """A gate as it stands; times in ns."""
+
+    closed: bool
+    refused: int
+    closed_since: int
+    calm_since: int | None
+    armed: bool
 
 
 class ContactGate:
@@ -45,6 +56,14 @@ class ContactGate:
     def reset(self) -> None:
         """Open it, as after a jump of the clock; the count stays."""
         self.closed, self._calm_since, self._armed = False, None, True
+
+    def state(self) -> GateState:
+        """For a file; :meth:`restore` takes it back."""
+        return GateState(self.closed, self.refused, self._closed_since, self._calm_since, self._armed)
+
+    def restore(self, state: GateState) -> None:
+        """Go on as the gate that was saved."""
+        self.closed, self.refused, self._closed_since, self._calm_since, self._armed = state
 
     def _perhaps_open(self, stamp: int, calm: bool, settings: Table) -> None:
         self._calm_since = (stamp if self._calm_since is None else self._calm_since) if calm else None

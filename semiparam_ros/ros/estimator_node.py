@@ -16,6 +16,7 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.answers import Answer, Outlets
+from semiparam_ros.ros.autosave import Autosave
 from semiparam_ros.ros.background import ProcessBackground
 from semiparam_ros.ros.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.diagnosing import Diagnosing
@@ -24,7 +25,7 @@ from semiparam_ros.ros.inputs import Inputs, Sinks
 from semiparam_ros.ros.learner import Learner
 from semiparam_ros.ros.outputs import Outputs
 from semiparam_ros.ros.parameters import Parameters
-from semiparam_ros.ros.refusals import DESCRIPTION, PARAMETERS, TRAJECTORY, Refusals
+from semiparam_ros.ros.refusals import CHECKPOINTS, DESCRIPTION, PARAMETERS, TRAJECTORY, Refusals
 from semiparam_ros.ros.reports import Reports
 from semiparam_ros.ros.robot import Robot
 from semiparam_ros.ros.services import Services
@@ -63,6 +64,8 @@ class EstimatorNode(Node):
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor)
         DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                           lambda answer: self._guarded(answer, TRAJECTORY), later)
+        self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
+                                  in_executor, self._reports.say, lambda sentence: self._refuse(CHECKPOINTS, sentence))
         self._watch_clock()
         self._robot.from_parameters()
 
@@ -73,6 +76,7 @@ class EstimatorNode(Node):
 
     def close(self) -> None:
         """End the background processes and leave the graph."""
+        self._autosave.close()
         self._diagnosing.close()
         self._background.close()
         self.destroy_node()
@@ -106,6 +110,10 @@ class EstimatorNode(Node):
         self.learner = Learner(self._live.settings, body, self._background, Outlets(
             self._answer, self._complete, self._outputs.publish_shadow, self._reports.say, self._switched,
             self._live.write))
+        saved = self._autosave.resume(self._live.settings, body)
+        if saved is not None:
+            self.learner.restore(saved)
+            self._live.write(saved.settings)
         self._inputs.open(body.joints)
 
     def _the_learner(self) -> Learner:

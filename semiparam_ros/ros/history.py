@@ -49,6 +49,13 @@ class History:
         ring.append(sample, learnt)
         self._learnt += learnt
 
+    def refill(self, chapter: Chapter) -> None:
+        """Keep what another history kept; time goes on counting from where it did there."""
+        for sample, learnt in chapter.pairs():
+            self.append(sample, learnt)
+        if chapter.samples is not None:
+            self._origin = chapter.samples.origin
+
     def latest(self) -> Sample | None:
         """The last sample, None before the first."""
         ring = self._recent if len(self._recent) else self._window
@@ -58,7 +65,7 @@ class History:
 
     def chapter(self, since: int | None = None) -> Chapter:
         """Everything that is kept, in order; with ``since`` only stamps [ns] from there on."""
-        parts = [self._window.rows(), self._recent.rows()]
+        parts = [*self._window.rows(), *self._recent.rows()]
         stamps, rows, learnt = (np.concatenate(column) for column in zip(*parts, strict=True))
         if since is not None:
             late = stamps >= since
@@ -82,17 +89,20 @@ def arrays_of(chapter: Chapter) -> dict[str, Array | Stamps]:
     samples = chapter.samples
     if samples is None:
         return {'learnt': chapter.learnt}
-    return {'stamps': samples.stamps, 'inputs': samples.inputs, 'outputs': samples.outputs, 'learnt': chapter.learnt}
+    return {'stamps': samples.stamps, 'position': samples.position, 'velocity': samples.velocity,
+            'acceleration': samples.acceleration, 'outputs': samples.outputs, 'learnt': chapter.learnt,
+            'origin': np.array(samples.origin)}
 
 
-def chapter_from(arrays: Mapping[str, Array], n_joints: int) -> Chapter:
+def chapter_from(arrays: Mapping[str, Array], n_joints: int, n_outputs: int) -> Chapter:
     """The chapter of :func:`arrays_of`. Raises KeyError and ValueError where these are not its arrays."""
     learnt = arrays['learnt']
     if not len(learnt):
         return Chapter(None, learnt)
-    rows = np.hstack([arrays['inputs'], arrays['outputs']])
     stamps = arrays['stamps'].astype(np.int64)
-    return Chapter(_samples(stamps, rows, n_joints, int(stamps[0])), learnt)
+    widths = {'position': n_joints, 'velocity': n_joints, 'acceleration': n_joints, 'outputs': n_outputs}
+    columns = {name: arrays[name].reshape(len(stamps), width) for name, width in widths.items()}
+    return Chapter(Samples(stamps, **columns, origin=int(arrays['origin'])), learnt)
 
 
 class _Ring:
@@ -125,10 +135,11 @@ class _Ring:
         slot = [(self._count - 1) % len(self._stamps)]
         return self._stamps[slot], self._rows[slot]
 
-    def rows(self) -> tuple[Stamps, Array, Array]:
-        """Copies in order of arrival."""
-        order = np.arange(len(self)) if not self.full else np.arange(self._count, self._count + len(self)) % len(self)
-        return self._stamps[order], self._rows[order], self._learnt[order]
+    def rows(self) -> list[tuple[Stamps, Array, Array]]:
+        """Views in order of arrival: the older part and the newer one."""
+        slot = self._count % len(self._stamps)
+        parts = (slice(slot, None), slice(0, slot)) if self.full else (slice(0, slot),)
+        return [(self._stamps[part], self._rows[part], self._learnt[part]) for part in parts]
 
 
 def _samples(stamps: Stamps, rows: Array, n: int, origin: int) -> Samples | None:

@@ -49,8 +49,8 @@ class Learner:
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
                                self.body.n_outputs)
-        for sample, learnt in past.pairs() if past else ():
-            self.history.append(sample, learnt)
+        if past is not None:
+            self.history.refill(past)
         self._window_job: object | None = None
         self.company.remember(settings, estimator)
         self.company.set_shadows(settings, self.history)
@@ -186,7 +186,7 @@ class Learner:
         """Go on with a state that was saved; what waits is answered by it."""
         self.settings = saved.settings
         self.company.dismiss(forget_hyperparameters=True)
-        self.gate.reset()
+        self.gate.restore(saved.gate)
         self.tare = Tare(self.body.n_outputs, saved.bias)
         self._begin(saved.estimator, saved.chapter)
         self._drain()
@@ -195,7 +195,7 @@ class Learner:
         """What :meth:`restore` needs; raises SemiparamError while the initial window is being evaluated."""
         if self.busy:
             raise SemiparamError('hyperparameters are being estimated; try again when the variant has taken over.')
-        return SavedState(self.built, self.estimator, self.history.chapter(), self.tare.bias)
+        return SavedState(self.built, self.estimator, self.history.chapter(), self.tare.bias, self.gate.state())
 
     def _hand_over(self, successor: Understudy) -> None:
         assert successor.estimator is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 DESCRIPTION, TRAJECTORY, PARAMETERS = 'robot_description', 'desired_trajectory', 'parameters'
+CHECKPOINTS = 'checkpoints'
 
 
 class Refusals:

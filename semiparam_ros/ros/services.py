@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from rclpy.node import Node
@@ -43,18 +42,18 @@ class Services:
 
     def save_state(self) -> str:
         """Write what was learnt to ``state_file``."""
-        path = Path(self._parameters.settings.state_file).expanduser()
+        path = state_file.path_of(self._parameters.settings)
         state_file.save(path, self._learner().state())
-        return f'{path.absolute()} is written.'
+        return f'{path} is written.'
 
     def load_state(self) -> str:
         """Go on from what ``state_file`` holds."""
-        path = Path(self._parameters.settings.state_file).expanduser()
+        path = state_file.path_of(self._parameters.settings)
         learner = self._learner()
         saved = state_file.load(path, self._parameters.settings, learner.body)
         learner.restore(saved)
         self._parameters.write(saved.settings)
-        return f'{path.absolute()} is loaded: {saved.settings.variant} with {len(saved.chapter)} samples.'
+        return f'{path} is loaded: {saved.settings.variant} with {len(saved.chapter)} samples.'
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """``data`` true: predict without learning."""

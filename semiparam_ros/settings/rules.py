@@ -5,9 +5,11 @@ The node refuses a parameter change with them, and the offline commands a parame
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.parameter import shown
 from semiparam_ros.settings.table import Table
 
 KINDS_OF_INPUT = 3
@@ -119,10 +121,18 @@ def effects_are_known(table: Table) -> str | None:
     return next((sentence for text in table.effects if (sentence := _effect_refusal(text, table.outputs))), None)
 
 
+def state_file_is_a_plain_name(table: Table) -> str | None:
+    """Whoever sets it can reach no other folder, and no hidden file."""
+    if re.fullmatch(r'[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.npz', table.state_file):
+        return None
+    return (f'state_file is {shown(table.state_file)}; expected a plain name such as arm.npz: at most 100 letters, '
+            'digits, dots, dashes and underscores, with .npz at the end (state_folder names the folder).')
+
+
 RULES: tuple[Callable[[Table], str | None], ...] = (
     sensor_frame_is_named, one_robot_description, joints_are_distinct, locked_joints_have_positions,
     features_come_in_pairs, shadow_variants_are_distinct, gate_has_hysteresis, hyperparameters_have_sizes,
-    input_scaling_is_whole, hyperparameters_suffice, effects_are_known)
+    input_scaling_is_whole, hyperparameters_suffice, effects_are_known, state_file_is_a_plain_name)
 
 
 def broken_rule(table: Table) -> str | None:

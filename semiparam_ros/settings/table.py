@@ -142,7 +142,16 @@ class Table:
         'diagnosis.window', 300.0, 'Span of the latest samples that ~/diagnose looks at, as far as they are retained.',
         unit='s', minimum=1.0, live=True)
     state_file: str = declare(
-        'state_file', 'semiparam_state.npz', 'File of save_state and load_state.', live=True)
+        'state_file', 'semiparam_state.npz', 'File of save_state and load_state: a plain name in state_folder.',
+        live=True)
+    state_folder: str = declare(
+        'state_folder', '', 'Folder of all states and checkpoints. Empty: $ROS_HOME/semiparam, with ~/.ros where '
+        'ROS_HOME is not set.')
+    checkpoint_period: float = declare(
+        'checkpoint.period', 0.0, 'The node saves its state by itself this often, and when it ends. 0: never.',
+        unit='s', minimum=0.0, maximum=86400.0)
+    checkpoint_resume: bool = declare(
+        'checkpoint.resume', False, 'Go on from the newest checkpoint when the node starts.')
 
 
 PARAMETERS: tuple[Parameter, ...] = tuple(from_field(row) for row in fields(Table))
