@@ -8,8 +8,12 @@ from collections.abc import Sequence
 class SemiparamError(ValueError):
     """One clear sentence: what was wrong, where, and what was expected.
 
-    The command line prints it and exits with 2; the node logs it and counts it in its diagnostics.
+    The command line prints it and exits with 2; the node logs it and counts it in its diagnostics. What a stranger sent
+    may stand in it, so it is :func:`shortened`.
     """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(shortened(sentence))
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:
@@ -21,6 +25,6 @@ def listed(names: Sequence[str], most: int = 8) -> str:
 
 
 def shortened(text: str, most: int = 600) -> str:
-    """A text without its middle where it is too long to be read: what a stranger sent may stand in it."""
+    """A text without its middle where it is too long to be read."""
     half = (most - 5) // 2
     return text if len(text) <= most else f'{text[:half]} ... {text[-half:]}'

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+from contextlib import ExitStack
 from pathlib import Path
 
 # One linear algebra thread, set before numpy is loaded: two workers on two cores must not fight.
@@ -44,6 +45,24 @@ def ros_domain(tmp_path, monkeypatch):
         monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
         yield domain
+
+
+@pytest.fixture
+def start_node(tmp_path, ros_domain):
+    """A function of settings: starts a node, and a client that hears it; returns both, which end with the test."""
+    from node_client import Client, NodeProcess
+
+    from semiparam_ros.settings import dump_params
+
+    with ExitStack() as opened:
+        def start(settings):
+            dump_params(settings, tmp_path / 'p.yaml')
+            node = opened.enter_context(NodeProcess(tmp_path, tmp_path / 'p.yaml'))
+            client = opened.enter_context(Client())
+            client.connect(settings.outputs)
+            return node, client
+
+        yield start
 
 
 class _free_domain:

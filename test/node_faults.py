@@ -32,7 +32,7 @@ class Fuzzer:
                                                                            velocity=[0.0])),
             'joint twice': ('missing_joint', lambda sample: client.state(sample, [a, a])),
             'no joint': ('missing_joint', lambda sample: client.state(sample, [], position=[], velocity=[])),
-            'a hundred joints, not ours': ('missing_joint', lambda sample: client.state(
+            'a hundred joints, not ours': ('other_joints', lambda sample: client.state(
                 sample, strangers, position=[0.0] * 100, velocity=[0.0] * 100)),
             'no velocities': ('wrong_length', lambda sample: self.state(sample, velocity=[])),
             'too many positions': ('wrong_length', lambda sample: self.state(sample, position=[0.0] * 3)),

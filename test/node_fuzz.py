@@ -142,7 +142,8 @@ def counts_of(client, wanted):
     client.heard['/diagnostics'].clear()
     time.sleep(2.5 * PERIOD_S)
     _, _, values = client.report('inputs')
-    return {reason: (int(values.get(f'refused: {reason}', 0)), count) for reason, count in wanted.items()}
+    said = {name.partition(': ')[2]: value for name, value in values.items() if name.startswith(('refused', 'ignored'))}
+    return {reason: (int(said.get(reason, 0)), count) for reason, count in wanted.items()}
 
 
 def tell(found):

@@ -266,3 +266,24 @@ def test_samples_do_not_depend_on_how_the_topics_interleave(orders, measured, ou
     assert same(feed(left, *orders[0]), feed(right, *orders[1]))
     assert left.faults == right.faults
     assert left.pending == right.pending
+
+
+def test_messages_of_other_joints_are_ignored_and_counted_apart():
+    """A gripper publishes its own joint states on the same topic."""
+    clean, disturbed = stream(), stream()
+    expected = feed(clean, *GOOD)
+    gripper = ('joint_state', 2 * MS, ('left_finger', 'right_finger'), (0.0, 0.0), (0.0, 0.0))
+    assert same(feed(disturbed, *GOOD[:4], gripper, *GOOD[4:]), expected)
+    assert disturbed.faults == {} and disturbed.last_fault == ''
+    assert disturbed.strangers == 1 and clean.strangers == 0
+    assert disturbed.last_stranger == ('joint state at 0.002000000 s names left_finger, right_finger; expected '
+                                       f'{", ".join(disturbed.joints)}.')
+
+
+def test_a_sentence_stays_readable_whatever_a_stranger_sent():
+    samples = stream()
+    names = [samples.joints[0], *(f'joint_{index}' * 1000 for index in range(10_000))]
+    feed(samples, ('joint_state', 2 * MS, names, (0.0,), (0.0,)))
+    assert len(samples.last_fault) < 700 and '9993 more' in samples.last_fault and samples.last_fault.endswith('.')
+    feed(samples, wrench(2 * MS, 7.0, frame='elsewhere' * 10_000))
+    assert len(samples.last_fault) < 700 and samples.last_fault.endswith("expected 'sensor'.")

@@ -3,42 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from geometry_msgs.msg import WrenchStamped
-from node_client import Client, NodeProcess
 from node_helpers import BODY, JOINTS, SETTINGS, motion
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.ros.serialised_trajectory import MOST_POINTS
-from semiparam_ros.settings import dump_params
 
 THIS_YEAR_NS = 1_700_000_000_000_000_000
 EFFECTS = ('time_delay{"delay_s": 0.0047}', 'payload@ft{"start_s": 0.5}', 'sensor_drift',
            'thermal_drift{"time_constant_s": 2.0}', 'periodic_disturbance{"frequency_hz": 3.0, "directions": 6}',
            'cable_hysteresis@a{"slip": 0.1}', 'terms@tx{"time*abs(dq_b)": 0.01}')
 ROW = ([0.4, -0.3], [0.5, 0.2], [1.0, -1.0])
-
-
-@pytest.fixture
-def start(tmp_path, ros_domain):
-    """Starts a node with some settings, and a client that it hears."""
-    opened = []
-
-    def started(settings):
-        dump_params(settings, tmp_path / 'p.yaml')
-        node = NodeProcess(tmp_path, tmp_path / 'p.yaml')
-        opened.append(node)
-        client = Client()
-        opened.append(client)
-        client.connect(settings.outputs)
-        client.listen(WrenchStamped if settings.outputs == 'wrench' else JointState, 'feedforward')
-        client.listen(JointTrajectory, 'feedforward_trajectory')
-        return client
-
-    yield started
-    for each in reversed(opened):
-        each.__exit__()
 
 
 def samples_of_this_year(count):
@@ -56,6 +32,11 @@ def wish(seconds=0, points=1, gripper=True):
     return message
 
 
+def listen(client, outputs):
+    client.listen(WrenchStamped if outputs == 'wrench' else JointState, 'feedforward')
+    client.listen(JointTrajectory, 'feedforward_trajectory')
+
+
 def answer(client, message):
     """Outputs and efforts of the first point, in the order a, b."""
     before = len(client.heard['feedforward_trajectory'])
@@ -71,9 +52,10 @@ def answer(client, message):
     return client.values('feedforward')[-1], list(point.effort)[::-1]
 
 
-def test_whatever_its_stamp_a_desired_state_is_one_of_now(start):
+def test_whatever_its_stamp_a_desired_state_is_one_of_now(start_node):
     """Torques of 3e50 N m came of a stamp of zero and a delay of 4.7 ms."""
-    client = start(replace(SETTINGS, variant='P', acceleration_source='measured', effects=EFFECTS))
+    _, client = start_node(replace(SETTINGS, variant='P', acceleration_source='measured', effects=EFFECTS))
+    listen(client, 'wrench')
     client.offer('joint_states', 'joint_accelerations', 'wrench', 'desired_trajectory')
     samples = samples_of_this_year(150)
     client.play(samples, JOINTS)
@@ -99,8 +81,9 @@ def test_whatever_its_stamp_a_desired_state_is_one_of_now(start):
     assert len(client.heard['feedforward_trajectory'][0].points) == MOST_POINTS
 
 
-def test_a_tare_takes_the_sensors_bias_out_of_the_efforts_on_both_topics(start):
-    client = start(replace(SETTINGS, outputs='effort', sensor_frame='', variant='P'))
+def test_a_tare_takes_the_sensors_bias_out_of_the_efforts_on_both_topics(start_node):
+    _, client = start_node(replace(SETTINGS, outputs='effort', sensor_frame='', variant='P'))
+    listen(client, 'effort')
     client.offer('joint_states', 'desired_trajectory')
 
     def play(samples, bias):

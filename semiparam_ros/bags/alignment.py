@@ -18,7 +18,7 @@ import numpy as np
 from semiparam_ros.bags.track import Track
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed, shortened
 
 CAPACITY = 20_000
 LARGEST = 1e9
@@ -44,6 +44,8 @@ class SampleStream:
     'wrong_length', 'not_finite', 'out_of_range', 'duplicate_stamp', 'backward_stamp', 'wrong_frame'; 'unmatched' counts
     wrenches without a joint state (or acceleration) near enough, 'overflow' messages given up because another topic
     stays silent.
+    A message that names joints, but none of ours (a gripper's own), is ignored: ``strangers`` counts these, and
+    ``last_stranger`` says what the last one named.
     """
 
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
@@ -64,7 +66,8 @@ class SampleStream:
             raise SemiparamError('accelerations are neither measured nor is there a filter that estimates them.')
         self.joints = tuple(joints)
         self.faults: Counter[str] = Counter()
-        self.last_fault = ''
+        self.last_fault = self.last_stranger = ''
+        self.strangers = 0
         self._effort = outputs == 'effort'
         self._frame = sensor_frame.lstrip('/')
         self._differentiator = None if measured_accelerations else differentiator
@@ -83,6 +86,11 @@ class SampleStream:
     def pending(self) -> int:
         """Outputs that still wait for their joint state or acceleration."""
         return len(self._waiting)
+
+    @property
+    def takes_accelerations(self) -> bool:
+        """Whether samples wait for measured accelerations."""
+        return self._differentiator is None
 
     def reset(self) -> None:
         """Forget everything that waits and all stamps, as after a jump of the clock; the counts stay."""
@@ -152,10 +160,14 @@ class SampleStream:
         known = self._orders.get(what)
         if known is not None and known[0] == names:
             return known[1]
+        if names and not set(self.joints).intersection(names):
+            self.strangers += 1
+            self.last_stranger = f'{what} at {_seconds(stamp)} s names {listed(names)}; expected {listed(self.joints)}.'
+            return None
         missing = [joint for joint in self.joints if list(names).count(joint) != 1]
         if missing:
             self._refuse('missing_joint', f'{what} at {_seconds(stamp)} s must name joint {missing[0]!r} once; it '
-                                          f'names {", ".join(names) or "none"}.')
+                                          f'names {listed(names)}.')
             return None
         order = [list(names).index(joint) for joint in self.joints]
         self._orders[what] = (names[:], order)
@@ -189,7 +201,7 @@ class SampleStream:
 
     def _refuse(self, reason: str, sentence: str) -> list[Sample]:
         self.faults[reason] += 1
-        self.last_fault = sentence
+        self.last_fault = shortened(sentence)
         return []
 
     def _append(self, track: Track, stamp: int, row: Array, what: str) -> None:

@@ -133,5 +133,6 @@ def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: dict[str
 
 def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str]) -> str:
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
-    reason = stream.last_fault or f'{stream.pending} outputs have no joint state at or after their stamps.'
+    waiting = f'{stream.pending} outputs have no joint state at or after their stamps.'
+    reason = stream.last_fault or stream.last_stranger or waiting
     return f'{str(bag.path)!r} holds no complete sample ({counts} messages): {reason}'

@@ -10,13 +10,17 @@ from semiparam_ros.errors import SemiparamError
 
 MOVING = ('revolute', 'continuous', 'prismatic')
 IGNORED = ('visual', 'collision')
+MOST_CHARACTERS = 2_000_000
+"""Of a description: ten times the longest of a humanoid."""
 
 
 def parse(urdf: str) -> ElementTree.Element:
     """The robot element, without meshes and limits, and with unlimited joints written as revolute ones.
 
-    Raises SemiparamError when the text is not a URDF of one tree.
+    Raises SemiparamError when the text is not a URDF of one tree, or too long.
     """
+    if len(urdf) > MOST_CHARACTERS:
+        raise SemiparamError(f'the robot description has {len(urdf)} characters; expected at most {MOST_CHARACTERS}.')
     try:
         robot = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:

@@ -80,6 +80,7 @@ class InputReport:
         values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._refusals.counts).items())}
         self._last, self._elsewhere = self._latest(sum(faults.values())), self._refusals.on_topics
         values['last refusal'] = self._last
+        values['ignored: other_joints'] = stream.strangers if stream else 0
         values['waiting for their counterpart'] = stream.pending if stream else 0
         values['lost before the robot was known'] = counts['given up']
         return self._judged(now, sum(faults.values()) + self._refusals.on_topics, values)
@@ -92,11 +93,13 @@ class InputReport:
 
     def _judged(self, now: float, refused: int, values: Mapping[str, Any]) -> Report:
         news, self._refused = refused - self._refused, refused
-        silent = [topic for topic in self._inputs.topics if topic in self._inputs.arrived
+        silent = [topic for topic in self._inputs.needed if topic in self._inputs.arrived
                   and now - self._inputs.arrived[topic] > SILENCE_S]
-        absent = [topic for topic in self._inputs.topics[:2] if topic not in self._inputs.arrived]
+        absent = [topic for topic in self._inputs.needed if topic not in self._inputs.arrived]
         if absent:
-            return Report(WARN, f'nothing received on {", ".join(absent)} yet.', values)
+            stream = self._inputs.stream
+            others = f' Ignored: {stream.last_stranger}' if stream and stream.last_stranger else ''
+            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{others}', values)
         if silent:
             return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.', values)
         if news > 0:

@@ -11,6 +11,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -21,6 +22,8 @@ from semiparam_ros.bags.alignment import CAPACITY, SampleStream
 from semiparam_ros.bags.loading import measured_accelerations, sample_stream
 from semiparam_ros.bags.readings import Kind, Reading
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.urdf import MOST_CHARACTERS
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.clock_watch import ClockWatch
 from semiparam_ros.ros.serialised import Layout, Reader, joint_state_layout_of, wrench_layout_of
 from semiparam_ros.ros.timing import Stopwatch
@@ -74,8 +77,16 @@ class Inputs:
                        *([ACCELERATIONS] if settings.acceleration_source != 'filter' else [])]
         self._subscriptions = {topic: self._subscribe(topic, settings.reliability == 'best_effort')
                                for topic in self.topics}
+        self._oversized = 0
         self._descriptions = [self._listen_to_description(durability) for durability in (
             QoSDurabilityPolicy.TRANSIENT_LOCAL, QoSDurabilityPolicy.VOLATILE)]
+
+    @property
+    def needed(self) -> list[str]:
+        """Topics without which there are no samples; measured accelerations only where the samples wait for them."""
+        waits = self._settings.acceleration_source == 'measured' or (
+            self.stream is not None and self.stream.takes_accelerations)
+        return [topic for topic in self.topics if topic != ACCELERATIONS or waits]
 
     def open(self, joints: tuple[str, ...]) -> None:
         """The joints are known: messages that came before are handed on first."""
@@ -129,25 +140,39 @@ class Inputs:
 
     def _listen_to_description(self, durability: QoSDurabilityPolicy) -> Subscription:
         """Latched, as robot_state_publisher offers it; and plain, as a tool may play it."""
-        return self._node.create_subscription(String, ROBOT_DESCRIPTION, self._describe,
-                                              QoSProfile(depth=1, durability=durability))
+        def receive(raw: Any) -> None:
+            self._sinks.guarded(lambda: self._describe(raw), ROBOT_DESCRIPTION)
 
-    def _describe(self, message: String) -> None:
-        if message.data:
-            self._sinks.description(message.data)
+        return self._node.create_subscription(String, ROBOT_DESCRIPTION, receive,
+                                              QoSProfile(depth=1, durability=durability), raw=True)
+
+    def _describe(self, raw: bytes) -> None:
+        """Refuse what is too long before it is decoded; once, for both subscriptions hear a latched one."""
+        if len(raw) > 4 * MOST_CHARACTERS:
+            if len(raw) == self._oversized:
+                return
+            self._oversized = len(raw)
+            raise SemiparamError(f'a robot description of {len(raw)} bytes is too long; expected at most '
+                                 f'{MOST_CHARACTERS} characters.')
+        try:
+            text = deserialize_message(raw, String).data
+        except Exception as failure:  # of several kinds, from rmw and from the conversion of texts
+            raise SemiparamError(f'a robot description of {len(raw)} bytes cannot be read ({type(failure).__name__}).'
+                                 ) from None
+        if text:
+            self._sinks.description(text)
 
     def _receive(self, topic: str, reading: Reading) -> None:
-        self.counts[topic] += 1
-        self.arrived[topic] = time.monotonic()
         self.stopwatch.start()
         if self.stream is None and not self._can_open(topic):
+            self.arrived[topic] = time.monotonic()
             self._keep(topic, reading)
-            return
-        self._feed(topic, reading)
+        elif self._feed(topic, reading):
+            self.counts[topic] += 1
+            self.arrived[topic] = time.monotonic()
 
     def _keep(self, topic: str, reading: Reading) -> None:
         self._early.append((topic, reading))
-        self.counts[topic] -= 1
         if len(self._early) > CAPACITY:
             del self._early[0]
             self.counts['given up'] += 1
@@ -165,19 +190,24 @@ class Inputs:
             self._receive(kept, reading)
         return True
 
-    def _feed(self, topic: str, reading: Reading) -> None:
+    def _feed(self, topic: str, reading: Reading) -> bool:
+        """False for a message of other joints than ours, which is no sign of life of the robot."""
         stream = self.stream
         assert stream is not None
+        strangers = stream.strangers
         backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
         samples = FEEDS[topic].kind.feed(stream, reading.stamp, *reading.fields)
         if stream.faults['backward_stamp'] > backward:
             self._went_back(topic, reading)
-            return
+            return True
+        if stream.strangers > strangers:
+            return False
         self._watch.accepted(topic)
         if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:
             self._sinks.frame_id(reading.frame_id)
         for sample in samples:
             self._sinks.sample(sample)
+        return True
 
     def _went_back(self, topic: str, reading: Reading) -> None:
         held = self._watch.refused(topic, reading)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
+from semiparam_ros.errors import shortened
+
 DESCRIPTION, TRAJECTORY, PARAMETERS = 'robot_description', 'desired_trajectory', 'parameters'
 CHECKPOINTS = 'checkpoints'
 
@@ -19,7 +21,7 @@ class Refusals:
         """One more."""
         self.counts[where] += 1
         if where != PARAMETERS:
-            self.last = sentence
+            self.last = shortened(sentence)
 
     @property
     def on_topics(self) -> int:

@@ -21,6 +21,8 @@ from semiparam_ros.ros.replay_stamps import NANOSECONDS
 ENCAPSULATION = bytes((0, sys.byteorder == 'little', 0, 0))
 """XCDR1 in the machine's byte order."""
 MOST_LAYOUTS = 64
+MOST_BYTES = 100_000
+"""Of a message that is read: a joint state of a thousand joints. A longer one is refused before it is decoded."""
 
 
 class Floats(NamedTuple):
@@ -105,7 +107,10 @@ class Reader:
         self._known: dict[int, tuple[Layout, Reading]] = {}
 
     def __call__(self, raw: bytes) -> Reading:
-        """Raises SemiparamError for bytes that are no such message."""
+        """Raises SemiparamError for bytes that are no such message, or too many."""
+        if len(raw) > MOST_BYTES:
+            raise SemiparamError(f'a {self._message_class.__name__} of {len(raw)} bytes is too long; expected at most '
+                                 f'{MOST_BYTES}.')
         known = self._known.get(len(raw))
         found = known[0].read(raw) if known else None
         if known is None or found is None:
