@@ -35,13 +35,13 @@ def test_a_gripper_and_absent_accelerations_are_nothing_to_warn_of(start_node):
     for sample in samples[60:360]:  # the robot moves while the reports come
         play(client, [sample], gripper=True)
         time.sleep(0.01)
-    reports = [(status.level, status.message, {entry.key for entry in status.values})
-               for heard in client.heard['/diagnostics'] for status in heard.status if status.name == 'estimator: inputs']
+    reports = [(status.level, status.message, {entry.key for entry in status.values}) for heard
+               in client.heard['/diagnostics'] for status in heard.status if status.name == 'estimator: inputs']
     assert (DiagnosticStatus.OK, 'receiving.') in [report[:2] for report in reports]
     assert not [report for report in reports if 'accelerations' in report[1] or 'refused' in report[1] + str(report[2])]
     assert len(client.stamps('residual')) == 300
     client.state(samples[360], JOINTS[:1], position=[0.0], velocity=[0.0])
-    level, message, _ = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.WARN
+    _, message, _ = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.WARN
                                            and 'refused' in message)
     assert "must name joint 'b' once" in message
 
