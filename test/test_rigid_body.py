@@ -20,6 +20,7 @@ from arms import (
 )
 
 from semiparam_ros.core import rigid_body
+from semiparam_ros.core import urdf as urdf_tree
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
@@ -338,3 +339,16 @@ def test_samples_of_the_wrong_width_are_refused():
     with pytest.raises(SemiparamError, match='4 joints'):
         body.regressors(Samples(motion.stamps, motion.position, motion.velocity, motion.acceleration,
                                 motion.outputs, 0))
+
+
+@pytest.mark.parametrize(('joint', 'count', 'sentence'), [
+    ('revolute', 250, 'it has 250 moving joints; expected at most 200'),
+    ('fixed', 1100, 'it has 1101 links; expected at most 1000')])
+def test_a_description_of_more_than_a_robot_is_refused_at_once(joint, count, sentence):
+    """A thousand moving joints, in a quarter of a megabyte, took all memory there was."""
+    parts = [f'<link name="l{index + 1}"/><joint name="j{index}" type="{joint}"><parent link="l{index}"/>'
+             f'<child link="l{index + 1}"/></joint>' for index in range(count)]
+    with pytest.raises(SemiparamError, match=sentence):
+        urdf_tree.parse(f'<robot name="x"><link name="l0"/>{"".join(parts)}</robot>')
+    with pytest.raises(SemiparamError, match='has 2000001 characters; expected at most 2000000'):
+        urdf_tree.parse('<' * 2_000_001)

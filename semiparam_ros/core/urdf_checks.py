@@ -8,6 +8,9 @@ from collections.abc import Iterator
 
 from semiparam_ros.errors import SemiparamError
 
+MOST_LINKS, MOST_JOINTS = 1000, 200
+"""Of a robot, and those that move: a humanoid with its fingers has a hundred. More would take minutes and gigabytes."""
+
 TYPES = ('revolute', 'continuous', 'prismatic', 'fixed', 'floating', 'planar')
 NUMBERS = {'origin': {'xyz': 3, 'rpy': 3}, 'axis': {'xyz': 3}, 'mass': {'value': 1},
            'inertia': dict.fromkeys(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'), 1)}
@@ -16,6 +19,10 @@ NUMBERS = {'origin': {'xyz': 3, 'rpy': 3}, 'axis': {'xyz': 3}, 'mass': {'value':
 def check_tree(robot: ElementTree.Element) -> None:
     """Raise SemiparamError unless links and joints form one tree with finite numbers."""
     links, joints = _named(robot, 'link'), _named(robot, 'joint')
+    moving = sum(joint.get('type') != 'fixed' for joint in joints.values())
+    for count, most, what in ((len(links), MOST_LINKS, 'links'), (moving, MOST_JOINTS, 'moving joints')):
+        if count > most:
+            raise _fault(f'it has {count} {what}; expected at most {most}.')
     parents: dict[str, str] = {}
     for name, joint in joints.items():
         if joint.get('type') not in TYPES:
