@@ -41,10 +41,12 @@ OLDEST := .venv-oldest
 OLDEST_TESTS := alignment or bags or columns or convert or effects or estimator or evidence or horizon or kinematics or \
     layers or model or optional or public or random_features or recursion or rigid_body or serialised or settings or \
     simulation or smoothing or structure or terms or weight_array
-OLDEST_PYTHON ?= 3.10
+# python3.10 on the path, or pyenv's; uv fetches one where there is neither.
+OLDEST_PYTHON ?= $(or $(shell python3.10 -c 'import sys; print(sys.executable)' 2>/dev/null),\
+    $(lastword $(wildcard $(HOME)/.pyenv/versions/3.10.*/bin/python)),3.10)
 oldest: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
-	$(BIN)/uv venv --quiet --clear --seed --python $(OLDEST_PYTHON) $(OLDEST)
+	$(BIN)/uv venv --quiet --clear --seed --python $(strip $(OLDEST_PYTHON)) $(OLDEST)
 	echo 'numpy>=1.26,<2' >$(OLDEST)/overrides.txt
 	$(BIN)/uv pip install --quiet --python $(OLDEST)/bin/python --overrides $(OLDEST)/overrides.txt \
 	    --resolution lowest-direct --requirements pyproject.toml --extra rosbags
