@@ -18,6 +18,7 @@ def shared(folder: str) -> list:
 
 
 setup(
+    license='Apache-2.0',
     python_requires='>=3.10',
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

@@ -114,6 +114,12 @@ def test_every_dependency_has_a_lower_bound():
     assert unbounded == []
 
 
+def test_the_installation_page_asks_for_the_declared_versions():
+    page = (REPOSITORY / 'docs/install.md').read_text()
+    named = re.findall(r"'((?:mcap|rosbags)[^']*>=[^']*)'", page)
+    assert named and set(named) <= {*declared()[''], *declared()['rosbags']}
+
+
 def test_versions_and_licence_agree():
     assert manifest().findtext('version') == semiparam_ros.__version__
     assert f'\n{semiparam_ros.__version__} ' in (REPOSITORY / 'CHANGELOG.rst').read_text()
@@ -205,8 +211,9 @@ def test_pip_installs_its_own_copy_with_the_data(prefix):
     where = run(prefix / 'bin/python', '-c', 'import semiparam_ros; print(semiparam_ros.__file__)', cwd=prefix,
                 env=environment())
     assert Path(where.strip()).is_relative_to(prefix)
-    told = 'from importlib.metadata import version; print(version("semiparam_ros"))'
-    assert run(prefix / 'bin/python', '-c', told, cwd=prefix, env=environment()).strip() == semiparam_ros.__version__
+    told = 'from importlib.metadata import metadata as m; m = m("semiparam_ros")\nprint(m["Version"], m["License"])'
+    assert run(prefix / 'bin/python', '-c', told, cwd=prefix, env=environment()).split() == [
+        semiparam_ros.__version__, 'Apache-2.0']
     share = prefix / 'share/semiparam_ros'
     for folder in ('config', 'launch', 'bags'):
         shipped = {path.name for path in (REPOSITORY / folder).rglob('*') if path.is_file() and path.suffix != '.pyc'}
