@@ -2,6 +2,8 @@
 
 import pickle
 from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,6 +50,16 @@ def motion(count: int, seed: int = 0, body=BODY) -> list[Sample]:
     return samples
 
 
+@dataclass
+class DelayedJob:
+    packed: bytes
+    done: Callable[[object, BaseException | None], None]
+    cancelled: bool = False
+
+    def cancel(self):
+        self.cancelled = True
+
+
 class DelayedBackground:
     """A background whose jobs run when the test says so; arguments and results are pickled, as between processes."""
 
@@ -56,7 +68,8 @@ class DelayedBackground:
         self.tasks = deque()
 
     def submit(self, function, *arguments, done):
-        self.jobs.append((pickle.dumps((function, arguments)), done))
+        self.jobs.append(DelayedJob(pickle.dumps((function, arguments)), done))
+        return self.jobs[-1]
 
     def later(self, function):
         self.tasks.append(function)
@@ -68,13 +81,15 @@ class DelayedBackground:
                 self.tasks.popleft()()
             if self.jobs and count:
                 count -= 1
-                packed, done = self.jobs.popleft()
-                function, arguments = pickle.loads(packed)
+                job = self.jobs.popleft()
+                if job.cancelled:
+                    continue
+                function, arguments = pickle.loads(job.packed)
                 try:
                     result, error = pickle.loads(pickle.dumps(function(*arguments))), None
                 except Exception as caught:
                     result, error = None, caught
-                done(result, error)
+                job.done(result, error)
 
 
 def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measured=True, wrench_late_ns=0):

@@ -1,6 +1,8 @@
 """What the node does around the estimator, without ROS: order, background work, switches, gate, tare, state files."""
 
 import os
+import pickle
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +13,15 @@ from semiparam_ros.bags.readings import Reading
 from semiparam_ros.core.model import Estimator
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import state_file
-from semiparam_ros.ros.answers import Outlets
 from semiparam_ros.ros.background import InlineBackground, ProcessBackground
 from semiparam_ros.ros.clock_watch import ClockWatch
 from semiparam_ros.ros.contact_gate import ContactGate
 from semiparam_ros.ros.estimates import payload, quantities
 from semiparam_ros.ros.excitation import Excitation, conditioning
 from semiparam_ros.ros.history import History
+from semiparam_ros.ros.jobs import new_estimator
 from semiparam_ros.ros.learner import Learner
+from semiparam_ros.ros.model_switcher import same_model
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 
@@ -28,12 +31,32 @@ VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML')
 class Stage:
     """A learner with everything that came out of it."""
 
-    def __init__(self, settings=SETTINGS, background=None, body=BODY):
+    def __init__(self, settings=SETTINGS, background=None, body=BODY, checkpoint=lambda: None):
         self.answers, self.errors, self.horizons, self.news, self.reverted = [], [], [], [], []
         self.background = background or DelayedBackground()
-        self.learner = Learner(settings, body, self.background, Outlets(
-            self.answers.append, self.errors.append, lambda variant, errors: self.horizons.append((variant, errors)),
-            self.news.append, lambda success, sentence: self.news.append(sentence), self.reverted.append))
+        self.failures = []
+        self.learner = Learner(settings, body, self.background, self, checkpoint)
+
+    def answered(self, answer):
+        self.answers.append(answer)
+
+    def horizon_completed(self, errors):
+        self.errors.append(errors)
+
+    def shadow_horizon_completed(self, variant, errors):
+        self.horizons.append((variant, errors))
+
+    def told(self, sentence):
+        self.news.append(sentence)
+
+    def model_switched(self, success, sentence):
+        self.news.append(sentence)
+
+    def settings_reverted(self, settings):
+        self.reverted.append(settings)
+
+    def failed(self, place, error):
+        self.failures.append((place, error))
 
     def offer(self, samples):
         for sample in samples:
@@ -72,9 +95,8 @@ def test_samples_that_come_while_hyperparameters_are_estimated_are_answered_in_o
 
 
 def test_a_window_without_motion_keeps_the_provisional_model_and_says_why():
-    still = [sample._replace(outputs=np.full(6, 1.0)) for sample in motion(90)]
     stage = Stage()
-    stage.offer(still)
+    stage.offer(still(90))
     stage.background.run()
     assert len(stage.answers) == 90 and not stage.learner.estimator.ready
     assert 'gives no hyperparameters' in stage.news[0]
@@ -179,16 +201,154 @@ def test_shadows_learn_the_same_samples_and_take_over_at_once():
     expected = offline(samples, replace(SETTINGS, variant='NP-ML'))[1]
     np.testing.assert_allclose(stage.means[180:], expected[180:], atol=1e-8)
     stage.learner.change(replace(stage.learner.settings, shadow_variants=()))
-    assert not stage.learner.company.shadows
+    assert not stage.learner.switcher.shadows
 
 
-def test_a_shadow_that_fails_is_given_up_and_the_rest_goes_on():
-    still = [sample._replace(outputs=np.full(6, 1.0)) for sample in motion(90)]
-    stage = Stage(replace(SETTINGS, shadow_variants=('NP-ML',)))
-    stage.offer(still)
+def still(count, start=0):
+    """Samples of a robot that does not move and a sensor that says nothing."""
+    return [sample._replace(outputs=np.full(6, 1.0)) for sample in motion(start + count)[start:]]
+
+
+def later(samples, seconds):
+    return [sample._replace(stamp=sample.stamp + round(seconds * 1e9)) for sample in samples]
+
+
+@pytest.mark.parametrize('wish', [{'variant': 'NP-ML'}, {'effects': ('sensor_drift',)}, {'shadow_variants': ('P',)}])
+def test_nothing_is_built_from_a_window_that_gave_no_hyperparameters(wish):
+    stage, moving = Stage(), later(motion(130), 60.0)
+    stage.offer(still(90))
     stage.background.run()
-    assert not stage.learner.company.shadows and not stage.background.jobs
-    assert len(stage.answers) == 90
+    assert not stage.learner.estimator.ready
+    settings = replace(SETTINGS, **wish)
+    stage.learner.change(settings)
+    stage.background.run()
+    stage.offer(moving)
+    stage.background.run()
+    assert same_model(stage.learner.built, settings) and stage.learner.estimator.ready
+    assert not any('could not be built' in sentence for sentence in stage.news)
+    assert all(model.estimator.ready for model in stage.learner.switcher.shadows.values())
+    # The window holds what followed the dead one: 30 still samples, then motion.
+    expected = new_estimator(settings, BODY, origin=motion(1)[0].stamp)
+    for sample in [*still(30, 60), *moving]:
+        expected.step(sample)
+    np.testing.assert_allclose(stage.learner.estimator.predict(moving[-1]).mean, expected.predict(moving[-1]).mean,
+                               atol=1e-8)
+
+
+def test_a_shadow_gathers_another_window_with_the_active_model():
+    stage = Stage(replace(SETTINGS, shadow_variants=('NP-ML',)))
+    stage.offer(still(90))
+    stage.background.run()
+    assert len(stage.answers) == 90 and not stage.background.jobs
+    stage.offer(later(motion(100), 60.0))
+    stage.background.run()
+    assert stage.learner.switcher.shadows['NP-ML'].estimator.ready
+
+
+def test_a_shadow_that_fails_while_a_successor_is_built_leaves_one_successor():
+    samples, stage = motion(200), Stage()
+    stage.offer(samples[:100])
+    stage.background.run()
+    shadowed = replace(SETTINGS, shadow_variants=('NP-ML',))
+    stage.learner.change(shadowed)
+    shadow_job = stage.background.jobs.popleft()
+    stage.learner.change(replace(shadowed, variant='P'))
+    successor = stage.learner.switcher.successor
+    shadow_job.done(None, MemoryError('worker'))
+    assert stage.learner.switcher.successor is successor and len(stage.background.jobs) == 1
+    assert not stage.learner.switcher.shadows and 'NP-ML could not be built' in stage.news[-1]
+    assert [place for place, _ in stage.failures] == ['the model NP-ML beside the active one']
+    stage.offer(samples[100:])
+    stage.background.run()
+    assert stage.learner.built.variant == 'P' and stage.learner.switcher.successor is None
+    np.testing.assert_allclose(stage.learner.estimator.predict(samples[-1]).mean,
+                               offline(samples, replace(SETTINGS, variant='P'))[0].predict(samples[-1]).mean, atol=1e-8)
+
+
+def test_a_retired_successor_never_takes_over():
+    samples, stage = motion(100), Stage()
+    stage.offer(samples)
+    stage.background.run()
+    stage.learner.change(replace(SETTINGS, variant='P'))
+    orphan = stage.background.jobs.popleft()
+    stage.learner.change(replace(SETTINGS, variant='NP-ML'))
+    function, arguments = pickle.loads(orphan.packed)
+    orphan.done(function(*arguments), None)
+    assert stage.learner.built.variant == SETTINGS.variant
+    stage.background.run()
+    assert stage.learner.built.variant == 'NP-ML'
+
+
+def break_down(estimator, how):
+    """Damage a model as a fault in the numerics would."""
+    if how == 'not finite':
+        estimator.model.recursion.theta = np.full_like(estimator.model.recursion.theta, np.nan)
+    else:
+        estimator.model.recursion = None
+
+
+@pytest.mark.parametrize('how', ['not finite', 'errors'])
+def test_a_broken_model_is_replaced_by_p(how):
+    samples, stage = motion(250), Stage(replace(SETTINGS, effects=('sensor_drift',)), InlineBackground())
+    stage.offer(samples[:100])
+    break_down(stage.learner.estimator, how)
+    stage.offer(samples[100:])
+    assert stage.learner.built.variant == 'P' and stage.learner.built.effects == ()
+    assert stage.reverted[-1] == stage.learner.settings == stage.learner.built
+    assert 'SPK-ML is broken' in stage.news[-2] and 'P begins anew' in stage.news[-2]
+    assert stage.failures and stage.failures[0][0] == 'the active model'
+    unanswered = 0 if how == 'not finite' else 2
+    assert len(stage.answers) == 250 - unanswered == 250 - stage.learner.lost
+    assert stage.learner.estimator.ready and np.isfinite(stage.means).all()
+
+
+def test_a_broken_model_is_replaced_by_the_last_checkpoint():
+    samples, kept = motion(250), []
+    stage = Stage(background=InlineBackground(), checkpoint=lambda: kept[-1])
+    stage.offer(samples[:150])
+    kept.append(pickle.loads(pickle.dumps(stage.learner.state())))
+    stage.offer(samples[150:200])
+    break_down(stage.learner.estimator, 'not finite')
+    stage.offer(samples[200:])
+    assert 'SPK-ML of the last checkpoint goes on' in stage.news[-1]
+    expected = offline([*samples[:150], *samples[200:]])[1]
+    np.testing.assert_allclose(stage.means[200:], expected[150:], atol=1e-10)
+
+
+def test_a_sample_that_cannot_be_learnt_ends_nothing(monkeypatch):
+    samples, stage = motion(200), Stage(background=InlineBackground())
+    stage.offer(samples[:100])
+    monkeypatch.setattr(stage.learner.estimator.horizon, 'score', lambda *_: 1 / 0)
+    stage.offer(samples[100:])
+    assert len(stage.answers) == 200 and stage.learner.built.variant == 'P'
+    assert stage.failures[0][0] == 'learning'
+
+
+def test_time_goes_on_after_a_reset_and_after_jumps_of_the_clock():
+    samples = motion(300)
+    stage = Stage(replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 1.0}',)), InlineBackground())
+    stage.offer(samples[:100])
+    stage.learner.reset()
+    stage.offer(samples[100:200])
+    assert stage.learner.estimator.origin == samples[0].stamp
+    assert stage.learner.estimator.predict(samples[200]).columns[:, -10:].any(), 'the load is there'
+    for jump in (365 * 86400.0, -365 * 86400.0):
+        moved = later(samples[200:], jump)
+        prediction = stage.learner.estimator.predict(moved[0])
+        assert prediction.columns[:, -10:].any()
+        stage.offer(moved)
+    drift = build_estimator(replace(SETTINGS, variant='P', effects=('sensor_drift',)))
+    for sample in [*samples[:100], *later(samples[100:110], 1e8), *later(samples[110:120], -1e8)]:
+        columns = drift.step(sample).columns[:, -6:]
+        assert 0.0 <= columns.max() < 5.0, 'seconds since the start, without those that the clock jumped'
+
+
+def test_a_span_begins_after_the_last_jump_of_the_clock():
+    history, samples = History(5, 100, 2, 6), motion(60)
+    for sample in [*later(samples[:30], 500.0), *samples[30:]]:
+        history.append(sample, True)
+    assert history.span(1000.0).stamps.tolist() == [sample.stamp for sample in samples[30:]]
+    assert len(history.span(0.1)) == 6
 
 
 def test_a_pause_predicts_without_learning():
@@ -327,7 +487,7 @@ def test_history_keeps_the_first_and_the_latest():
     assert chapter.samples.stamps.tolist() == [sample.stamp for sample in kept]
     np.testing.assert_array_equal(chapter.samples.outputs, [sample.outputs for sample in kept])
     assert history.latest().stamp == samples[-1].stamp
-    assert len(history.chapter(since=samples[35].stamp)) == 5
+    assert len(history.span(0.08)) == 5
 
 
 def test_the_clock_has_jumped_when_several_messages_agree():
@@ -383,15 +543,43 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies():
 
     def run(function, *arguments):
         background.submit(function, *arguments, done=lambda result, error: results.append((result, error)))
-        tasks.get(timeout=60)()
+        while not results:
+            tasks.get(timeout=60)()
         return results.pop()
 
     assert run(max, 1, 3) == (3, None)
     assert run(os.getpid)[0] != os.getpid()
     assert isinstance(run(int, 'x')[1], ValueError)
-    assert run(os._exit, 1)[1] is not None
+    assert 'died 2 times' in str(run(os._exit, 1)[1])
     assert run(max, 4, 5) == (5, None)
     background.close()
+
+
+def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(tmp_path):
+    import queue
+
+    tasks = queue.Queue()
+    background, results = ProcessBackground(tasks.put), []
+    for name in ('first', 'second', 'dropped', 'third'):
+        job = background.submit(append_and_perhaps_die, tmp_path / name, name == 'first',
+                                done=lambda result, error: results.append((result, error)))
+        if name == 'dropped':
+            job.cancel()
+    while len(results) < 3:
+        tasks.get(timeout=60)()
+    background.close()
+    assert results == [('first', None), ('second', None), ('third', None)]
+    counts = {path.name: len(path.read_text()) for path in tmp_path.iterdir()}
+    assert counts == {'first': 2, 'second': 1, 'third': 1}
+
+
+def append_and_perhaps_die(path, die):
+    """In the background process: leave a mark of each run; die in the first one, as by the system's hand."""
+    with path.open('a') as stream:
+        stream.write('x')
+    if die and len(path.read_text()) == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return path.name
 
 
 def test_defaults_describe_an_estimator():

@@ -25,6 +25,8 @@ __all__ = ['Estimator', 'EstimatorState', 'Model', 'ModelOptions', 'Prediction',
            'variant_named']
 
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
+LONGEST_PAUSE_NS = 3600 * 10**9
+"""A stamp further ahead of the last one, or before it, is that of a clock that jumped."""
 
 
 @dataclass(frozen=True)
@@ -95,15 +97,14 @@ class Estimator:
 
     The first ``initial_samples`` are answered by the rigid body alone, which starts from the robot description's
     inertias. They then give the hyperparameters, are learnt by the chosen variant, and it takes over.
+
+    :param origin: stamp [ns] from which the time of effects counts, such as the start of a recording; that of the first
+        sample unless given. It moves along when the clock jumps, so that time goes on from the last sample.
     """
 
     def __init__(self, body: RigidBody, options: ModelOptions | None = None, effects: Sequence[Effect] = (),
                  origin: int | None = None) -> None:
-        """Nothing learnt yet.
-
-        :param origin: [ns] where the effects' time starts; None: with the first sample observed.
-        Raises SemiparamError when the options or the effects do not fit the robot.
-        """
+        """Raises SemiparamError when the options or the effects do not fit the robot."""
         self.options = options or ModelOptions()
         self.variant = variant_named(self.options.variant)
         self.columns = CoupledColumns(body, effects)
@@ -130,8 +131,8 @@ class Estimator:
         """
         x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
         require_finite('positions, velocities and accelerations', x)
-        origin = sample.stamp if self.origin is None else self.origin
-        columns, memory = self.columns.one(sample, origin, self._memory)
+        memory = None if self._has_jumped(sample.stamp) else self._memory
+        columns, memory = self.columns.one(sample, self._origin_at(sample.stamp), memory)
         if self.columns.effects:
             require_finite('columns of the effects', columns)
         prior, learnt, fixed = self.model.predict(x, columns)
@@ -164,8 +165,8 @@ class Estimator:
         """
         sample, recursion = prediction.sample, self.model.recursion
         require_finite('outputs', sample.outputs)
-        self.origin = sample.stamp if self.origin is None else self.origin
-        self._newest, self._memory = sample.stamp, prediction.memory
+        self.origin, self._newest = self._origin_at(sample.stamp), sample.stamp
+        self._memory = prediction.memory
         outputs = sample.outputs / self.model.output_scale
         complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)
         correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None
@@ -211,6 +212,18 @@ class Estimator:
         self.horizon.restore(state.horizon)
         self.window, self._memory = list(state.window), state.memory
         self.origin, self._newest = state.origin, state.newest
+
+    def _has_jumped(self, stamp: int) -> bool:
+        return self._newest is not None and not 0 <= stamp - self._newest <= LONGEST_PAUSE_NS
+
+    def _origin_at(self, stamp: int) -> int:
+        """Where time counts from at a stamp: the origin, moved by what the clock jumped."""
+        if self.origin is None:
+            return stamp
+        since = stamp - (self.origin if self._newest is None else self._newest)
+        if 0 <= since <= LONGEST_PAUSE_NS:
+            return self.origin
+        return stamp - LONGEST_PAUSE_NS if self._newest is None else self.origin + since
 
     def hyperparameters(self) -> Hyperparameters:
         """Those in use, with pi as it stands."""

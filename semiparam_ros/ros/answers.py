@@ -1,9 +1,8 @@
-"""What a learner hands out."""
+"""What a learner tells whoever listens to it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.model import Prediction
@@ -21,17 +20,26 @@ class Answer(NamedTuple):
     contact: bool
 
 
-class Outlets(NamedTuple):
-    """Where a learner's results go.
+class LearnerListener(Protocol):
+    """Receives what a learner has to tell; called in the learner's own thread."""
 
-    ``answer`` receives each answer, ``errors`` the horizon errors that it completed, ``shadow`` a shadow variant and
-    those it completed, ``news`` a sentence for the log, ``switched`` whether a change of the model came about, and a
-    sentence, ``reverted`` the settings that stay after a change failed.
-    """
+    def answered(self, answer: Answer) -> None:
+        """The answer to one sample, in the order of the samples."""
 
-    answer: Callable[[Answer], None]
-    errors: Callable[[HorizonErrors], None] = lambda errors: None
-    shadow: Callable[[str, HorizonErrors], None] = lambda variant, errors: None
-    news: Callable[[str], None] = lambda sentence: None
-    switched: Callable[[bool, str], None] = lambda success, sentence: None
-    reverted: Callable[[Settings], None] = lambda settings: None
+    def horizon_completed(self, errors: HorizonErrors) -> None:
+        """The horizon errors of the active model."""
+
+    def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
+        """The horizon errors of a shadow variant."""
+
+    def told(self, sentence: str) -> None:
+        """News for the log."""
+
+    def model_switched(self, success: bool, sentence: str) -> None:
+        """Whether a change of the model came about, and a sentence about it."""
+
+    def settings_reverted(self, settings: Settings) -> None:
+        """The settings that hold from now on, after a change that failed or a model that broke."""
+
+    def failed(self, place: str, error: BaseException) -> None:
+        """Something unexpected went wrong at ``place``; the learner goes on."""

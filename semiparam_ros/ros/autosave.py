@@ -43,13 +43,22 @@ class Autosave:
         """The checkpoint to go on from, None where none is asked for or none is good; says which, and why."""
         if not self._resumes:
             return None
-        saved = self.checkpoints.newest(settings, body)
-        for remark in self.checkpoints.remarks:
-            self._refuse(remark)
+        saved = self._loaded(settings, body)
         if saved is None:
             self._say(f'there is no checkpoint to go on from in {self.checkpoints.path.parent}; learning begins anew.')
         else:
             self._say(f'the checkpoint is loaded: {saved.settings.variant} with {len(saved.chapter)} samples.')
+        return saved
+
+    def newest(self, settings: Settings, body: RigidBody) -> SavedState | None:
+        """The newest good checkpoint of a node that saves them, None where there is none."""
+        return self._loaded(settings, body) if self._active else None
+
+    def _loaded(self, settings: Settings, body: RigidBody) -> SavedState | None:
+        self.checkpoints.wait()
+        saved = self.checkpoints.newest(settings, body)
+        for remark in self.checkpoints.remarks:
+            self._refuse(remark)
         return saved
 
     def close(self) -> None:

@@ -9,19 +9,32 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from typing import Any, Protocol
+
+from semiparam_ros.errors import SemiparamError
 
 Done = Callable[[Any, BaseException | None], None]
 NICENESS = 5
+MOST_DEATHS = 2
+"""A job whose process dies so many times is given up: it is the job that kills it, by its memory for instance."""
+
+
+class Job(Protocol):
+    """Work that was handed to a background."""
+
+    def cancel(self) -> None:
+        """Its result is of no interest any more; it need not begin."""
 
 
 class Background(Protocol):
     """Runs functions elsewhere and hands their results back to the caller's own thread, in order."""
 
-    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> None:
+    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
         """Run ``function(*arguments)``, then ``done(result, None)`` or ``done(None, error)``."""
 
     def later(self, function: Callable[[], None]) -> None:
@@ -31,21 +44,24 @@ class Background(Protocol):
 class ProcessBackground:
     """One process, started at once so that it is warm when it is needed, and replaced should it die.
 
-    :param later: hands a function over to the executor's thread.
+    It is given one job at a time: when it dies, just the job that it worked on is to blame, and is tried once more.
+
+    :param later: hands a function over to the executor's thread, where all of this but the jobs themselves runs.
     """
 
     def __init__(self, later: Callable[[Callable[[], None]], object]) -> None:
         self._later = later
         self._pool = _new_pool()
+        self._queue: deque[_ProcessJob] = deque()
+        self._running: _ProcessJob | None = None
+        self._closed = False
 
-    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> None:
+    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
         """See :class:`Background`."""
-        try:
-            future = self._pool.submit(function, *arguments)
-        except BrokenProcessPool:
-            self._pool = _new_pool()
-            future = self._pool.submit(function, *arguments)
-        future.add_done_callback(lambda finished: self._later(lambda: _finish(finished, done)))
+        job = _ProcessJob(function, arguments, done)
+        self._queue.append(job)
+        self._start_next()
+        return job
 
     def later(self, function: Callable[[], None]) -> None:
         """See :class:`Background`."""
@@ -53,16 +69,69 @@ class ProcessBackground:
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
+        self._closed = True
+        self._queue.clear()
         for process in list((self._pool._processes or {}).values()):
             process.terminate()
         # Waiting costs nothing now, and spares the interpreter's end a pool that is half closed.
         self._pool.shutdown(wait=True, cancel_futures=True)
 
+    def _start_next(self) -> None:
+        while self._running is None and self._queue and not self._closed:
+            job = self._queue.popleft()
+            if not job.cancelled:
+                self._running = job
+                future = self._submitted(job)
+                future.add_done_callback(lambda finished: self._later(lambda: self._finish(finished)))
+
+    def _submitted(self, job: _ProcessJob) -> Future[Any]:
+        """The process may have died while it had nothing to do."""
+        try:
+            return self._pool.submit(job.function, *job.arguments)
+        except BrokenProcessPool:
+            self._pool = _new_pool()
+            return self._pool.submit(job.function, *job.arguments)
+
+    def _finish(self, future: Future[Any]) -> None:
+        job, self._running = self._running, None
+        if job is None or self._closed or future.cancelled():
+            return
+        error = future.exception()
+        try:
+            if isinstance(error, BrokenProcessPool):
+                self._died(job)
+            elif not job.cancelled:
+                job.done(None if error else future.result(), error)
+        finally:
+            self._start_next()
+
+    def _died(self, job: _ProcessJob) -> None:
+        job.deaths += 1
+        if job.cancelled:
+            return
+        if job.deaths < MOST_DEATHS:
+            self._queue.appendleft(job)
+        else:
+            job.done(None, SemiparamError(f'the background process died {job.deaths} times over it; it was killed, or '
+                                          'memory ran out.'))
+
+
+@dataclass
+class _ProcessJob:
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    done: Done
+    deaths: int = 0
+    cancelled: bool = False
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
 
 class InlineBackground:
     """The same interface without a process: everything happens at once. For tests and for offline use."""
 
-    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> None:
+    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
         """See :class:`Background`."""
         try:
             result = function(*arguments)
@@ -70,17 +139,11 @@ class InlineBackground:
             done(None, error)
         else:
             done(result, None)
+        return _ProcessJob(function, arguments, done)
 
     def later(self, function: Callable[[], None]) -> None:
         """See :class:`Background`."""
         function()
-
-
-def _finish(future: Future[Any], done: Done) -> None:
-    if future.cancelled():
-        return
-    error = future.exception()
-    done(None if error else future.result(), error)
 
 
 def _new_pool() -> ProcessPoolExecutor:

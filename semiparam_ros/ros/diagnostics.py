@@ -14,7 +14,9 @@ from semiparam_ros.ros.answers import Answer
 from semiparam_ros.ros.estimates import quantities
 from semiparam_ros.ros.excitation import Excitation, conditioning
 from semiparam_ros.ros.inputs import Inputs
+from semiparam_ros.ros.internal_errors import InternalErrors
 from semiparam_ros.ros.learner import Learner
+from semiparam_ros.ros.model_switcher import State
 from semiparam_ros.ros.refusals import Refusals
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -121,7 +123,8 @@ def learning_report(learner: Learner, news: str) -> Report:
     level, message = _learning_state(learner)
     values = {
         'variant': learner.built.variant, 'effects': ', '.join(learner.built.effects),
-        'shadow variants': ', '.join(name for name, shadow in learner.company.shadows.items() if shadow.live),
+        'shadow variants': ', '.join(name for name, shadow in learner.switcher.shadows.items()
+                                     if shadow.state is State.LIVE),
         'samples answered': learner.answered, 'samples learnt': learner.learnt, 'samples waiting': len(learner.waiting),
         'samples lost': learner.lost, 'samples not learnt for contact': learner.gate.refused,
         'in contact': learner.gate.closed, 'last news': news}
@@ -129,7 +132,7 @@ def learning_report(learner: Learner, news: str) -> Report:
 
 
 def _learning_state(learner: Learner) -> tuple[bytes, str]:
-    successor, estimator = learner.company.successor, learner.estimator
+    successor, estimator = learner.switcher.successor, learner.estimator
     if learner.lost:
         return ERROR, f'{learner.lost} samples lost: the machine is too slow for their rate.'
     if learner.busy:
@@ -164,6 +167,13 @@ def model_report(learner: Learner, tally: Tally) -> Report:
     if sentences:
         return Report(WARN, f'{sentences[0]}.', values)
     return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction yet.', values)
+
+
+def errors_report(errors: InternalErrors) -> Report:
+    """What went wrong in the node itself, by its place."""
+    values: dict[str, Any] = {f'internal errors: {place}': count for place, count in sorted(errors.counts.items())}
+    values |= {'internal errors': errors.counts.total(), 'last internal error': errors.last}
+    return Report(ERROR if errors.counts else OK, errors.last or 'no internal error.', values)
 
 
 def parameters_report(learner: Learner) -> Report:

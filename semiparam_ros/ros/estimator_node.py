@@ -15,13 +15,14 @@ from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.answers import Answer, Outlets
+from semiparam_ros.ros.answers import Answer
 from semiparam_ros.ros.autosave import Autosave
 from semiparam_ros.ros.background import ProcessBackground
 from semiparam_ros.ros.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.diagnosing import Diagnosing
 from semiparam_ros.ros.held_replies import HeldReplies
-from semiparam_ros.ros.inputs import Inputs, Sinks
+from semiparam_ros.ros.inputs import Inputs
+from semiparam_ros.ros.internal_errors import InternalErrors
 from semiparam_ros.ros.learner import Learner
 from semiparam_ros.ros.outputs import Outputs
 from semiparam_ros.ros.parameters import Parameters
@@ -29,6 +30,7 @@ from semiparam_ros.ros.refusals import CHECKPOINTS, DESCRIPTION, PARAMETERS, TRA
 from semiparam_ros.ros.reports import Reports
 from semiparam_ros.ros.robot import Robot
 from semiparam_ros.ros.services import Services
+from semiparam_ros.ros.state_file import SavedState
 from semiparam_ros.settings.snapshot import Settings, unknown_name
 from semiparam_ros.settings.table import BY_NAME
 
@@ -45,6 +47,7 @@ class EstimatorNode(Node):
     def __init__(self, later: Callable[[Callable[[], None]], object]) -> None:
         super().__init__(NAME)
         self.learner: Learner | None = None
+        self.errors = InternalErrors(self.get_logger().error, self._complain)
         self._refusals = Refusals()
         self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
                                       self._accept, self._change)
@@ -52,16 +55,15 @@ class EstimatorNode(Node):
         self._outputs = Outputs(self, settings.outputs)
 
         def in_executor(function: Callable[[], None]) -> None:
-            later(lambda: self._guarded(function))
+            later(lambda: self._guarded(function, 'the background'))
 
         self._background = ProcessBackground(in_executor)
         self._robot = Robot(settings, self._begin, lambda sentence: self._refuse(DESCRIPTION, sentence))
-        self._inputs = Inputs(self, settings, Sinks(self._guarded_offer, self._set_frame, self._robot.from_topic,
-                                                    self._clear_pending, self._guarded))
-        self._reports = Reports(self, self._inputs, self._refusals, lambda: self.learner, self._guarded)
+        self._inputs = Inputs(self, settings, self)
+        self._reports = Reports(self, self._inputs, self._refusals, self.errors, lambda: self.learner)
         self._held_replies = HeldReplies(self, self._announcement)
-        Services(self, self._live, self._the_learner)
-        self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor)
+        Services(self, self._live, self._the_learner, self.errors)
+        self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor, self.errors)
         DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                           lambda answer: self._guarded(answer, TRAJECTORY), later)
         self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
@@ -81,9 +83,105 @@ class EstimatorNode(Node):
         self._background.close()
         self.destroy_node()
 
+    # The robot and its learner
+
+    def _begin(self, body: RigidBody) -> None:
+        """The robot is known: what was received so far is answered first."""
+        self._outputs.open(body)
+        self._reports.open(self._robot.name, body.joints)
+        self.learner = Learner(self._live.settings, body, self._background, self, self._newest_checkpoint)
+        saved = self._autosave.resume(self._live.settings, body)
+        if saved is not None:
+            self.learner.restore(saved)
+            self._live.write(saved.settings)
+        self._inputs.open(body.joints)
+
+    def _newest_checkpoint(self) -> SavedState | None:
+        """What a model that broke is replaced by."""
+        return None if self.learner is None else self._autosave.newest(self._live.settings, self.learner.body)
+
+    def _the_learner(self) -> Learner:
+        if self.learner is None:
+            raise SemiparamError('there is no model yet: the robot description has not come.')
+        return self.learner
+
+    # What the inputs tell (InputsListener)
+
+    def sample_completed(self, sample: Sample) -> None:
+        """Answer it, and learn it; whatever happens there, the samples after it come here too."""
+        try:
+            if self.learner is not None:
+                self.learner.offer(sample)
+        except Exception as error:
+            self._report(error, 'a sample')
+
+    def frame_changed(self, frame_id: str) -> None:
+        """Answers have the frame of the measured outputs."""
+        self._outputs.frame_id = frame_id
+
+    def described(self, urdf: str) -> None:
+        """A description on its topic."""
+        self._robot.from_topic(urdf)
+
+    def clock_jumped(self) -> None:
+        """Half-finished samples are dropped already."""
+        self._reports.say('the clock jumped: half-finished samples and horizons are dropped, the model stays.')
+        if self.learner is not None:
+            self.learner.clear_pending()
+
+    def message_failed(self, topic: str, error: Exception) -> None:
+        """A message was refused, or could not be handled."""
+        self._report(error, topic, refused=True)
+
+    # What the learner tells (LearnerListener)
+
+    def answered(self, answer: Answer) -> None:
+        """Publish it at once."""
+        self._outputs.publish(answer)
+        self._inputs.stopwatch.stop()
+        self._reports.tally.add(answer)
+
+    def horizon_completed(self, errors: HorizonErrors) -> None:
+        """Those of the active model."""
+        self._outputs.publish_errors(errors)
+        self._reports.tally.errors = errors
+
+    def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
+        """Those of a shadow, on a topic of its own."""
+        self._outputs.publish_shadow(variant, errors)
+
+    def told(self, sentence: str) -> None:
+        """News for the log."""
+        self._reports.say(sentence)
+
+    def model_switched(self, success: bool, sentence: str) -> None:
+        """Replies to parameter changes wait for it."""
+        self._reports.say(sentence)
+        self._held_replies.settle(success, sentence)
+
+    def settings_reverted(self, settings: Settings) -> None:
+        """The parameters show what holds."""
+        self._live.write(settings)
+
+    def failed(self, place: str, error: BaseException) -> None:
+        """An internal error; the node goes on."""
+        self.errors.add(place, error)
+
+    def _watch_clock(self) -> None:
+        """A simulated clock that jumps back, as when a recording starts again."""
+        threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        self._jumps = self.get_clock().create_jump_callback(
+            threshold, post_callback=lambda jump: self._guarded(self._inputs.clock_jumped, 'the clock'))
+
+    # Parameters
+
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """As every node does, but a refusal names the nearest parameter, and success tells what happens now."""
-        result = self._set_together(parameter_list)
+        """As every node does, but a refusal names the nearest parameter, success tells what happens now, and whatever
+        goes wrong is an answer too."""
+        try:
+            result = self._set_together(parameter_list)
+        except Exception as error:
+            return SetParametersResult(successful=False, reason=self.errors.add('the parameters', error))
         if not result.successful:
             self._refusals.add(PARAMETERS, result.reason)
         return result
@@ -101,60 +199,6 @@ class EstimatorNode(Node):
             result.reason = self._live.news
         return result
 
-    # The robot and its learner
-
-    def _begin(self, body: RigidBody) -> None:
-        """The robot is known: what was received so far is answered first."""
-        self._outputs.open(body)
-        self._reports.open(self._robot.name, body.joints)
-        self.learner = Learner(self._live.settings, body, self._background, Outlets(
-            self._answer, self._complete, self._outputs.publish_shadow, self._reports.say, self._switched,
-            self._live.write))
-        saved = self._autosave.resume(self._live.settings, body)
-        if saved is not None:
-            self.learner.restore(saved)
-            self._live.write(saved.settings)
-        self._inputs.open(body.joints)
-
-    def _the_learner(self) -> Learner:
-        if self.learner is None:
-            raise SemiparamError('there is no model yet: the robot description has not come.')
-        return self.learner
-
-    def _guarded_offer(self, sample: Sample) -> None:
-        learner = self.learner
-        if learner is not None:
-            self._guarded(lambda: learner.offer(sample))
-
-    def _answer(self, answer: Answer) -> None:
-        self._outputs.publish(answer)
-        self._inputs.stopwatch.stop()
-        self._reports.tally.add(answer)
-
-    def _complete(self, errors: HorizonErrors) -> None:
-        self._outputs.publish_errors(errors)
-        self._reports.tally.errors = errors
-
-    def _switched(self, success: bool, sentence: str) -> None:
-        self._reports.say(sentence)
-        self._held_replies.settle(success, sentence)
-
-    def _set_frame(self, frame_id: str) -> None:
-        self._outputs.frame_id = frame_id
-
-    def _clear_pending(self) -> None:
-        self._reports.say('the clock jumped: half-finished samples and horizons are dropped, the model stays.')
-        if self.learner is not None:
-            self.learner.clear_pending()
-
-    def _watch_clock(self) -> None:
-        """A simulated clock that jumps back, as when a recording starts again."""
-        threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
-        self._jumps = self.get_clock().create_jump_callback(
-            threshold, post_callback=lambda jump: self._guarded(self._inputs.clock_jumped))
-
-    # Parameters
-
     def _accept(self, settings: Settings) -> str | None:
         """Why a change that the table allows does not fit this robot."""
         if self.learner is None:
@@ -165,13 +209,20 @@ class EstimatorNode(Node):
             return str(error)
         return None
 
+    def _change(self, settings: Settings) -> str:
+        if self.learner is None:
+            return ''
+        before = self.learner.settings
+        try:
+            return self.learner.change(settings)
+        except Exception:
+            self.learner.settings = before
+            raise
+
     def _announcement(self) -> str:
         """What the parameters said last, while a model is being built."""
-        building = self.learner is not None and self.learner.company.successor is not None
+        building = self.learner is not None and self.learner.switcher.successor is not None
         return self._live.news if building else ''
-
-    def _change(self, settings: Settings) -> str:
-        return '' if self.learner is None else self.learner.change(settings)
 
     # What is wrong
 
@@ -179,13 +230,22 @@ class EstimatorNode(Node):
         self._refusals.add(where, sentence)
         self._reports.say(sentence)
 
-    def _guarded(self, function: Callable[[], Any], where: str = '') -> None:
-        """Nothing that comes in may end the node: a sentence in the log, and the model as it was."""
+    def _guarded(self, function: Callable[[], Any], place: str) -> None:
+        """Call a function; nothing that goes wrong there may end the node."""
         try:
             function()
-        except SemiparamError as error:
-            if where:
-                self._refusals.add(where, str(error))
-            self.get_logger().error(str(error), throttle_duration_sec=1.0)
         except Exception as error:
-            self.get_logger().error(f'internal error, {type(error).__name__}: {error}', throttle_duration_sec=1.0)
+            self._report(error, place, refused=place == TRAJECTORY)
+
+    def _report(self, error: Exception, place: str, refused: bool = False) -> None:
+        """Our own sentences into the log as they are, counted where a message is refused; anything else is an internal
+        error."""
+        if not isinstance(error, SemiparamError):
+            self.errors.add(place, error)
+            return
+        if refused:
+            self._refusals.add(place, str(error))
+        self._complain(str(error))
+
+    def _complain(self, sentence: str) -> None:
+        self.get_logger().error(sentence, throttle_duration_sec=1.0)

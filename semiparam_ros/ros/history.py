@@ -28,23 +28,24 @@ class Chapter(NamedTuple):
 class History:
     """The first ``first`` samples learnt (and what came between them), and the latest ``latest`` of those after them.
 
-    Rows are written into arrays made once, so memory stays flat. Time counts from the very first sample.
+    Rows are written into arrays made once, so memory stays flat. Time counts from ``origin`` [ns], the very first
+    sample unless given.
     """
 
-    def __init__(self, first: int, latest: int, n_joints: int, n_outputs: int) -> None:
+    def __init__(self, first: int, latest: int, n_joints: int, n_outputs: int, origin: int | None = None) -> None:
         self._n_joints = n_joints
         self._window = _Ring(2 * first, 3 * n_joints + n_outputs)
         self._recent = _Ring(max(latest, 1), 3 * n_joints + n_outputs)
         self._first, self._learnt = first, 0
-        self._origin = 0
+        self.origin = origin
 
     def __len__(self) -> int:
         return len(self._window) + len(self._recent)
 
     def append(self, sample: Sample, learnt: bool) -> None:
         """Keep one sample."""
-        if not len(self):
-            self._origin = sample.stamp
+        if self.origin is None:
+            self.origin = sample.stamp
         ring = self._window if self._learnt < self._first and not self._window.full else self._recent
         ring.append(sample, learnt)
         self._learnt += learnt
@@ -54,28 +55,35 @@ class History:
         for sample, learnt in chapter.pairs():
             self.append(sample, learnt)
         if chapter.samples is not None:
-            self._origin = chapter.samples.origin
+            self.origin = chapter.samples.origin
+
+    def discard(self) -> None:
+        """Forget all samples, and begin with the first again; time goes on."""
+        self._window.clear()
+        self._recent.clear()
+        self._learnt = 0
 
     def latest(self) -> Sample | None:
         """The last sample, None before the first."""
         ring = self._recent if len(self._recent) else self._window
         row = ring.last()
-        samples = None if row is None else _samples(*row, self._n_joints, self._origin)
+        samples = None if row is None else _samples(*row, self._n_joints, self.origin)
         return None if samples is None else next(iter(samples))
 
-    def chapter(self, since: int | None = None) -> Chapter:
-        """Everything that is kept, in order; with ``since`` only stamps [ns] from there on."""
+    def chapter(self) -> Chapter:
+        """Everything that is kept, in order."""
         parts = [*self._window.rows(), *self._recent.rows()]
         stamps, rows, learnt = (np.concatenate(column) for column in zip(*parts, strict=True))
-        if since is not None:
-            late = stamps >= since
-            stamps, rows, learnt = stamps[late], rows[late], learnt[late]
-        return Chapter(_samples(stamps, rows, self._n_joints, self._origin), learnt)
+        return Chapter(_samples(stamps, rows, self._n_joints, self.origin), learnt)
 
     def span(self, seconds: float) -> Samples | None:
-        """The latest samples of so many seconds, learnt or not; None where there is none."""
-        latest = self.latest()
-        return None if latest is None else self.chapter(latest.stamp - round(seconds * 1e9)).samples
+        """The latest samples of so many seconds, learnt or not, since the clock last jumped back; None without any."""
+        samples = self.chapter().samples
+        if samples is None:
+            return None
+        jumps = np.flatnonzero(np.diff(samples.stamps) <= 0)
+        samples = samples[int(jumps[-1]) + 1:] if len(jumps) else samples
+        return samples[samples.stamps >= samples.stamps[-1] - round(seconds * 1e9)]
 
 
 def chapter_of(pairs: list[tuple[Sample, bool]]) -> Chapter:
@@ -118,6 +126,9 @@ class _Ring:
     def __len__(self) -> int:
         return min(self._count, len(self._stamps))
 
+    def clear(self) -> None:
+        self._count = 0
+
     @property
     def full(self) -> bool:
         return self._count >= len(self._stamps)
@@ -142,7 +153,7 @@ class _Ring:
         return [(self._stamps[part], self._rows[part], self._learnt[part]) for part in parts]
 
 
-def _samples(stamps: Stamps, rows: Array, n: int, origin: int) -> Samples | None:
-    if not len(stamps):
+def _samples(stamps: Stamps, rows: Array, n: int, origin: int | None) -> Samples | None:
+    if not len(stamps) or origin is None:
         return None
     return Samples(stamps, rows[:, :n], rows[:, n:2 * n], rows[:, 2 * n:3 * n], rows[:, 3 * n:], origin)

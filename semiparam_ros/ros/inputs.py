@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -46,24 +46,30 @@ FEEDS = {JOINT_STATES: Feed(JointState, readings.JOINT_STATE, joint_state_layout
          ACCELERATIONS: Feed(JointTrajectory, readings.ACCELERATIONS, None)}
 
 
-class Sinks(NamedTuple):
-    """Where what comes in goes: samples, the frame of the outputs, a URDF, word of a jump of the clock.
+class InputsListener(Protocol):
+    """Receives what comes in on the topics."""
 
-    ``guarded`` calls what reads a topic, and refuses what is wrong there.
-    """
+    def sample_completed(self, sample: Sample) -> None:
+        """The next sample, in order of time."""
 
-    sample: Callable[[Sample], None]
-    frame_id: Callable[[str], None]
-    description: Callable[[str], None]
-    jumped: Callable[[], None]
-    guarded: Callable[[Callable[[], None], str], None]
+    def frame_changed(self, frame_id: str) -> None:
+        """The frame of the measured outputs."""
+
+    def described(self, urdf: str) -> None:
+        """A robot description."""
+
+    def clock_jumped(self) -> None:
+        """What waited for its counterpart is dropped."""
+
+    def message_failed(self, topic: str, error: Exception) -> None:
+        """A message was refused, or could not be handled."""
 
 
 class Inputs:
     """Subscriptions, and the stream they feed once the robot's joints are known; until then messages are kept."""
 
-    def __init__(self, node: Node, settings: Settings, sinks: Sinks) -> None:
-        self._node, self._settings, self._sinks = node, settings, sinks
+    def __init__(self, node: Node, settings: Settings, listener: InputsListener) -> None:
+        self._node, self._settings, self._listener = node, settings, listener
         self.counts: Counter[str] = Counter()
         self.stopwatch = Stopwatch()
         self.arrived: dict[str, float] = {}
@@ -100,7 +106,7 @@ class Inputs:
         self._watch.clear()
         if self.stream is not None:
             self.stream.reset()
-        self._sinks.jumped()
+        self._listener.clock_jumped()
 
     def publishers(self, topic: str) -> int:
         """How many publishers a topic has that are heard."""
@@ -132,7 +138,10 @@ class Inputs:
         read = Reader(feed.message_class, feed.kind.read, feed.layout)
 
         def receive(raw: Any) -> None:
-            self._sinks.guarded(lambda: self._receive(topic, read(raw)), topic)
+            try:
+                self._receive(topic, read(raw))
+            except Exception as error:
+                self._listener.message_failed(topic, error)
 
         return self._node.create_subscription(
             feed.message_class, topic, receive, profile, raw=True,
@@ -141,7 +150,10 @@ class Inputs:
     def _listen_to_description(self, durability: QoSDurabilityPolicy) -> Subscription:
         """Latched, as robot_state_publisher offers it; and plain, as a tool may play it."""
         def receive(raw: Any) -> None:
-            self._sinks.guarded(lambda: self._describe(raw), ROBOT_DESCRIPTION)
+            try:
+                self._describe(raw)
+            except Exception as error:
+                self._listener.message_failed(ROBOT_DESCRIPTION, error)
 
         return self._node.create_subscription(String, ROBOT_DESCRIPTION, receive,
                                               QoSProfile(depth=1, durability=durability), raw=True)
@@ -160,7 +172,7 @@ class Inputs:
             raise SemiparamError(f'a robot description of {len(raw)} bytes cannot be read ({type(failure).__name__}).'
                                  ) from None
         if text:
-            self._sinks.description(text)
+            self._listener.described(text)
 
     def _receive(self, topic: str, reading: Reading) -> None:
         self.stopwatch.start()
@@ -204,9 +216,9 @@ class Inputs:
             return False
         self._watch.accepted(topic)
         if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:
-            self._sinks.frame_id(reading.frame_id)
+            self._listener.frame_changed(reading.frame_id)
         for sample in samples:
-            self._sinks.sample(sample)
+            self._listener.sample_completed(sample)
         return True
 
     def _went_back(self, topic: str, reading: Reading) -> None:

@@ -7,7 +7,9 @@ in their order, so nothing is lost and the answers are those of an estimator tha
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
+from math import isfinite
 
 import numpy as np
 
@@ -17,43 +19,61 @@ from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import jobs
-from semiparam_ros.ros.answers import Answer, Outlets
+from semiparam_ros.ros.answers import Answer, LearnerListener
 from semiparam_ros.ros.background import Background
-from semiparam_ros.ros.company import MODEL_PARAMETERS, Company, same_model
 from semiparam_ros.ros.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.ros.history import Chapter, History
+from semiparam_ros.ros.model_switcher import (
+    MODEL_PARAMETERS,
+    ModelSwitcher,
+    completes_window,
+    same_model,
+    sentence_of,
+)
 from semiparam_ros.ros.state_file import SavedState
 from semiparam_ros.ros.tare import Tare
-from semiparam_ros.ros.understudy import Understudy, completes_window, sentence_of
 from semiparam_ros.settings.snapshot import Settings
 
 DRAIN_AT_ONCE = 20
 WAITING_AT_MOST = 200_000
+FAILURES_AT_MOST = 3
+"""So many samples in a row that the active model cannot answer, and it counts as broken."""
 
 
 class Learner:
-    """Answers every sample once, in order."""
+    """Answers every sample once, in order.
 
-    def __init__(self, settings: Settings, body: RigidBody, background: Background, outlets: Outlets) -> None:
+    :param listener: told of every answer and of what happens to the model.
+    :param checkpoint: gives the newest good saved state that replaces a model that broke; None where there is none.
+    """
+
+    def __init__(self, settings: Settings, body: RigidBody, background: Background, listener: LearnerListener,
+                 checkpoint: Callable[[], SavedState | None] = lambda: None) -> None:
         self.settings, self.body = settings, body
         self.gate = ContactGate()
         self.tare = Tare(body.n_outputs)
         self.waiting: deque[Sample] = deque()
         self.learnt = self.answered = self.lost = 0
-        self._background, self._outlets = background, outlets
-        self.company = Company(body, background, self._hand_over, self._cannot_build, outlets.shadow)
-        self._begin(jobs.new_estimator(settings, body))
+        self._background, self._listener, self._checkpoint = background, listener, checkpoint
+        self._window_job: object | None = None
+        self._failures = 0
+        self.switcher = ModelSwitcher(body, background, self)
+        self._begin(settings, jobs.new_estimator(settings, body))
 
-    def _begin(self, estimator: Estimator, past: Chapter | None = None) -> None:
-        settings = self.settings
+    def _begin(self, settings: Settings, estimator: Estimator, past: Chapter | None = None) -> None:
+        """Go on with an estimator that has seen a past, and with nothing else."""
+        self._window_job = None
+        self.switcher.retire_all(forget_hyperparameters=True)
+        self.gate.reset()
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
-                               self.body.n_outputs)
+                               self.body.n_outputs, estimator.origin)
         if past is not None:
             self.history.refill(past)
-        self._window_job: object | None = None
-        self.company.remember(settings, estimator)
-        self.company.set_shadows(settings, self.history)
+        self._seen = len(self.history)
+        self._failures = 0
+        self.switcher.remember(settings, estimator)
+        self.switcher.set_shadows(settings, self.history, retry=True)
 
     # Samples
 
@@ -75,15 +95,17 @@ class Learner:
     def clear_pending(self) -> None:
         """Forget half-finished horizons after a jump of the clock; the models stay."""
         self.gate.reset()
-        for understudy in self.company.all:
-            understudy.clear_pending()
+        self.switcher.clear_pending()
         if not self.busy:
             self.estimator.clear_pending()
 
     def _take(self, sample: Sample) -> None:
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
-        prediction = self.estimator.predict(sample)
+        prediction = self._predict(sample)
+        if prediction is None:
+            self.lost += 1
+            return
         innovation = standardised_innovation(prediction)
         contact = self.gate.judge(sample.stamp, innovation, self.settings)
         learn = self.settings.learning and not contact
@@ -92,11 +114,39 @@ class Learner:
         if learn and completes_window(self.estimator):
             self._finish_window(prediction)
         else:
-            self._complete(self.estimator.observe(prediction, learn))
+            self._observe(prediction, learn)
+
+    def _predict(self, sample: Sample) -> Prediction | None:
+        """The prediction of a sample; None where the active model fails, but is not yet known to be broken."""
+        try:
+            prediction = self.estimator.predict(sample)
+            if not isfinite(float(prediction.mean.sum() + prediction.std.sum())):
+                raise FloatingPointError('it predicts values that are not finite')
+        except Exception as error:
+            self._failures += 1
+            broken = isinstance(error, FloatingPointError) or self._failures >= FAILURES_AT_MOST
+            self._listener.failed('the active model', error)
+            if not broken:
+                return None
+            self._fall_back(error)
+            return self.estimator.predict(sample)
+        self._failures = 0
+        return prediction
+
+    def _observe(self, prediction: Prediction, learn: bool) -> None:
+        try:
+            errors = self.estimator.observe(prediction, learn)
+        except SemiparamError:
+            raise  # of the sample: the model is as it was
+        except Exception as error:  # who knows how much of it was learnt
+            self._listener.failed('learning', error)
+            self._fall_back(error)
+        else:
+            self._complete(errors)
 
     def _complete(self, errors: HorizonErrors | None) -> None:
         if errors is not None:
-            self._outlets.errors(errors)
+            self._listener.horizon_completed(errors)
 
     def _as_measured(self, prediction: Prediction) -> Prediction:
         """With the bias of the tare, which the sensor still has."""
@@ -105,33 +155,47 @@ class Learner:
     def _emit(self, answer: Answer) -> None:
         sample = answer.prediction.sample
         self.answered += 1
+        self._seen += 1
         self.learnt += answer.learnt
         self.tare.add(sample.stamp, answer.residual, answer.prediction.ready)
-        self._outlets.answer(answer)
+        self._listener.answered(answer)
         self.history.append(sample, answer.learnt)
-        self.company.offer(sample, answer.learnt)
+        self.switcher.offer(sample, answer.learnt)
 
     def _finish_window(self, prediction: Prediction) -> None:
         job = self._window_job = object()
-        self._background.submit(jobs.observe, self.estimator, prediction,
-                                done=lambda result, error: self._window_done(job, result, error))
+        self._background.submit(jobs.finish_window, self.estimator, prediction,
+                                done=lambda window, error: self._window_done(job, prediction, window, error))
 
-    def _window_done(self, job: object, result: tuple[Estimator, HorizonErrors | None] | None,
+    def _window_done(self, job: object, prediction: Prediction, window: jobs.Window | None,
                      error: BaseException | None) -> None:
         if job is not self._window_job:
             return  # it was reset, or replaced, meanwhile
         self._window_job = None
-        if result is None:
+        if window is None:
+            if error is not None and not isinstance(error, SemiparamError):
+                self._listener.failed('the estimate of the hyperparameters', error)
             self.estimator.window = []
-            self._outlets.news(f'the initial window gives no hyperparameters ({sentence_of(error)}); another one is '
-                               'gathered.')
+            self.estimator.observe(prediction)
+            self.estimator.window = []
+            self._discard_window(sentence_of(error))
+        elif window.failure is not None:
+            self.estimator = window.estimator
+            self._discard_window(sentence_of(window.failure))
         else:
-            self.estimator, errors = result
-            self._complete(errors)
-            self.company.remember(self.built, self.estimator)
-            self._outlets.news(f'{self.built.variant} has its hyperparameters from {self.built.initial_samples} '
-                               'samples and takes over from the provisional model.')
+            self.estimator = window.estimator
+            self._complete(window.errors)
+            self.switcher.remember(self.built, self.estimator)
+            self._listener.told(f'{self.built.variant} has its hyperparameters from {self.built.initial_samples} '
+                                'samples and takes over from the provisional model.')
         self._drain()
+
+    def _discard_window(self, reason: str) -> None:
+        """Gather another initial window; nothing is built from the one that gave no hyperparameters."""
+        self._listener.told(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
+        self.history.discard()
+        self.switcher.retire_all()
+        self._follow_settings(retry=True)
 
     def _drain(self) -> None:
         """Answer some of those that waited, then let other callbacks in."""
@@ -160,36 +224,35 @@ class Learner:
     def change(self, settings: Settings) -> str:
         """Take over new, already validated settings; returns a sentence on what happens now, '' for nothing much."""
         self.settings = settings
-        successor = self.company.successor
+        successor = self.switcher.successor
         if successor is not None and not same_model(settings, successor.settings):
-            self.company.dismiss_successor()
+            self.switcher.retire_successor()
         elif successor is not None:
             return f'{settings.variant} is being built already.'
         if same_model(settings, self.built):
-            self.company.set_shadows(settings, self.history, retry=True)
+            self.switcher.set_shadows(settings, self.history, retry=True)
             return '' if successor is None else f'{settings.variant} goes on.'
-        understudy = self.company.appoint(settings, self.history)
-        if understudy.live:
+        if self.switcher.appoint(settings, self.history):
             return f'{settings.variant} learnt as a shadow and answers from the next sample on.'
         return (f'{settings.variant} is being built from {len(self.history)} samples; {self.built.variant} answers '
                 'until it takes over, between two samples.')
 
     def reset(self) -> None:
         """Forget everything learnt; samples that wait are still answered."""
-        self.company.dismiss(forget_hyperparameters=True)
-        self.gate.reset()
         self.tare = Tare(self.body.n_outputs)
-        self._begin(jobs.new_estimator(self.settings, self.body))
+        self._begin(self.settings, jobs.new_estimator(self.settings, self.body, origin=self.history.origin))
         self._drain()
 
     def restore(self, saved: SavedState) -> None:
         """Go on with a state that was saved; what waits is answered by it."""
-        self.settings = saved.settings
-        self.company.dismiss(forget_hyperparameters=True)
-        self.gate.restore(saved.gate)
-        self.tare = Tare(self.body.n_outputs, saved.bias)
-        self._begin(saved.estimator, saved.chapter)
+        self._restore(saved)
         self._drain()
+
+    def _restore(self, saved: SavedState) -> None:
+        self.settings = saved.settings
+        self.tare = Tare(self.body.n_outputs, saved.bias)
+        self._begin(saved.settings, saved.estimator, saved.chapter)
+        self.gate.restore(saved.gate)
 
     def state(self) -> SavedState:
         """What :meth:`restore` needs; raises SemiparamError while the initial window is being evaluated."""
@@ -197,35 +260,65 @@ class Learner:
             raise SemiparamError('hyperparameters are being estimated; try again when the variant has taken over.')
         return SavedState(self.built, self.estimator, self.history.chapter(), self.tare.bias, self.gate.state())
 
-    def _hand_over(self, successor: Understudy) -> None:
-        assert successor.estimator is not None
-        self.company.successor = None
-        before, self.built, self.estimator = self.built, successor.settings, successor.estimator
+    def _fall_back(self, error: Exception) -> None:
+        """The active model is broken: go on with the last checkpoint, else with P and no effects."""
+        broken, saved = self.built.variant, self._newest_checkpoint()
+        if saved is not None:
+            self._restore(saved)
+            instead = f'{self.built.variant} of the last checkpoint goes on'
+        else:
+            self.settings = replace(self.settings, variant='P', effects=(), shadow_variants=())
+            estimator = jobs.new_estimator(self.settings, self.body, origin=self.history.origin)
+            self._begin(self.settings, estimator)
+            instead = 'P begins anew'
+        self._listener.settings_reverted(self.settings)
+        self._listener.model_switched(False, f'{broken} is broken ({sentence_of(error)}); {instead}.')
+
+    def _newest_checkpoint(self) -> SavedState | None:
+        try:
+            saved = self._checkpoint()
+        except Exception as error:
+            self._listener.failed('the checkpoint', error)
+            return None
+        return saved
+
+    # What the switcher tells
+
+    def successor_live(self, settings: Settings, estimator: Estimator) -> None:
+        """It takes over, between two samples."""
+        before, self.built, self.estimator = self.built, settings, estimator
         self._window_job = None
-        self.company.remember(self.built, self.estimator)
-        self._outlets.switched(True, f'{self.built.variant} takes over{_from(before, self.built)} after '
-                                     f'{self.answered} samples.')
-        self._follow_wishes()
+        self._failures = 0
+        changed = f' from {before.variant}' if before.variant != settings.variant else ', changed,'
+        self._listener.model_switched(True, f'{settings.variant} takes over{changed} after {self._seen} samples.')
+        self._follow_settings()
         self._drain()
 
-    def _follow_wishes(self) -> None:
-        """The settings may have changed again while a model was being built."""
+    def successor_failed(self, settings: Settings, sentence: str) -> None:
+        """The active model goes on, and so do its settings."""
+        self.settings = replace(self.settings, **{name: getattr(self.built, name) for name in MODEL_PARAMETERS})
+        self._listener.settings_reverted(self.settings)
+        self._listener.model_switched(False, self._not_built(settings, sentence))
+        self._follow_settings()
+
+    def shadow_failed(self, settings: Settings, sentence: str) -> None:
+        """The others go on."""
+        self._listener.told(self._not_built(settings, sentence))
+
+    def shadow_horizon(self, variant: str, errors: HorizonErrors) -> None:
+        """Handed on."""
+        self._listener.shadow_horizon_completed(variant, errors)
+
+    def failed(self, place: str, error: BaseException) -> None:
+        """Handed on."""
+        self._listener.failed(place, error)
+
+    def _not_built(self, settings: Settings, sentence: str) -> str:
+        return f'{settings.variant} could not be built ({sentence}); {self.built.variant} goes on.'
+
+    def _follow_settings(self, retry: bool = False) -> None:
+        """Build what the settings ask for and is not there."""
         if same_model(self.settings, self.built):
-            self.company.set_shadows(self.settings, self.history)
-        else:
-            self.company.appoint(self.settings, self.history)
-
-    def _cannot_build(self, settings: Settings, sentence: str) -> None:
-        sentence = f'{settings.variant} could not be built ({sentence}); {self.built.variant} goes on.'
-        if not same_model(settings, self.settings):
-            self._outlets.news(sentence)
-        else:
-            self._outlets.switched(False, sentence)
-            kept = {name: getattr(self.built, name) for name in MODEL_PARAMETERS}
-            self.settings = replace(self.settings, **kept)
-            self._outlets.reverted(self.settings)
-        self._follow_wishes()
-
-
-def _from(before: Settings, after: Settings) -> str:
-    return f' from {before.variant}' if before.variant != after.variant else ', changed,'
+            self.switcher.set_shadows(self.settings, self.history, retry)
+        elif self.switcher.successor is None:
+            self.switcher.appoint(self.settings, self.history)

@@ -100,8 +100,12 @@ class Parameters:
             return
         ours = {item.name: item.value for item in parameters if item.name in BY_NAME}
         if ours:
-            self.settings = self.settings.changed(ours)
-            self.news = self._changed(self.settings)
+            before, self.settings = self.settings, self.settings.changed(ours)
+            try:
+                self.news = self._changed(self.settings)
+            except Exception:
+                self.write(before)
+                raise
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:

@@ -38,7 +38,10 @@ def run_estimator(ros_arguments: Sequence[str]) -> int:
                 node.get_logger().warning(refused)
             _keep_collector_out()
             while ok() and not stop.asked:
-                spin_for(executor, SPIN_S)
+                try:
+                    spin_for(executor, SPIN_S)
+                except Exception as error:  # of a callback that does not handle its own
+                    node.failed('a callback', error)
         finally:
             executor.remove_node(node)
             node.close()

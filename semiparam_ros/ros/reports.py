@@ -15,6 +15,7 @@ from semiparam_ros.ros import diagnostics
 from semiparam_ros.ros.diagnostics import WARN, Report, Tally
 from semiparam_ros.ros.estimates import payload
 from semiparam_ros.ros.inputs import Inputs
+from semiparam_ros.ros.internal_errors import InternalErrors
 from semiparam_ros.ros.learner import Learner
 from semiparam_ros.ros.messages import inertia_message
 from semiparam_ros.ros.refusals import Refusals
@@ -26,23 +27,24 @@ class Reports:
     """One status after another, evenly over the second: a sample that comes meanwhile waits for one of them only.
 
     :param learner: gives the learner, None before the robot is known.
-    :param guarded: calls a function and lets no error out.
     """
 
-    def __init__(self, node: Node, inputs: Inputs, refusals: Refusals, learner: Callable[[], Learner | None],
-                 guarded: Callable[[Callable[[], None]], None]) -> None:
+    def __init__(self, node: Node, inputs: Inputs, refusals: Refusals, errors: InternalErrors,
+                 learner: Callable[[], Learner | None]) -> None:
         self.tally = Tally(())
         self._news = self._robot_name = ''
+        self._errors = errors
         self._node, self._inputs, self._learner = node, inputs, learner
         self._name = node.get_fully_qualified_name().lstrip('/')
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
         turns = {'inputs': diagnostics.InputReport(inputs, refusals).make,
                  'timing': lambda: diagnostics.timing_report(inputs), 'learning': self._learning,
-                 'model': self._model, 'parameters': self._parameters}
+                 'model': self._model, 'parameters': self._parameters,
+                 'errors': lambda: diagnostics.errors_report(errors)}
         turn = cycle(turns.items())
         # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
-        node.create_timer(PERIOD_S / len(turns), lambda: guarded(lambda: self._publish(*next(turn))),
+        node.create_timer(PERIOD_S / len(turns), lambda: self._publish(*next(turn)),
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def open(self, robot_name: str, joints: tuple[str, ...]) -> None:
@@ -56,7 +58,11 @@ class Reports:
         self._node.get_logger().info(sentence)
 
     def _publish(self, title: str, make: Callable[[], Report | None]) -> None:
-        report = make()
+        try:
+            report = make()
+        except Exception as error:  # a status that cannot be told must not keep the others back
+            self._errors.add(f'the status of {title}', error)
+            return
         if report is None:
             return
         message = DiagnosticArray()

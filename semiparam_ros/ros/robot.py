@@ -50,6 +50,6 @@ class Robot:
 
     def _take(self, text: str) -> None:
         body = build_rigid_body(self._settings, text)
-        self._text = text
         self.name = urdf_tree.parse(text).get('name') or ''
         self._known(body)
+        self._text = text

@@ -10,6 +10,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import state_file
+from semiparam_ros.ros.internal_errors import InternalErrors
 from semiparam_ros.ros.learner import Learner
 from semiparam_ros.ros.parameters import Parameters
 
@@ -18,13 +19,15 @@ class Services:
     """``~/reset``, ``~/pause_learning``, ``~/tare``, ``~/save_state`` and ``~/load_state``.
 
     :param learner: gives the learner, or raises SemiparamError while there is none.
+    :param errors: counts what goes wrong unexpectedly.
     """
 
-    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner]) -> None:
+    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
+                 errors: InternalErrors) -> None:
         self._node, self._parameters, self._learner = node, parameters, learner
         for name, action in (('reset', self.reset), ('tare', self.tare), ('save_state', self.save_state),
                              ('load_state', self.load_state)):
-            create_trigger(node, f'~/{name}', action)
+            create_trigger(node, f'~/{name}', action, errors)
         node.create_service(SetBool, '~/pause_learning', self._pause)
 
     def reset(self) -> str:
@@ -63,13 +66,15 @@ class Services:
         return response
 
 
-def create_trigger(node: Node, name: str, action: Callable[[], str]) -> None:
-    """A std_srvs/Trigger service from a function that returns a sentence or raises SemiparamError."""
+def create_trigger(node: Node, name: str, action: Callable[[], str], errors: InternalErrors) -> None:
+    """A std_srvs/Trigger service from a function that returns a sentence or raises; it always answers."""
     def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             response.message, response.success = action(), True
         except SemiparamError as error:
             response.message, response.success = str(error), False
+        except Exception as error:
+            response.message, response.success = errors.add(name, error), False
         return response
 
     node.create_service(Trigger, name, callback)
