@@ -16,6 +16,12 @@ def with_gaps(samples, every=10):
     return [sample._replace(stamp=sample.stamp + index // every * GAP_NS) for index, sample in enumerate(samples)]
 
 
+def counts_in(values):
+    """Messages that a node refused or ignored so far, by reason, from the figures of its report on inputs."""
+    return Counter({name.partition(': ')[2]: int(value) for name, value in values.items()
+                    if name.startswith(('refused: ', 'ignored: '))})
+
+
 class Fuzzer:
     """Publishes good samples, and bad messages of all kinds among them. ``kinds``: name to (reason, how)."""
 

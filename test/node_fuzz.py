@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from node_client import RECENT, Client, NodeProcess, resident_mb, stamp_of, values_of
-from node_faults import Fuzzer, with_gaps
+from node_faults import Fuzzer, counts_in, with_gaps
 from node_helpers import JOINTS, SETTINGS, URDF, motion
 from node_invalid_requests import InvalidRequests
 from std_msgs.msg import String
@@ -142,8 +142,8 @@ def counts_of(client, wanted):
     client.heard['/diagnostics'].clear()
     time.sleep(2.5 * PERIOD_S)
     _, _, values = client.report('inputs')
-    said = {name.partition(': ')[2]: value for name, value in values.items() if name.startswith(('refused', 'ignored'))}
-    return {reason: (int(said.get(reason, 0)), count) for reason, count in wanted.items()}
+    said = counts_in(values)
+    return {reason: (said[reason], count) for reason, count in wanted.items()}
 
 
 def tell(found):

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from builtin_interfaces.msg import Time
 from conftest import _free_domain
 from geometry_msgs.msg import WrenchStamped
 from node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
-from node_faults import Fuzzer, with_gaps
+from node_faults import Fuzzer, counts_in, with_gaps
 from node_helpers import JOINTS, SETTINGS, URDF, motion, write_bag
 from rcl_interfaces.msg import ParameterType
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -96,9 +95,7 @@ def expected(samples, settings=LIVE):
 
 def refusals(client):
     """How many messages the node has refused so far, for each reason."""
-    values = client.report('inputs')[2]
-    return Counter({name.removeprefix('refused: '): int(value) for name, value in values.items()
-                    if name.startswith('refused: ')})
+    return counts_in(client.report('inputs')[2])
 
 
 def replay(bag, *options):
@@ -184,8 +181,8 @@ def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
     np.testing.assert_allclose(client.values('predicted_wrench'), expected(samples), rtol=0, atol=1e-9)
     wanted = {reason: count + before[reason] for reason, count in fuzzer.refusals().items()}
     _, _, values = client.wait_report('inputs', lambda level, message, values: all(
-        int(values.get(f'refused: {reason}', 0)) >= count for reason, count in wanted.items()))
-    assert {reason: int(values[f'refused: {reason}']) for reason in wanted} == wanted
+        counts_in(values)[reason] >= count for reason, count in wanted.items()))
+    assert {reason: counts_in(values)[reason] for reason in wanted} == wanted
 
 
 def test_pause_tare_save_and_load(client):
