@@ -13,6 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.model import Estimator, ModelOptions
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.desired_trajectory import desired_state, joint_order, stamp_of
@@ -171,6 +172,21 @@ def test_a_sensors_drift_moves_the_wrench_that_it_will_show_and_no_motor():
     span = (MOTION.stamps[-1] - MOTION.stamps[0]) * 1e-9
     np.testing.assert_allclose(after.outputs - before.outputs, span, rtol=1e-9)
     np.testing.assert_allclose(after.efforts, before.efforts, atol=1e-9)
+
+
+@pytest.mark.parametrize('variant', VARIANTS)
+def test_every_variant_answers_desired_states_with_effects(variant):
+    settings = replace(SETTINGS, variant=variant, effects=('sensor_drift', 'payload@ft{"start_s": 0.1}'))
+    estimator = build_estimator(settings)
+    samples = motion(120)
+    for sample in samples:
+        estimator.step(sample)
+    assert estimator.ready
+    measured = estimator.predict(samples[-1]).mean
+    desired = Desired(estimator, *samples[-1][1:4])
+    np.testing.assert_allclose(desired.outputs, measured, atol=1e-9)
+    assert np.isfinite(desired.efforts).all()
+    np.testing.assert_allclose(desired.efforts, rnea(settings, *samples[-1][1:4]), atol=5.0)
 
 
 # Messages

@@ -154,7 +154,8 @@ class Estimator:
         model = self.model
         prior, _, fixed = model.predict(x, shown)
         outputs = model.output_scale * (prior.mean + fixed)
-        of_sensor = (shown - needed) @ model.theta if len(model.theta) else np.zeros_like(outputs)
+        # A variant without a rigid body has coefficients of the last columns at most.
+        of_sensor = (shown - needed)[:, shown.shape[1] - len(model.theta):] @ model.theta
         require_finite('predicted outputs of a desired state', outputs)
         return DesiredOutputs(outputs, outputs - of_sensor)
 
