@@ -54,7 +54,7 @@ oldest: setup
 	    pytest pytest-timeout hypothesis idyntree mujoco tomli
 	$(BIN)/uv pip list --quiet --python $(OLDEST)/bin/python --exclude-editable | grep -Ev '^(ros-|cmeel)'
 	PYTHONPATH=. $(OLDEST)/bin/python -m pytest --quiet -p no:cacheprovider -m 'not slow' \
-	    -k '($(strip $(OLDEST_TESTS))) and not node and not interop' $(PYTEST)
+	    -k '($(strip $(OLDEST_TESTS))) and not node and not interop and not counterparts' $(PYTEST)
 
 demo: setup
 	@$(BIN)/python -m semiparam_ros.cli.demo
