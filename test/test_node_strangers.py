@@ -72,4 +72,8 @@ def test_messages_of_any_size_leave_nothing_behind(start_node):
     client.outputs['joint_states'].publish(some)
     _, _, values = client.wait_report('inputs', lambda level, message, values: 'missing_joint' in str(values))
     assert len(values['last refusal']) < 700
+    for value in ({'variant': 'x' * 100_000}, {'effects': ['payload@' + 'x' * 100_000]}, {'x' * 100_000: 1}):
+        result = client.set(**value)[0]
+        assert not result.successful
+        assert 0 < len(result.reason) < 700
     assert all(len(line) < 1000 for line in node.output.splitlines())

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from semiparam_ros.core.horizon import HorizonErrors
 from semiparam_ros.core.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, shortened
 from semiparam_ros.ros.answers import Answer
 from semiparam_ros.ros.autosave import Autosave
 from semiparam_ros.ros.background import ProcessBackground
@@ -183,6 +183,7 @@ class EstimatorNode(Node):
         except Exception as error:
             return SetParametersResult(successful=False, reason=self.errors.add('the parameters', error))
         if not result.successful:
+            result.reason = shortened(result.reason)
             self._refusals.add(PARAMETERS, result.reason)
         return result
 
