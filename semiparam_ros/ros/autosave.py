@@ -71,7 +71,7 @@ class Autosave:
             if state is not None:
                 self.checkpoints.save(state)
         except SemiparamError as error:
-            self._refuse(str(error))
+            self._refuse(f'there is no checkpoint of the end: {error}')
 
     def _save(self) -> None:
         """Now, or a little later while the state cannot be had or the last one is still being written."""

@@ -148,7 +148,12 @@ class InlineBackground:
 
 def _new_pool() -> ProcessPoolExecutor:
     pool = ProcessPoolExecutor(1, multiprocessing.get_context('spawn'), initializer=_prepare)
-    pool.submit(_warm)
+    # The process inherits this: a Ctrl-C while it is still importing is not for it.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        pool.submit(_warm)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return pool
 
 

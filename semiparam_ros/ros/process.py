@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import gc
-import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
@@ -18,6 +16,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.estimator_node import EstimatorNode
 from semiparam_ros.ros.realtime import take_priority
 from semiparam_ros.ros.spinning import spin_for
+from semiparam_ros.ros.stop_signals import StopSignals
 
 RCLError = rclpy_implementation.RCLError
 SPIN_S = 0.2
@@ -25,8 +24,12 @@ SPIN_S = 0.2
 
 def run_estimator(ros_arguments: Sequence[str]) -> int:
     """Run the node until a signal ends it; raises SemiparamError when it cannot start."""
+    with StopSignals() as stop:
+        return _run(ros_arguments, stop)
+
+
+def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
     _start(ros_arguments)
-    stop = _Stop()
     try:
         # This executor takes a third of what rclpy's others take.
         executor = EventsExecutor()
@@ -48,19 +51,6 @@ def run_estimator(ros_arguments: Sequence[str]) -> int:
     finally:
         try_shutdown()
     return 0
-
-
-class _Stop:
-    """Remembers that a signal came; a second one has its usual effect."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._usual = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def _on_signal(self, number: int, _frame: Any) -> None:
-        self.asked = True
-        for other, handler in self._usual.items():
-            signal.signal(other, handler)
 
 
 def _start(ros_arguments: Sequence[str]) -> None:

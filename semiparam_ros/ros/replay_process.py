@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from types import FrameType, TracebackType
-from typing import Any
+from types import TracebackType
 
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
@@ -17,17 +15,17 @@ from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.spinning import spin_for
+from semiparam_ros.ros.stop_signals import StopSignals
 
 SPIN_S = 0.2
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class RosProcess:
     """Context manager around one node's life.
 
     :param ros_arguments: ``--ros-args ...`` as given by the user
-    :param stop: called once by the first SIGINT or SIGTERM (a second one has its default effect), and when a
-        callback failed, which ``error`` then holds
+    :param stop: called by the first SIGINT or SIGTERM (see :class:`StopSignals`), and when a callback failed, which
+        ``error`` then holds; always in a thread other than the main one
     """
 
     def __init__(self, ros_arguments: Sequence[str], stop: Callable[[], None]) -> None:
@@ -36,8 +34,7 @@ class RosProcess:
         self._node: Node | None = None
         self._thread: threading.Thread | None = None
         self._closing = False
-        self._handlers: dict[int, Any] = {}
-        self.signal: int | None = None
+        self._signals = StopSignals(stop)
         self.error: Exception | None = None
 
     def __enter__(self) -> RosProcess:
@@ -47,8 +44,7 @@ class RosProcess:
         except Exception as error:  # rcl complains about arguments in exceptions of several kinds
             sentence = str(error).splitlines()[0].split(', at /')[0].rstrip('.')
             raise SemiparamError(f'the ROS arguments are refused: {sentence}.') from None
-        if threading.current_thread() is threading.main_thread():
-            self._handlers = {number: signal.signal(number, self._on_signal) for number in _SIGNALS}
+        self._signals.__enter__()
         return self
 
     def spin(self, node: Node) -> None:
@@ -69,16 +65,6 @@ class RosProcess:
         finally:
             executor.shutdown()
 
-    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        self.signal = number
-        self._restore_signals()
-        self._stop()
-
-    def _restore_signals(self) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-        self._handlers = {}
-
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
         self._closing = True
@@ -86,5 +72,5 @@ class RosProcess:
             self._thread.join()
         if self._node is not None:
             self._node.destroy_node()
-        self._restore_signals()
         try_shutdown()
+        self._signals.__exit__(kind, error, trace)

@@ -83,7 +83,7 @@ class ReplaySession:
         return node
 
     def _stop(self) -> None:
-        """Called by the signal handlers."""
+        """Called when a signal came, in a thread of its own."""
         self._stopping.set()
         if self._player is not None:
             self._player.stop()
