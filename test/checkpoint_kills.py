@@ -23,11 +23,10 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')  # read when numpy is loaded
 
 import numpy as np
 from node_helpers import BODY, SETTINGS, motion
+from test_node_learner import Stage
 
-from semiparam_ros.ros.answers import Outlets
 from semiparam_ros.ros.background import InlineBackground
 from semiparam_ros.ros.checkpoint import Checkpoints
-from semiparam_ros.ros.learner import Learner
 
 NAME, MOST_SAMPLES = 'estimator', 4000
 EFFECTS = ('time_delay{"delay_s": 0.005}',)
@@ -38,10 +37,8 @@ def settings_of(options):
                    checkpoint_period=options.period, retained_samples=3000)
 
 
-def new_learner(settings, answer=lambda answer: None):
-    def nothing(*_):
-        pass
-    return Learner(settings, BODY, InlineBackground(), Outlets(answer, *[nothing] * 5))
+def new_learner(settings):
+    return Stage(settings, InlineBackground()).learner
 
 
 def learn(options):
