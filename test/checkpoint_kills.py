@@ -128,6 +128,7 @@ def main(arguments=None):
 def kill(options):
     settings, chance = settings_of(options), random.Random(options.seed)
     samples = motion(min(400 + 100 * options.kills, MOST_SAMPLES))
+    (options.folder / 'states').mkdir()
     (options.folder / 'samples').write_bytes(pickle.dumps(samples))
     checkpoints = Checkpoints(options.folder / 'states', NAME)
     unloadable = older = interrupted = left = 0

@@ -16,6 +16,8 @@ from node_helpers import SETTINGS, motion, write_bag
 from semiparam_ros.settings import dump_params
 
 PATIENCE_S = 60.0
+ENDED = (0, 130, -signal.SIGINT)
+"""Orderly, at once, or by the signal itself (130 for a shell too) where Python has already let go of its handlers."""
 READY = """
 import os, sys, threading, time
 from semiparam_ros.ros.stop_signals import StopSignals
@@ -153,8 +155,7 @@ def test_ctrl_c_ends_the_node_and_its_processes(tmp_path, ros_domain, pauses):
             time.sleep(pause)
             if alive(group.process.pid):
                 group.send()
-        # By the signal itself, which a shell calls 130 too, where Python has already let go of its handlers.
-        assert group.code() in ((0,) if sum(pauses) < 0.5 else (0, 130, -signal.SIGINT)), group.output
+        assert group.code() in ((0,) if sum(pauses) < 0.5 else ENDED), group.output
         assert 'Traceback' not in group.output
 
 
@@ -163,7 +164,7 @@ def test_ctrl_c_while_the_node_starts(tmp_path, ros_domain, after_s):
     with run_node(tmp_path) as group:
         time.sleep(after_s)
         group.send()
-        assert group.code() in (0, 130, -signal.SIGINT), group.output
+        assert group.code() in ENDED, group.output
         assert 'Traceback' not in group.output
 
 
@@ -182,7 +183,7 @@ def test_a_second_ctrl_c_gives_the_terminal_back(tmp_path, ros_domain):
         time.sleep(0.7)
         if alive(group.process.pid):
             os.write(ours, b'\x03')
-        assert group.code() in (0, 130), group.output
+        assert group.code() in ENDED, group.output
         assert termios.tcgetattr(theirs)[3] == before[3]
         assert 'Traceback' not in group.output
     os.close(ours)
