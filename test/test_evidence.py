@@ -1,5 +1,7 @@
 """The structured log evidence against the dense formula, and its gradient against finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,11 +14,11 @@ from semiparam_ros.errors import SemiparamError
 STEP = 1e-5
 
 
-def random_window(seed, steps, outputs, columns, frequencies, profiled=False, inputs=6, groups=3):
+def random_window(seed, steps, outputs, columns, frequencies, profiled=False, effects=0, inputs=6, groups=3):
     rng = np.random.default_rng(seed)
     return Window(rng.normal(size=(steps, outputs)), rng.normal(size=(steps, outputs, columns)),
                   rng.normal(size=(steps, inputs)), rng.normal(size=(frequencies, inputs)),
-                  np.arange(inputs) % groups, np.exp(rng.normal(size=columns)), profiled)
+                  np.arange(inputs) % groups, np.exp(rng.normal(size=columns)), profiled, n_effects=effects)
 
 
 def random_point(seed, outputs, groups=3, drifting=False):
@@ -36,8 +38,10 @@ def dense_log_evidence(window, at):
     v = np.kron(shared, np.diag(at.output_scale**2))
     c, y = window.coupled.reshape(steps * outputs, columns), window.outputs.ravel()
     if window.profiled:
+        mean, effects = np.split(c, [columns - window.n_effects], axis=1)
+        v = v + (effects * window.prior_scale[columns - window.n_effects:] ** 2) @ effects.T
         white = np.linalg.inv(np.linalg.cholesky(v))
-        y = y - c @ np.linalg.lstsq(white @ c, white @ y, rcond=None)[0]
+        y = y - mean @ np.linalg.lstsq(white @ mean, white @ y, rcond=None)[0]
     else:
         v = v + (c * (at.gamma * window.prior_scale) ** 2) @ c.T
     return -0.5 * (np.linalg.slogdet(v)[1] + y @ np.linalg.solve(v, y) + y.size * np.log(2 * np.pi))
@@ -55,9 +59,10 @@ def moved(at, logarithms):
                  values[3 + groups], values[4 + groups])
 
 
-# fewer features than samples, more, none; few columns, none; theta under a prior or profiled
+# fewer features than samples, more, none; few columns, none; theta under a prior, profiled, or profiled but for effects
 SHAPES = [(30, 3, 4, 5, False), (12, 3, 4, 15, False), (30, 3, 4, 5, True), (12, 2, 3, 15, True), (30, 3, 0, 5, False),
-          (12, 2, 0, 15, False), (30, 2, 4, 0, False), (30, 2, 4, 0, True)]
+          (12, 2, 0, 15, False), (30, 2, 4, 0, False), (30, 2, 4, 0, True),
+          (30, 3, 5, 5, True, 2), (12, 2, 3, 15, True, 1), (30, 2, 3, 5, True, 3)]
 
 
 @pytest.mark.parametrize('drifting', [False, True])
@@ -124,6 +129,18 @@ def test_columns_that_the_window_does_not_excite_keep_a_zero_estimate():
     window, at = random_window(5, 30, 2, 4, 5, profiled=True), random_point(5, 2)
     window.coupled[:, :, 2] = 0.0
     assert evidence(window, at).theta[2] == 0.0
+
+
+@pytest.mark.parametrize('other', [0.0, 1.0], ids=['unexcited', 'the-same-as-another'])
+def test_an_effect_that_nothing_tells_keeps_its_prior(other):
+    window, at = random_window(5, 30, 2, 4, 5, profiled=True, effects=1), random_point(5, 2)
+    window.coupled[:, :, 3] = other * window.coupled[:, :, 1]
+    result = evidence(window, at)
+    without = evidence(replace(window, coupled=window.coupled[:, :, :3], prior_scale=window.prior_scale[:3],
+                               n_effects=0), at)
+    assert result.theta == pytest.approx([*without.theta, 0.0], abs=1e-6)
+    if not other:
+        assert result.value == pytest.approx(without.value, abs=1e-6)
 
 
 @pytest.mark.parametrize('count', [0, 3, 40])

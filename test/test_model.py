@@ -15,6 +15,7 @@ from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.estimates import quantities
 
 WINDOW, COUNT = 120, 400
 
@@ -283,6 +284,60 @@ def test_the_time_of_an_effect_may_start_before_the_first_sample(arm, recording)
         shown = [np.abs(model.step(sample, learn=False).columns[:, -3:]).max() > 0.0 for sample in late[:100]]
         np.testing.assert_array_equal(shown, expected[:100])
         assert model.origin == (recording.origin if origin is not None else late[0].stamp)
+
+
+PUSH = np.array([3.0, -2.0, 4.0])
+PUSHED_FROM = 220
+
+
+@pytest.fixture(scope='module')
+def pushed(arm, recording):
+    """The recording with a constant force on the hand that begins after the initial window."""
+    columns, _ = effect_from_text('external_force@r_hand').columns(arm, recording, None)
+    begun = (np.arange(COUNT) >= PUSHED_FROM)[:, None]
+    return replace(recording, outputs=recording.outputs + begun * (columns @ PUSH))
+
+
+def declaring(trained, arm, *effects):
+    """The same variant, untrained, with effects."""
+    return Estimator(arm, trained[0].options, [effect_from_text(text) for text in effects])
+
+
+def test_every_variant_learns_an_effect_that_begins_after_the_window(trained, arm, recording, pushed):
+    model = declaring(trained, arm, f'external_force@r_hand{{"start_s": {recording.time[PUSHED_FROM]}}}')
+    clean, declared = (relative_error(part[-100:], recording) for part in (trained[1], run(model, pushed)))
+    assert declared < 1.15 * clean
+    learnt = model.model.part(model.columns.blocks['0'])
+    if model.options.variant.startswith('SP'):  # features alone, or none, take an unmodelled sine of 0.3 for a force
+        np.testing.assert_allclose(learnt, PUSH, atol=1.0)
+    assert len(model.model.theta) == len(model.model.theta_std()) == len(quantities(model)) == {
+        'absent': 3}.get(model.variant.pi, model.columns.n_columns)
+    assert [quantity.name for quantity in quantities(model)][-3:] == [f'external_force@r_hand.force_{axis}'
+                                                                      for axis in 'xyz']
+    assert quantities(model)[-3].value == learnt[0]
+    assert len(model.hyperparameters().pi or ()) == {'absent': 0}.get(model.variant.pi, model.columns.n_own)
+
+
+@pytest.mark.parametrize('effect', ['payload@r_hand', 'payload@r_hand{"start_s": 15}', 'sensor_drift'])
+def test_an_effect_that_the_window_cannot_tell_or_does_not_see_explodes_in_no_variant(trained, arm, recording, effect):
+    """With the columns of effects among the fixed ones, SP and SP2 took what the window left open for any size."""
+    model = declaring(trained, arm, effect)
+    declared = relative_error(run(model, recording)[WINDOW:], recording)
+    assert declared < 2.0 * relative_error(trained[1][WINDOW:], recording)
+
+
+@pytest.mark.parametrize('variant', ['SP-ML', 'NP-ML', 'SP2-ML'])
+def test_hyperparameters_handed_on_give_the_same_model_with_effects(arm, pushed, variant):
+    effects = [effect_from_text('external_force@r_hand')]
+    reference = Estimator(arm, ModelOptions(variant=variant, features_count=60, initial_samples=WINDOW), effects)
+    run(reference, pushed[:WINDOW])
+    mean, scale = reference.input_scaling
+    options = replace(reference.options, hyperparameters=reference.model.hyperparameters, input_mean=tuple(mean),
+                      input_scale=tuple(scale))
+    given = Estimator(arm, options, effects)
+    run(given, pushed[:WINDOW])
+    for sample in pushed[WINDOW:WINDOW + 5]:
+        np.testing.assert_allclose(given.step(sample).mean, reference.step(sample).mean, rtol=0, atol=1e-9)
 
 
 def test_a_variant_with_features_beats_p_where_something_is_unmodelled(arm):

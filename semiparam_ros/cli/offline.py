@@ -30,7 +30,7 @@ class OfflineLearner:
     def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
         scores.start_recording(bag.samples.origin)
-        self.estimator.origin = bag.samples.origin
+        self.estimator.begin_recording(bag.samples.origin)
         for sample in bag.samples:
             start = time.perf_counter()
             prediction = self.step(sample, learning)

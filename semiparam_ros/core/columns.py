@@ -99,7 +99,12 @@ class CoupledColumns:
     @property
     def n_columns(self) -> int:
         """p, all blocks together."""
-        return self.n_own + sum(map(len, self._effect_scales))
+        return self.n_own + self.n_effects
+
+    @property
+    def n_effects(self) -> int:
+        """Columns of the effects, which stand last."""
+        return sum(map(len, self._effect_scales))
 
     @property
     def n_own(self) -> int:

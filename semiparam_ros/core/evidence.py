@@ -54,6 +54,8 @@ class Window:
     :param prior_scale: (p,) prior standard deviations of theta in units of gamma.
     :param step: distance of neighbouring samples in the recording, for the drift.
     :param profiled: theta is a hyperparameter maximised in closed form (SP), not a Gaussian variable (P, SPK).
+    :param n_effects: of the columns, the last so many stay Gaussian beside a profiled mean, with ``prior_scale`` for
+        standard deviations whatever gamma: what the window does not excite keeps its prior.
     """
 
     outputs: Array
@@ -64,6 +66,12 @@ class Window:
     prior_scale: Array
     profiled: bool = False
     step: int = 1
+    n_effects: int = 0
+
+    @property
+    def n_profiled(self) -> int:
+        """So many columns, the first ones, are profiled."""
+        return self.coupled.shape[2] - self.n_effects if self.profiled else 0
 
     def thinned(self, rows: int, frequencies: int) -> Window:
         """The same problem on at most ``rows`` evenly spaced samples and the first ``frequencies`` of omega."""
@@ -105,7 +113,8 @@ def evidence(window: Window, at: Point, gradient: bool = True) -> Evidence:
     factor = SharedFactor(at.rho * phi, at.sigma, drift)
     solved = factor.solve(np.hstack([y, c.reshape(steps, n * p)]))
     ay, ac = solved[:, :n], np.ascontiguousarray(solved[:, n:]).reshape(steps * n, p)
-    coupled = _estimate(c.T @ ac, ac.T @ y.ravel(), at.gamma * window.prior_scale, window.profiled)
+    prior_std = window.prior_scale if window.profiled else at.gamma * window.prior_scale
+    coupled = _estimate(c.T @ ac, ac.T @ y.ravel(), prior_std, window.n_profiled)
     errors = y - (c @ coupled.theta).reshape(steps, n)
     weighted = ay - (ac @ coupled.theta).reshape(steps, n)
     value = -0.5 * (n * factor.log_determinant + coupled.log_determinant + float(np.sum(errors * weighted))
@@ -117,7 +126,8 @@ def evidence(window: Window, at: Point, gradient: bool = True) -> Evidence:
     scale_slope = np.sum(errors * weighted, axis=0) - steps
     scale_slope += np.sum(((ac @ coupled.root) * (c @ coupled.root)).reshape(steps, n, -1), axis=(0, 2))
     tau_slope = _length_scale_slopes(at.rho * slopes.features, phi, scaled_inputs, window, len(at.tau))
-    return Evidence(value, coupled.theta, Slope(coupled.gamma_slope, slopes.rho, tau_slope, slopes.sigma, scale_slope,
+    gamma_slope = 0.0 if window.profiled else coupled.gamma_slope
+    return Evidence(value, coupled.theta, Slope(gamma_slope, slopes.rho, tau_slope, slopes.sigma, scale_slope,
                                                 slopes.kappa, slopes.memory))
 
 
@@ -130,11 +140,26 @@ def harmonics(phase: Array) -> Array:
     return np.asarray(phi / np.sqrt(max(frequencies, 1)))
 
 
-def _estimate(information: Array, right: Array, prior_std: Array, profiled: bool) -> _Coupled:
-    """theta from N = C'A^-1 C and h = C'A^-1 y, under the prior or by generalised least squares."""
+def _estimate(information: Array, right: Array, prior_std: Array, n_profiled: int) -> _Coupled:
+    """theta from N = C'A^-1 C and h = C'A^-1 y: its first part by generalised least squares, the rest by its prior."""
     if not len(right):
         return _Coupled(right, information, 0.0, 0.0, 0.0)
-    return _least_squares(information, right) if profiled else _posterior(information, right, prior_std)
+    if n_profiled == len(right):
+        return _least_squares(information, right)
+    if not n_profiled:
+        return _posterior(information, right, prior_std)
+    return _beside_mean(information, right, prior_std, n_profiled)
+
+
+def _beside_mean(information: Array, right: Array, prior_std: Array, k: int) -> _Coupled:
+    """The first k by least squares with the others' prior in the covariance, which are then eliminated; then those."""
+    inner, across = information[k:, k:], information[k:, :k]
+    root = _posterior(inner, right[k:], prior_std[k:]).root
+    half = root.T @ across
+    mean = _least_squares(information[:k, :k] - half.T @ half, right[:k] - half.T @ (root.T @ right[k:])).theta
+    others = _posterior(inner, right[k:] - across @ mean, prior_std[k:])
+    return others._replace(theta=np.concatenate([mean, others.theta]),
+                           root=np.vstack([np.zeros((k, root.shape[1])), root]))
 
 
 def _least_squares(information: Array, right: Array) -> _Coupled:

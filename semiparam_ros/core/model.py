@@ -154,8 +154,7 @@ class Estimator:
         model = self.model
         prior, _, fixed = model.predict(x, shown)
         outputs = model.output_scale * (prior.mean + fixed)
-        # A variant without a rigid body has coefficients of the last columns at most.
-        of_sensor = (shown - needed)[:, shown.shape[1] - len(model.theta):] @ model.theta
+        of_sensor = model.contribution(shown - needed)
         require_finite('predicted outputs of a desired state', outputs)
         return DesiredOutputs(outputs, outputs - of_sensor)
 
@@ -199,6 +198,11 @@ class Estimator:
         self.horizon.clear()
         self._memory = None
 
+    def begin_recording(self, origin: int) -> None:
+        """Go on with another recording, whose time starts at ``origin`` [ns]; what is learnt stays."""
+        self.clear_pending()
+        self.origin, self._newest = origin, None
+
     def state(self) -> EstimatorState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
         return EstimatorState(self.model.recursion.state(), self.horizon.state(), tuple(self.window), self.origin,
@@ -228,8 +232,8 @@ class Estimator:
 
     def hyperparameters(self) -> Hyperparameters:
         """Those in use, with pi as it stands."""
-        theta = tuple(self.model.theta.tolist())
-        return replace(self.model.hyperparameters, pi=theta or None)
+        pi = tuple(self.model.part(slice(0, self.columns.n_own)).tolist())
+        return replace(self.model.hyperparameters, pi=pi or None)
 
     def _learn_quietly(self, sample: Sample, columns: Array) -> None:
         x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
@@ -241,7 +245,7 @@ class Estimator:
         omega = spectrum(inputs.shape[1], options.features_count, options.features_seed)
         return estimate(options.variant, samples.outputs, columns, inputs, omega,
                         length_scales=options.length_scales, noise=options.noise,
-                        prior_scale=self.columns.prior_scale)
+                        prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects)
 
     def _given(self, hyperparameters: Hyperparameters) -> Model:
         options, size = self.options, 3 * self.body.n_joints
@@ -249,9 +253,9 @@ class Estimator:
         if self.variant.features and not len(mean) == len(scale) == size:
             raise SemiparamError(f'hyperparameters.input_mean and .input_scale hold {len(mean)} and {len(scale)} '
                                  f'values; expected {size}, three for each joint.')
-        if self.variant.pi == 'fixed' and len(hyperparameters.pi or ()) != self.columns.n_columns:
+        if self.variant.pi == 'fixed' and len(hyperparameters.pi or ()) != self.columns.n_own:
             raise SemiparamError(f'hyperparameters.pi holds {len(hyperparameters.pi or ())} values; expected '
-                                 f'{self.columns.n_columns} for {options.variant} with these effects.')
+                                 f'{self.columns.n_own} for {options.variant}: base parameters and offset.')
         if len(hyperparameters.output_scale) != self.body.n_outputs:
             raise SemiparamError(f'hyperparameters.output_scale holds {len(hyperparameters.output_scale)} values; '
                                  f'expected {self.body.n_outputs}.')
@@ -265,7 +269,7 @@ class Estimator:
             features = RandomFeatures(3 * self.body.n_joints, self.options.features_count, self.options.features_seed,
                                       hyperparameters.tau, *self.input_scaling)
         return Model(self.variant, hyperparameters, features, self.columns.prior_scale,
-                     forgetting=self.options.forgetting)
+                     forgetting=self.options.forgetting, n_effects=self.columns.n_effects)
 
     def _provisional(self) -> Model:
         hyperparameters = Hyperparameters(gamma=PROVISIONAL_GAMMA, rho=1.0, tau=(1.0,), sigma=PROVISIONAL_SIGMA,

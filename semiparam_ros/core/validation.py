@@ -13,7 +13,7 @@ from scipy.linalg import lapack
 from semiparam_ros.core.evidence import Window, harmonics
 from semiparam_ros.core.shared_factor import cholesky_with_noise
 from semiparam_ros.core.types import Array
-from semiparam_ros.core.window import least_squares, normalised, residual_scale
+from semiparam_ros.core.window import least_squares_beside, normalised, residual_scale
 from semiparam_ros.errors import SemiparamError
 
 
@@ -52,12 +52,18 @@ class _Split(NamedTuple):
 
 def select_by_validation(window: Window, mean_first: bool, noise: str, grid: Grid,
                          progress: Callable[[int, int], None] | None = None) -> Choice:
-    """Try every grid point. :param mean_first: subtract a least squares rigid body first (SP2)."""
+    """Try every grid point.
+
+    :param mean_first: subtract a least squares rigid body first (SP2). What effects do beside it is always subtracted.
+    """
     fitting = int(grid.fitting_share * len(window.outputs))
     split = _Split(slice(0, fitting), slice(fitting, None))
     targets = window.outputs
-    if mean_first:
-        targets = targets - window.coupled @ least_squares(targets[split.fit], window.coupled[split.fit])
+    if mean_first or window.n_effects:
+        own = window.coupled.shape[2] - window.n_effects
+        theta = least_squares_beside(targets[split.fit], window.coupled[split.fit], window.prior_scale[own:])
+        theta[:own] *= mean_first
+        targets = targets - window.coupled @ theta
     variance = window.outputs.var(axis=0)
     groups = int(window.groups.max()) + 1
     total, best = len(grid.tau) ** groups, None

@@ -10,8 +10,9 @@ from semiparam_ros.errors import SemiparamError
 class Variant(NamedTuple):
     """Which terms a model has and how its hyperparameters are chosen.
 
-    ``pi``, the coefficients of the coupled columns: ``learnt`` online with a Gaussian prior, ``fixed`` after the
-    initial window, or ``absent``. ``selection``: marginal likelihood (ml) or a validation set (vs).
+    ``pi``, the coefficients of the rigid body and the offset: ``learnt`` online with a Gaussian prior, ``fixed`` after
+    the initial window, or ``absent``. Those of effects are learnt online in every variant.
+    ``selection``: marginal likelihood (ml) or a validation set (vs).
     """
 
     features: bool

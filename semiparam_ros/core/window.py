@@ -55,6 +55,22 @@ def least_squares(outputs: Array, coupled: Array) -> Array:
     return np.asarray(scale * np.linalg.lstsq(rows * scale, outputs.ravel(), rcond=1e-9)[0])
 
 
+def least_squares_beside(outputs: Array, coupled: Array, effect_std: Array) -> Array:
+    """(p,) the same with a Gaussian prior on the last columns, of standard deviations ``effect_std`` (c,).
+
+    What the samples do not excite of them stays zero, and what they hardly excite stays within its prior.
+    """
+    theta = least_squares(outputs, coupled)
+    if not len(effect_std):
+        return theta
+    p = coupled.shape[2]
+    sigma = float(np.sqrt(np.mean(residual_scale(outputs - coupled @ theta, outputs) ** 2)))
+    prior = np.zeros((len(effect_std), 1, p))
+    prior[:, 0, p - len(effect_std):] = np.diag(sigma / effect_std)
+    return least_squares(np.concatenate([outputs.reshape(-1, 1), np.zeros((len(effect_std), 1))]),
+                         np.concatenate([coupled.reshape(-1, 1, p), prior]))
+
+
 def residual_scale(residuals: Array, outputs: Array) -> Array:
     """(n,) root mean square of residuals, kept off zero by the outputs' own size."""
     floor = 1e-6 * outputs.std(axis=0)

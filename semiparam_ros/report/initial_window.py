@@ -45,6 +45,6 @@ def fitted_settings(settings: Settings, samples: Samples, robot_description: str
         options.variant, samples.outputs, np.asarray(coupled), (samples.inputs - mean) / scale, omega,
         length_scales=options.length_scales, noise=options.noise, drifting=estimation.drifting,
         method=estimation.method, prior_scale=columns.prior_scale, starts=estimation.starts, jobs=estimation.jobs,
-        grid=estimation.grid, progress=progress)
+        grid=estimation.grid, progress=progress, n_effects=columns.n_effects)
     values = hyperparameter_values(found, tuple(mean.tolist()), tuple(scale.tolist()))
     return settings.changed(values), found

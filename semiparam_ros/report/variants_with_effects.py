@@ -72,6 +72,6 @@ def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Seq
         estimator.step(sample, bool(learn))
     estimator.clear_pending()
     if judged is not first:  # it goes on where the first one ends: what began during that one is there
-        estimator.origin = int(judged.stamps[0] - (first.stamps[-1] - first.origin))
+        estimator.begin_recording(int(judged.stamps[0] - (first.stamps[-1] - first.origin)))
     residual = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in judged])
     return judgement_of(body, judged.outputs, residual, recorded.valid).as_dict()

@@ -36,11 +36,9 @@ class Payload(NamedTuple):
 
 
 def quantities(estimator: Estimator) -> list[Quantity]:
-    """Every coefficient in its order; empty for a non-parametric model."""
+    """Every coefficient in its order; of a non-parametric model those of effects alone."""
     model = estimator.model
-    if not len(model.theta):
-        return []
-    labels = _labels(estimator.columns)
+    labels = _labels(estimator.columns)[model.covered]
     return [Quantity(name, float(value), float(std), unit) for (name, unit), value, std in
             zip(labels, model.theta, model.theta_std(), strict=True)]
 
@@ -53,7 +51,7 @@ def payload(estimator: Estimator) -> Payload | None:
     declared = _declared_payload(estimator)
     if declared is not None:
         return declared
-    if not estimator.ready or len(estimator.model.theta) < estimator.body.n_parameters:
+    if not estimator.ready or not len(estimator.model.part(slice(0, estimator.body.n_parameters))):
         return None
     link = list(loaded_links(estimator.body))[-1]
     return _payload(link, _added_load(estimator, link))
@@ -61,8 +59,8 @@ def payload(estimator: Estimator) -> Payload | None:
 
 def _declared_payload(estimator: Estimator) -> Payload | None:
     for index, effect in enumerate(estimator.columns.effects):
-        if getattr(effect, 'kind', '') == 'payload' and len(estimator.model.theta):
-            theta = estimator.model.theta[estimator.columns.blocks[str(index)]]
+        if getattr(effect, 'kind', '') == 'payload':
+            theta = estimator.model.part(estimator.columns.blocks[str(index)])
             return _payload(str(getattr(effect, 'where', '')), theta)
     return None
 

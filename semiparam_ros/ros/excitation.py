@@ -52,6 +52,6 @@ def conditioning(model: Model, prior_scale: Array) -> Conditioning | None:
     recursion = model.recursion
     if not recursion.n_columns:
         return None
-    prior = model.hyperparameters.gamma * prior_scale
+    prior = model.gamma * prior_scale[model.learnt]
     spread = np.linalg.eigvalsh(recursion.theta_covariance() / np.outer(prior, prior))
     return Conditioning(float(spread[-1] / max(spread[0], TINY)), int(np.sum(spread > 0.25)), len(spread))
