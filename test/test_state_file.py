@@ -105,20 +105,20 @@ LAYOUT = {
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
         'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'b1 (70,)',
         'history.origin': 'i8 ()',
-        'recursion.array': 'f8 (40, 46)', 'recursion.left': 'f8 (40, 8)', 'recursion.right': 'f8 (46, 8)',
+        'recursion.array': 'f8 (40, 178)', 'recursion.left': 'f8 (40, 8)', 'recursion.right': 'f8 (178, 8)',
         'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()', 'recursion.renewed': 'i8 ()',
-        'recursion.information': 'f8 (1, 1)', 'recursion.theta': 'f8 (0,)',
+        'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.gains': 'f8 (5, 40)',
-        'horizon.innovations': 'f8 (5, 6)', 'horizon.theta': 'f8 (5, 1)', 'horizon.squared_error': 'f8 (5, 6)',
+        'horizon.innovations': 'f8 (5, 138)', 'horizon.theta': 'f8 (5, 23)', 'horizon.squared_error': 'f8 (5, 6)',
         'horizon.outputs': 'f8 (5, 6)', 'horizon.origins': 'i8 (5,)',
     },
 }
-"""What a file of each version holds, of an SP model with an effect after 70 samples. When this changes, so must
+"""What a file of each version holds, of an SPK model with an effect after 70 samples. When this changes, so must
 VERSION: an older node would misread the file."""
 
 
 def test_the_layout_changes_only_with_the_version(tmp_path):
-    stage = stage_of(replace(SETTINGS, variant='SP-ML', effects=('sensor_drift',)), motion(70))
+    stage = stage_of(replace(SETTINGS, effects=('sensor_drift',)), motion(70))
     assert layout_of(state_file.snapshot(stage.learner.state())) == LAYOUT[state_file.VERSION]
 
 
