@@ -10,7 +10,7 @@ SUITS := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:
 CANDIDATES := python3 python3.12 python3.13 python3.11 python3.10
 PYTHON ?= $(firstword $(foreach name,$(CANDIDATES),$(shell $(name) -c '$(SUITS)' >/dev/null 2>&1 && echo $(name))))
 
-.PHONY: setup test coverage oldest lint demo clean
+.PHONY: setup test coverage oldest lint docs demo clean
 
 setup: $(STAMP)
 
@@ -21,7 +21,7 @@ $(STAMP): pyproject.toml setup.py setup.cfg Makefile
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip 'setuptools<80' wheel
 	@# setuptools warns of the source tree in every editable installation
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
-	    --editable '.[test,dask]'
+	    --editable '.[test,dask,docs]'
 	@touch $@
 
 lint: setup
@@ -55,6 +55,10 @@ oldest: setup
 	$(BIN)/uv pip list --quiet --python $(OLDEST)/bin/python --exclude-editable | grep -Ev '^(ros-|cmeel)'
 	PYTHONPATH=. $(OLDEST)/bin/python -m pytest --quiet -p no:cacheprovider -m 'not slow' \
 	    -k '($(strip $(OLDEST_TESTS))) and not node and not interop and not counterparts' $(PYTEST)
+
+# The documentation as a site: output/docs/index.html. A broken link or reference ends it.
+docs: setup
+	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs output/docs
 
 demo: setup
 	@$(BIN)/python -m semiparam_ros.cli.demo

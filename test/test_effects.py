@@ -605,7 +605,8 @@ def test_the_documented_tables_are_those_of_the_classes(page):
     assert set(re.findall(r'^\| `(\w+)` \|', page[page.index(BEGIN):page.index(END)], re.MULTILINE)) == tried
 
 
-def test_the_documented_kind_is_one(page, install):
+def test_the_documented_kind_is_one(repository, install):
+    page = (repository / 'docs' / 'tutorials' / '4_own_effect.md').read_text(encoding='utf-8')
     install(re.search(r'```python\n(.*?)```', page, re.DOTALL)[1], table_magnet='TableMagnet')
     assert '[project.entry-points."semiparam_ros.effects"]\ntable_magnet = ' in page
     effect = kinds('wrench')['table_magnet'](None, {'angle': 0.3})

@@ -115,7 +115,7 @@ def test_every_dependency_has_a_lower_bound():
 
 
 def test_the_installation_page_asks_for_the_declared_versions():
-    page = (REPOSITORY / 'docs/install.md').read_text()
+    page = (REPOSITORY / 'docs/how-to/install.md').read_text()
     named = re.findall(r"'([\w-]+>=[^']+)'", page)
     assert named and set(named) <= {*declared()[''], *declared()['rosbags']}
 

@@ -66,6 +66,7 @@ class RigidBody:
         :param joints: moving joints, in the order of the inputs; all others stay at ``locked`` [rad] (0 unless given).
         :param outputs: ``wrench`` at ``sensor_frame`` or joint ``effort``.
         :param convention: the wrench is the ``action`` on the distal bodies, or their ``reaction`` on the sensor.
+
         Raises SemiparamError for an unknown joint, frame, output or convention.
         """
         if outputs not in OUTPUTS:

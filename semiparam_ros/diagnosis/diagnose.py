@@ -99,6 +99,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param other: name and samples of another recording that judges instead; then all samples of this one fit.
     :param only: kinds to consider; all unless given.
     :param progress: called with a few words and the share of the round that is done.
+
     Raises SemiparamError when the recording is too short or nothing moves in it.
     """
     check(samples, body)

@@ -20,6 +20,7 @@ def build_estimator(settings: Table, robot_description: str | None = None, origi
     """The estimator of these settings; ``robot_description`` is the URDF of the topic or the bag, if there is one.
 
     :param origin: [ns] where the effects' time starts; None: with the first sample.
+
     Raises SemiparamError when the URDF, a joint, the sensor frame, an effect or a hyperparameter does not fit.
     """
     body = build_rigid_body(settings, robot_description)

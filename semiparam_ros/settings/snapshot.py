@@ -24,6 +24,7 @@ class Settings(Table):
         """Checked settings from parameter names and values, the others at their defaults.
 
         :param where: named in errors, such as the parameter file.
+
         Raises SemiparamError for an unknown name, a wrong type or range, and a broken rule.
         """
         settings = cls().changed(values, where)

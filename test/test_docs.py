@@ -1,0 +1,163 @@
+"""What the README and the documentation say is so: every block runs, every link leads somewhere, every message exists.
+
+``doc_blocks`` says how a block is run, and how one that cannot run says so on the page.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from doc_blocks import RUN, SHOWN, WRITTEN, Workshop, blocks, check_parses, commands
+
+from semiparam_ros.cli import documentation
+from semiparam_ros.cli.main import COMMANDS
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.settings.table import BY_NAME
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PAGES = [REPOSITORY / 'README.md', *sorted((REPOSITORY / 'docs').rglob('*.md'))]
+NAMES = [str(page.relative_to(REPOSITORY)) for page in PAGES]
+PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md', 'diagnosis.md'}
+"""Pages of reference, whose commands take minutes or name files of yours: they are parsed."""
+UNTESTED = 26
+"""Blocks that need what no test has. A new one is a decision: count it here."""
+
+
+@pytest.fixture(scope='module')
+def known():
+    """What blocks have made, by their text: none is run twice."""
+    return {}
+
+
+@pytest.fixture
+def workshop(tmp_path, known, ros_domain):
+    with Workshop(tmp_path / 'page', REPOSITORY, known) as workshop:
+        yield workshop
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+def test_every_block_of_a_page_runs(page, workshop):
+    for block in blocks(page):
+        if block.special == 'not tested':
+            continue
+        if (page.name in PARSED and block.language == 'bash') or runs_make(block):
+            check_parses(block, REPOSITORY)
+        elif block.language in (*RUN, 'yaml') or block.special or follows_a_command(block):
+            workshop.run(block)
+
+
+def runs_make(block):
+    """`make` builds an environment: the rules are looked at, and other tests run what they start."""
+    return block.language == 'bash' and any(line.startswith('make ') for line in commands(block))
+
+
+def follows_a_command(block):
+    """Text directly behind a command, which is a part of what it prints."""
+    around = blocks(next(page for page in PAGES if page.name == block.page))
+    before = [other for other in around if other.line < block.line and other.special != 'file']
+    return (block.language == 'text' and bool(before) and before[-1].language in (*RUN, 'text')
+            and before[-1].special != 'not tested')
+
+
+def test_every_block_is_of_a_known_kind():
+    languages = {(block.page, block.line): block.language for page in PAGES for block in blocks(page)
+                 if not block.language.startswith('{')}
+    unknown = {place: language for place, language in languages.items()
+               if language not in {*RUN, *WRITTEN, *SHOWN, 'yaml'}}
+    assert not unknown
+
+
+def test_blocks_that_are_not_tested_say_why_and_are_counted():
+    left_out = [block for page in PAGES for block in blocks(page) if block.special == 'not tested']
+    assert all(len(block.detail.split()) >= 2 for block in left_out)
+    assert len(left_out) == UNTESTED
+
+
+def test_ros2_commands_name_parameters_and_services_that_exist():
+    reference = (REPOSITORY / 'docs/ros_interface.md').read_text(encoding='utf-8')
+    text = '\n'.join(page.read_text(encoding='utf-8') for page in PAGES)
+    services = re.findall(r'ros2 service call /estimator/(\w+)', text)
+    assert services
+    assert all(f'`~/{service}`' in reference for service in services)
+    parameters = re.findall(r'ros2 param set /estimator (\S+)', text)
+    assert parameters
+    assert all(BY_NAME[name].live for name in parameters)
+
+
+def test_the_reference_of_commands_is_that_of_the_commands():
+    page = (REPOSITORY / 'docs/reference/commands.md').read_text(encoding='utf-8')
+    assert page == documentation.page(), 'run python -m semiparam_ros.cli.documentation'
+    assert all(f'## semiparam {command}\n' in page for command in COMMANDS)
+
+
+def test_the_table_of_variants_is_complete():
+    page = (REPOSITORY / 'docs/concepts.md').read_text(encoding='utf-8')
+    section = page.split('\n## Variants\n')[1].split('\n## ')[0]
+    assert sorted(re.findall(r'^\| `([^`]+)`', section, re.MULTILINE)) == sorted(VARIANTS)
+
+
+@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+def test_links_lead_somewhere(page):
+    text = prose(page)
+    for target in re.findall(r'\]\(([^)\s]+)\)', text):
+        if '://' in target:
+            continue
+        path, _, anchor = target.partition('#')
+        linked = (page.parent / path).resolve() if path else page
+        assert linked.exists(), target
+        assert not anchor or anchor in anchors(linked.read_text(encoding='utf-8')), target
+
+
+def prose(page):
+    """A page without its fenced blocks and its code in lines."""
+    text = re.sub(r'^ *```.*?^ *```$', '', page.read_text(encoding='utf-8'), flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r'`[^`\n]*`', '', text)
+
+
+def anchors(text):
+    """As GitHub makes them from headings."""
+    text = re.sub(r'^ *```.*?^ *```$', '', text, flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r'^#+ (.*)$', text, re.MULTILINE)
+    return {re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-') for heading in headings}
+
+
+@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+def test_every_page_is_in_the_table_of_contents(page):
+    contents = (REPOSITORY / 'docs/index.md').read_text(encoding='utf-8').splitlines()
+    if page.parent != REPOSITORY and page.name != 'index.md':
+        assert str(page.relative_to(REPOSITORY / 'docs').with_suffix('')) in contents
+
+
+@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+def test_paths_that_a_page_names_exist(page):
+    text = page.read_text(encoding='utf-8')
+    for path in re.findall(r'`((?:test|docs|config|bags|launch|core|effects|settings|cli|ros)/[\w./]+\.\w+)`', text):
+        assert (REPOSITORY / path).exists() or (REPOSITORY / 'semiparam_ros' / path).exists(), path
+
+
+@pytest.fixture(scope='module')
+def sentences():
+    """Every text in the package, with three points for what it fills in."""
+    found = []
+    for path in sorted((REPOSITORY / 'semiparam_ros').rglob('*.py')):
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            if isinstance(node, ast.JoinedStr):
+                found.append(''.join(part.value if isinstance(part, ast.Constant) else '...' for part in node.values))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value)
+    return '\n'.join(found)
+
+
+@pytest.mark.parametrize('page', ['docs/troubleshooting.md', 'docs/how-to/diagnostics.md'])
+def test_messages_are_those_of_the_package(page, sentences):
+    text = (REPOSITORY / page).read_text(encoding='utf-8')
+    quoted = re.findall(r'^\| `([^`|]+ [^`|]+)` \|', text, re.MULTILINE)
+    quoted += re.findall(r'^\| \*\w+\*: "([^"]+)"', text, re.MULTILINE)
+    ours = [message for message in quoted if not message.startswith('error: ')]
+    assert ours
+    for message in ours:
+        fragments = [part.strip(" ',;:()") for part in message.split('...')]
+        for fragment in (part for part in fragments if len(part) > 7):
+            assert fragment in sentences, (message, fragment)
