@@ -15,6 +15,8 @@ myst_heading_anchors = 4
 myst_enable_extensions = ['deflist']
 # A block that shows a page's source or a formula is no program.
 highlight_language = 'none'
+# Two dashes begin an option.
+smartquotes = False
 
 html_theme = 'furo'
 html_title = f'semiparam_ros {version}'

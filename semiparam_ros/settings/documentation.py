@@ -17,11 +17,11 @@ edit it there. One file configures the node (`semiparam run --params FILE`, or `
 and every offline command (`--params FILE`). `config/estimator.yaml` holds every parameter at its default.
 
 A parameter marked *live* may change while the node runs (`ros2 param set`); the others are read at the start.
-A value that is refused leaves everything as it was, and the answer says why in one sentence. ROS tells numbers by
-their spelling; here `1` is accepted for `1.0`. An empty list means "not given".
+A value that is refused leaves everything as it was, and the answer gives the reason in one sentence. ROS tells numbers
+by their spelling; here `1` is accepted for `1.0`. An empty list means "not given".
 
-| Parameter | Type | Default | Permitted | Unit | Live | Meaning |
-|---|---|---|---|---|---|---|
+| Parameter | Default | | Meaning |
+|---|---|---|---|
 """
 
 
@@ -38,9 +38,9 @@ def write_all(repository: str = '.') -> None:
 
 
 def _row(parameter: Parameter) -> str:
-    default = f'`{shown(parameter.default)}`'
-    cells = [f'`{parameter.name}`', parameter.kind, default, parameter.permitted, parameter.unit,
-             'live' if parameter.live else '', parameter.description]
+    kind = ', '.join(filter(None, [parameter.kind, parameter.permitted, parameter.unit and f'[{parameter.unit}]']))
+    cells = [f'`{parameter.name}`', f'`{shown(parameter.default)}`', '*live*' if parameter.live else '',
+             f'{parameter.description} ({kind})']
     return '| ' + ' | '.join(cells) + ' |'
 
 
