@@ -2,6 +2,7 @@
 
 import json
 
+import node_helpers
 import numpy as np
 import pytest
 from recordings import FRAME, JOINTS, PERIOD_NS, URDF, write_arm
@@ -167,3 +168,19 @@ def test_time_goes_on_from_one_recording_to_the_next():
 def test_update_times_in_milliseconds():
     assert update_times([0.001, 0.002, 0.003]) == {'median': 2.0, 'p99': pytest.approx(2.98)}
     assert update_times([]) is None
+
+
+def test_a_robot_that_stands_still_first_is_evaluated_from_its_first_window_with_motion(tmp_path, capsys):
+    """Two windows in which nothing varies give no hyperparameters; the command goes on, as the node does."""
+    still = node_helpers.SETTINGS.initial_samples * 2
+    samples = node_helpers.motion(still + 140)
+    samples[:still] = [sample._replace(outputs=np.ones(6)) for sample in samples[:still]]
+    bag = node_helpers.write_bag(tmp_path / 'still.mcap', samples)
+    dump_params(node_helpers.SETTINGS, tmp_path / 'two.yaml')
+    command = ['evaluate', str(bag), '--params', str(tmp_path / 'two.yaml'), '--json', str(tmp_path / 'result.json')]
+    assert cli.main(command) == 0
+    figures = json.loads((tmp_path / 'result.json').read_text())['variants']['SPK-ML']
+    assert figures['samples'] == 140 - node_helpers.SETTINGS.initial_samples
+    assert capsys.readouterr().err.count('is constant over the initial window') == 2
+    never = node_helpers.write_bag(tmp_path / 'never.mcap', samples[:still])
+    assert cli.main([*command[:1], str(never), *command[2:]]) == 2

@@ -102,6 +102,9 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     scores = Scores(settings.outputs)
     for bag in bags:
         learner.take(bag, scores, settings.learning and not frozen)
+    for reason in learner.failed_windows:
+        console.print(f'{settings.variant}: an initial window gives no hyperparameters ({reason}); another one is '
+                      'gathered.', highlight=False, markup=False)
     if not len(scores):
         raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
                              '(parameter initial.samples).')
