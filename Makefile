@@ -10,7 +10,7 @@ SUITS := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:
 CANDIDATES := python3 python3.12 python3.13 python3.11 python3.10
 PYTHON ?= $(firstword $(foreach name,$(CANDIDATES),$(shell $(name) -c '$(SUITS)' >/dev/null 2>&1 && echo $(name))))
 
-.PHONY: setup test coverage oldest lint docs demo clean
+.PHONY: setup test matrix coverage oldest lint docs demo clean
 
 setup: $(STAMP)
 
@@ -30,6 +30,10 @@ lint: setup
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST)
+
+# Every pair of settings with 20000 samples each, where `make test` takes a few hundred: about 40 minutes of one core.
+matrix: setup
+	$(BIN)/python test/settings_matrix.py
 
 # The whole suite again, with the lines and branches that it reaches, those in other processes among them.
 coverage: setup

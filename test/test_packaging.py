@@ -58,6 +58,7 @@ ROSDEP = {
     'types-pyyaml': 'python3-types-pyyaml',
     'idyntree': None,  # not released into Jazzy: its tests skip there
     'mujoco': None,  # likewise
+    'covertable': None,  # likewise
     'cyclonedds': None,  # Jazzy has the C library alone; its tests skip without the wheel
     'colcon-common-extensions': 'python3-colcon-common-extensions',
     'setuptools': 'python3-setuptools',
