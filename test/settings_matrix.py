@@ -52,7 +52,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'effect': (*kinds(), 'none'),
     'outputs': OUTPUTS,
     'values': ('bare', 'all'),
-    'start': ('none', 'early', 'late'),
+    'start': ('none', 'late', 'stamp'),
     'place': ('first', 'last'),
     'forgetting': (0.999, 1.0, 0.99, 0.9),
     'noise': ('output', 'one'),
@@ -64,10 +64,15 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'still': ('none', 'noisy', 'exact'),
     'background': ('delayed', 'inline'),
 }
-"""motion: velocities and accelerations measured; accelerations filtered from the velocities; velocities missing and
-filtered from the positions. still: the robot stands still for one and a half initial windows first, with the sensor's
-noise or without any (then the window gives no hyperparameters and another one is gathered). background: hyperparameters
-are estimated at once, or while further samples come."""
+"""What is not a parameter's value:
+
+start: of the effect; none, in seconds since the start of the recording, or as a stamp.
+motion: velocities and accelerations measured; accelerations filtered from the velocities; velocities missing, filtered
+from the positions.
+still: the robot stands still for one and a half initial windows first, with the sensor's noise or without any (then the
+window gives no hyperparameters, and another one is gathered).
+background: hyperparameters are estimated at once, or while further samples come.
+"""
 
 TRIPLES: tuple[tuple[str, ...], ...] = (
     ('effect', 'outputs', 'values'), ('effect', 'outputs', 'place'), ('effect', 'values', 'start'),
@@ -135,8 +140,10 @@ def effect_of(row: Row, duration_s: float) -> Effect | None:
     if row['values'] == 'all':
         shape = all_values(kind, where, str(row['outputs']))
         reference = tuple(body.base_parameters) if kind.kind == 'load_friction' else ()
-    if row['start'] != 'none':
-        shape['start_s'] = duration_s * (0.05 if row['start'] == 'early' else 0.7)
+    if row['start'] == 'late':
+        shape['start_s'] = 0.7 * duration_s
+    elif row['start'] == 'stamp':
+        shape['start_stamp_s'] = 1e-9 * START_NS + 0.05 * duration_s
     return kind(where, shape, reference)
 
 
