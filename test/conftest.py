@@ -17,6 +17,7 @@ SHARED_DATA = REPOSITORY.parent / 'shared' / 'data'
 
 # A busy machine is no failure: the search is bounded by the number of examples, not by the clock.
 hypothesis.settings.register_profile('steady', deadline=None)
+hypothesis.settings.register_profile('full', deadline=None, max_examples=2000)
 hypothesis.settings.load_profile('steady')
 
 

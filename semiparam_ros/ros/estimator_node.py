@@ -136,10 +136,13 @@ class EstimatorNode(Node):
     # What the learner tells (LearnerListener)
 
     def answered(self, answer: Answer) -> None:
-        """Publish it at once."""
-        self._outputs.publish(answer)
-        self._inputs.stopwatch.stop()
-        self._reports.tally.add(answer)
+        """Publish it at once; a sample is learnt even where its answer cannot be sent."""
+        try:
+            self._outputs.publish(answer)
+            self._inputs.stopwatch.stop()
+            self._reports.tally.add(answer)
+        except Exception as error:
+            self._report(error, 'publishing')
 
     def horizon_completed(self, errors: HorizonErrors) -> None:
         """Those of the active model."""

@@ -20,7 +20,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros import jobs
 from semiparam_ros.ros.answers import Answer, LearnerListener
-from semiparam_ros.ros.background import Background
+from semiparam_ros.ros.background import Background, Job
 from semiparam_ros.ros.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.ros.history import Chapter, History
 from semiparam_ros.ros.model_switcher import (
@@ -55,14 +55,15 @@ class Learner:
         self.waiting: deque[Sample] = deque()
         self.learnt = self.answered = self.lost = 0
         self._background, self._listener, self._checkpoint = background, listener, checkpoint
-        self._window_job: object | None = None
+        self._estimating = False
+        self._window_job: Job | None = None
         self._failures = 0
         self.switcher = ModelSwitcher(body, background, self)
         self._begin(settings, jobs.new_estimator(settings, body))
 
     def _begin(self, settings: Settings, estimator: Estimator, past: Chapter | None = None) -> None:
         """Go on with an estimator that has seen a past, and with nothing else."""
-        self._window_job = None
+        self._drop_window_job()
         self.switcher.retire_all(forget_hyperparameters=True)
         self.gate.reset()
         self.estimator, self.built = estimator, settings
@@ -80,7 +81,7 @@ class Learner:
     @property
     def busy(self) -> bool:
         """Whether the initial window is being evaluated: samples wait."""
-        return self._window_job is not None
+        return self._estimating
 
     def offer(self, sample: Sample) -> None:
         """Answer a sample now, or when those before it are answered."""
@@ -163,15 +164,22 @@ class Learner:
         self.switcher.offer(sample, answer.learnt)
 
     def _finish_window(self, prediction: Prediction) -> None:
-        job = self._window_job = object()
-        self._background.submit(jobs.finish_window, self.estimator, prediction,
-                                done=lambda window, error: self._window_done(job, prediction, window, error))
+        self._estimating, estimator = True, self.estimator
+        self._window_job = self._background.submit(
+            jobs.finish_window, estimator, prediction,
+            done=lambda window, error: self._window_done(estimator, prediction, window, error))
 
-    def _window_done(self, job: object, prediction: Prediction, window: jobs.Window | None,
+    def _drop_window_job(self) -> None:
+        self._estimating = False
+        if self._window_job is not None:
+            self._window_job.cancel()
+            self._window_job = None
+
+    def _window_done(self, estimator: Estimator, prediction: Prediction, window: jobs.Window | None,
                      error: BaseException | None) -> None:
-        if job is not self._window_job:
+        if estimator is not self.estimator:
             return  # it was reset, or replaced, meanwhile
-        self._window_job = None
+        self._estimating = False
         if window is None:
             if error is not None and not isinstance(error, SemiparamError):
                 self._listener.failed('the estimate of the hyperparameters', error)
@@ -224,13 +232,16 @@ class Learner:
     def change(self, settings: Settings) -> str:
         """Take over new, already validated settings; returns a sentence on what happens now, '' for nothing much."""
         self.settings = settings
+        sentence = self._change_model(settings)
+        self.switcher.set_shadows(settings, self.history, retry=True)
+        return sentence
+
+    def _change_model(self, settings: Settings) -> str:
         successor = self.switcher.successor
-        if successor is not None and not same_model(settings, successor.settings):
-            self.switcher.retire_successor()
-        elif successor is not None:
+        if successor is not None and same_model(settings, successor.settings):
             return f'{settings.variant} is being built already.'
+        self.switcher.retire_successor()
         if same_model(settings, self.built):
-            self.switcher.set_shadows(settings, self.history, retry=True)
             return '' if successor is None else f'{settings.variant} goes on.'
         if self.switcher.appoint(settings, self.history):
             return f'{settings.variant} learnt as a shadow and answers from the next sample on.'
@@ -287,7 +298,7 @@ class Learner:
     def successor_live(self, settings: Settings, estimator: Estimator) -> None:
         """It takes over, between two samples."""
         before, self.built, self.estimator = self.built, settings, estimator
-        self._window_job = None
+        self._drop_window_job()
         self._failures = 0
         changed = f' from {before.variant}' if before.variant != settings.variant else ', changed,'
         self._listener.model_switched(True, f'{settings.variant} takes over{changed} after {self._seen} samples.')

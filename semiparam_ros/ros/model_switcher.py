@@ -126,14 +126,15 @@ class StandbyModel:
             self.state = State.CATCHING_UP
             self._submit(jobs.absorb, estimator, chapter)
             return
-        try:
-            while self._waiting:
-                sample, learnt = self._waiting.popleft()
+        while self._waiting:
+            sample, learnt = self._waiting.popleft()
+            try:
                 errors = estimator.step(sample, learnt).horizon
-                if errors is not None:
-                    self._switcher.on_horizon(self, errors)
-        except Exception as error:  # a model that breaks beside the active one must not keep that from answering
-            self._switcher.on_failed(self, error)
+            except Exception as error:  # a model that breaks beside the active one must not keep that from answering
+                self._switcher.on_failed(self, error)
+                return
+            if errors is not None:
+                self._switcher.on_horizon(self, errors)
 
     def _clear(self) -> None:
         if self._must_clear and self.state is State.LIVE and self.estimator is not None:
