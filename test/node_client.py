@@ -40,11 +40,11 @@ TYPES = {'joint_states': JointState, 'wrench': WrenchStamped, 'joint_acceleratio
 class NodeProcess:
     """`semiparam run` with the parameters and ROS arguments given."""
 
-    def __init__(self, folder, params, *ros_arguments, domain=None):
+    def __init__(self, folder, params, *ros_arguments, program=('-m', 'semiparam_ros.cli.main')):
         self.log = folder / 'node.log'
         self.stream = self.log.open('wb')
         environment = {**os.environ, 'OMP_NUM_THREADS': '1', 'ROS_LOG_DIR': str(folder / 'ros_log')}
-        command = [sys.executable, '-m', 'semiparam_ros.cli.main', 'run', '--params', str(params)]
+        command = [sys.executable, *program, 'run', '--params', str(params)]
         command += ['--ros-args', *ros_arguments] if ros_arguments else []
         self.process = subprocess.Popen(command, stdout=self.stream, stderr=subprocess.STDOUT, env=environment)
 
