@@ -223,7 +223,7 @@ class Lives(RuleBasedStateMachine):
 
 Lives.TestCase.settings = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 5,
                                               stateful_step_count=40, deadline=None,
-                                              phases=[Phase.explicit, Phase.reuse, Phase.generate],  # shrinking takes long
+                                              phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
                                               suppress_health_check=list(hypothesis.HealthCheck))
 TestLives = Lives.TestCase
 
