@@ -48,6 +48,7 @@ ROSDEP = {
     'pyyaml': 'python3-yaml',
     'jinja2': 'python3-jinja2',
     'markupsafe': None,  # comes with jinja2
+    'markdown-it-py': None,  # comes with rich
     'pytest': 'python3-pytest',
     'pytest-xdist': 'python3-pytest-xdist',
     'pytest-timeout': 'python3-pytest-timeout',
