@@ -11,6 +11,7 @@ from conftest import _free_domain
 from node_client import Client, NodeProcess
 from node_helpers import JOINTS, SETTINGS, motion
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.build import build_rigid_body
@@ -60,9 +61,14 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         play(client, samples[100:900])
         player = threading.Thread(target=play, args=(client, samples[900:1000]))
         player.start()
-        answer = client.trigger('diagnose')
+        running = client.begin(Trigger, 'diagnose', Trigger.Request())
+        refused = client.trigger('apply_diagnosis')
+        assert not refused.success and 'a diagnosis is running' in refused.message
         player.join()
+        client.wait(running.done, 'the diagnosis')
+        answer = running.result()
         assert answer.success, answer.message
+        assert answer.message.startswith('With no effects declared: ')
         assert 'viscous_friction at a' in answer.message and 'viscous_friction at b' in answer.message
         report = json.loads(client.heard['diagnosis'][0].data)
         assert report['schema'] == 1 and report['verdict'] == 'effect_found'
@@ -70,6 +76,12 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         before = np.mean([message.position[2] for message in client.heard['horizon_error'][-50:]])
         applied = client.trigger('apply_diagnosis')
         assert applied.success and 'effects are now' in applied.message, applied.message
+        again = client.trigger('apply_diagnosis')
+        assert again.success and 'are declared already' in again.message, again.message
+        # Their model may still be being built: a diagnosis looks for what is missing beside them.
+        beside = client.trigger('diagnose').message
+        assert beside.startswith('With viscous_friction@'), beside
+        assert 'nothing to add' in client.trigger('apply_diagnosis').message
         client.wait_report('learning', lambda level, message, values: message == 'learning with P.'
                            and 'viscous_friction@a' in values['effects'])
         play(client, samples[1000:])

@@ -467,6 +467,18 @@ def test_reset_forgets_and_drops_what_the_background_still_does():
     assert len(stage.answers) == 200 and stage.learner.estimator.ready
 
 
+def test_a_switch_counts_samples_since_the_reset():
+    samples, stage = motion(300), Stage()
+    stage.offer(samples[:200])
+    stage.background.run()
+    stage.learner.reset()
+    stage.offer(samples[200:])
+    stage.background.run()
+    assert 'is being built from 100 samples' in stage.learner.change(replace(SETTINGS, variant='P'))
+    stage.background.run()
+    assert stage.news[-1] == 'P takes over from SPK-ML after 100 samples.'
+
+
 def test_after_a_jump_of_the_clock_the_model_stays():
     samples, stage = motion(200), Stage(SETTINGS, InlineBackground())
     stage.offer(samples[:150])
