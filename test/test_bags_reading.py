@@ -353,14 +353,16 @@ def test_topics_of_other_names_are_named(tmp_path):
     path = robot_bag(tmp_path / 'bag.mcap', states='/arm')
     settings = Settings(joints=('a', 'b'), outputs='effort')
     assert len(load_samples(path, settings, Topics(joint_states='/arm')).samples) == 10
-    with pytest.raises(SemiparamError, match='has no topic /joint_states; it has /arm, /wrench'):
+    with pytest.raises(SemiparamError, match=r'has no topic /joint_states; it has /arm, /wrench '
+                                             r'\(semiparam convert --topic /arm=/joint_states renames one\)\.$'):
         load_samples(path, settings)
 
 
 @pytest.mark.parametrize(('changes', 'sentence'), [
-    ({'acceleration_source': 'measured'}, 'has no topic /joint_accelerations; it has /joint_states, /wrench'),
+    ({'acceleration_source': 'measured'}, r'has no topic /joint_accelerations; it has /joint_states, /wrench\.$'),
     ({'joints': ('a', 'c')}, "holds no complete sample .10 on /joint_states, 10 on /wrench messages.: joint state at "
-                             "0.090000000 s must name joint 'c' once; it names a, b."),
+                             "0.090000000 s must name joint 'c' once; it names a, b. semiparam convert --joint "
+                             'NAME=NEW renames joints.'),
     ({'sensor_frame': 'elsewhere'}, "is in frame 'ft'; expected 'elsewhere'"),
     ({'joints': ()}, 'bag.mcap.: no robot description'),
 ])

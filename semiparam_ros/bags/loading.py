@@ -100,7 +100,10 @@ def _needed(topics: Topics, outputs: str, measured: bool) -> dict[str, str]:
 def _require(bag: BagReader, needed: dict[str, str]) -> None:
     for topic, type_name in needed.items():
         if topic not in bag.topics:
-            raise SemiparamError(f'{str(bag.path)!r} has no topic {topic}; it has {", ".join(bag.topics) or "none"}.')
+            alike = [name for name, info in bag.topics.items() if info.type == type_name]
+            remedy = f' (semiparam convert --topic {alike[0]}={topic} renames one)' if len(alike) == 1 else ''
+            raise SemiparamError(f'{str(bag.path)!r} has no topic {topic}; it has {", ".join(bag.topics) or "none"}'
+                                 f'{remedy}.')
         if bag.topics[topic].type != type_name:
             raise SemiparamError(f'{str(bag.path)!r}: topic {topic} holds {bag.topics[topic].type}; expected '
                                  f'{type_name}.')
@@ -135,4 +138,5 @@ def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
     waiting = f'{stream.pending} outputs have no joint state at or after their stamps.'
     reason = stream.last_fault or stream.last_stranger or waiting
-    return f'{str(bag.path)!r} holds no complete sample ({counts} messages): {reason}'
+    remedy = ' semiparam convert --joint NAME=NEW renames joints.' if stream.faults['missing_joint'] else ''
+    return f'{str(bag.path)!r} holds no complete sample ({counts} messages): {reason}{remedy}'

@@ -127,6 +127,7 @@ def _judge_variants(args: argparse.Namespace, settings: Settings, diagnosis: Dia
 
 
 def _show(diagnosis: Diagnosis, variants: dict[str, Any]) -> None:
+    from rich import box
     from rich.table import Table
 
     from semiparam_ros.diagnosis.words import in_words
@@ -134,7 +135,10 @@ def _show(diagnosis: Diagnosis, variants: dict[str, Any]) -> None:
 
     for line in in_words(diagnosis):
         output.print(line, highlight=False, markup=False, soft_wrap=True)
-    table = Table('output', 'nMSE before', 'after', 'RMSE before', 'after', 'noise floor')
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column('\noutput', no_wrap=True)
+    for heading in ('nMSE\nbefore', '\nafter', 'RMSE\nbefore', '\nafter', 'noise\nfloor'):
+        table.add_column(heading, justify='right', no_wrap=True)
     rows = zip(diagnosis.first.body.output_names, diagnosis.first.body.output_units, diagnosis.before.nmse,
                diagnosis.after.nmse, diagnosis.before.rmse, diagnosis.after.rmse, diagnosis.noise_floor_rmse,
                strict=True)

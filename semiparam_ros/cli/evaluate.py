@@ -87,7 +87,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
              progress: Progress) -> Scores:
     """Scores of one variant over ``bags``, from the first sample that it predicts itself.
 
-    The initial window is answered by the rigid body alone, whatever the variant, and takes no part in the figures.
+    The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
     Raises SemiparamError when the recordings are over before the initial window is.
     """
     from semiparam_ros.cli.offline import OfflineLearner

@@ -195,11 +195,11 @@ def verdict(first: Fit, final: Fit, steps: list[Step], structure: Structure | No
 
 
 def patched(steps: list[Step], structure: Structure | None) -> bool:
-    """Whether effect was added after effect, and still much of what is left is no noise."""
+    """Whether effect was added after effect, and still much of what is left is more than noise."""
     return len(steps) >= PATCH_ROUNDS and structure is not None and structure.significant \
         and structure.share > PATCH_SHARE
 
 
 def _left_out(valid: Mask) -> list[str]:
     count = int((~valid).sum())
-    return [f'{count} of {len(valid)} samples next to gaps and shocks took no part.'] if count else []
+    return [f'{count} of {len(valid)} samples next to gaps and shocks are left out.'] if count else []

@@ -62,8 +62,8 @@ class Structure:
         names = ', '.join(f'{each.name} ({100 * each.share:.0f} %)' for each in self.variables) or 'no single variable'
         best = max(self.formulas, key=lambda formula: formula.share, default=None)
         said = f' A formula explains {100 * best.share:.0f} % of it in one channel: {best.text}.' if best else ''
-        return (f'{100 * self.share:.0f} % of what is left is no noise, and no kind of effect explains it. It shows in '
-                f'{", ".join(self.channels)} and depends on {names}.{said}')
+        return (f'{100 * self.share:.0f} % of what is left is more than noise, and no kind of effect explains it. It '
+                f'shows in {", ".join(self.channels)} and depends on {names}.{said}')
 
     def as_dict(self) -> dict[str, Any]:
         """The entry ``unexplained`` of the machine-readable report."""

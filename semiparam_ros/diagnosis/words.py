@@ -31,7 +31,7 @@ def _opening(diagnosis: Diagnosis) -> str:
         return 'Something is missing that none of the known effects explains.'
     if patched(diagnosis.steps, diagnosis.structure):
         return ('Something is missing that the effects below only resemble: one after the other was added, and still '
-                'much of what is left is no noise. A cause of another kind may be behind them all.')
+                'much of what is left is more than noise. A cause of another kind may be behind them all.')
     if diagnosis.verdict == 'unexplained':
         return 'Something is missing, and the effects below explain only the smaller part of it.'
     count = len(diagnosis.findings)

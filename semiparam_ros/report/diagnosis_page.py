@@ -80,7 +80,7 @@ def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     held_out = diagnosis.held_out if diagnosis.judged is None else np.zeros(len(first.samples), dtype=bool)
     caption = 'What the model does not explain of each output'
     caption += ', before and after the effects were added.' if added else '.'
-    caption += ' The shaded blocks took no part in the fit.' if held_out.any() else ''
+    caption += ' The shaded blocks were not used for the fit.' if held_out.any() else ''
     caption += ' A dashed line marks the start of an effect.' if starts else ''
     own = figures.over_time(first.samples.time, figures.curves(first.residual, final.residual, added),
                             _labels(diagnosis), held_out, starts)
