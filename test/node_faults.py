@@ -1,14 +1,19 @@
 """Every kind of bad message, thrown at a live node between good ones, by a seeded choice."""
 
 import random
+import time
 from collections import Counter
 
 from node_client import TYPES
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from semiparam_ros.ros.reports import PERIOD_S
+
 NAN, INFINITE = float('nan'), float('inf')
 GAP_NS = 100_000_000
+ANSWERS = ('predicted_wrench', 'predicted_wrench_std', 'residual')
+CHECK_EVERY = 500
 
 
 def with_gaps(samples, every=10):
@@ -82,7 +87,8 @@ class Fuzzer:
         """Kinds that are possible now; the wrench in a gap comes last, so that stamps before it stay duplicates."""
         names = list(self.kinds)
         if self.last is None:
-            names = [name for name in names if 'again' not in name and 'past' not in name]
+            # Without a sample before it there is no stamp to repeat, and velocities may be missing from all messages.
+            names = [name for name in names if 'again' not in name and 'past' not in name and name != 'no velocities']
         gap = self.last is not None and sample.stamp - self.last.stamp >= GAP_NS
         names.remove('wrench without a joint state')
         chosen = self.chance.sample(names, bad)
@@ -134,3 +140,26 @@ class Fuzzer:
 
     def between(self, sample):
         return sample._replace(stamp=self.last.stamp + GAP_NS // 2)
+
+
+def counts_of(client, wanted):
+    """What the node says that it has refused, once two reports agree or all is there."""
+    client.heard['/diagnostics'].clear()
+    time.sleep(2.5 * PERIOD_S)
+    _, _, values = client.report('inputs')
+    said = counts_in(values)
+    return {reason: (said[reason], count) for reason, count in wanted.items()}
+
+
+def tell_thrown(fuzzer, invalid_requests, counted):
+    """Print how often each kind was thrown and what the node says that it has refused."""
+    thrown = fuzzer.thrown + invalid_requests.thrown
+    print('| thrown | times | answer |\n|---|---|---|')
+    for name in [*fuzzer.kinds, *sorted(thrown.keys() - fuzzer.kinds.keys())]:
+        reason = fuzzer.kinds[name][0] if name in fuzzer.kinds else invalid_requests.answers.get(name, 'answered')
+        print(f'| {name} | {thrown[name]} | {f"`{reason}`" if reason in counted else reason} |')
+    print(f'\n{sum(thrown.values())} altogether. Counted by the node, and thrown:')
+    for reason, (found, wanted) in sorted(counted.items()):
+        print(f'    {reason:20}{found:8}{wanted:8}{"" if found == wanted else "   DIFFERENT"}')
+    for sentence in invalid_requests.wrong:
+        print(f'NOT ANSWERED AS IT MUST BE: {sentence}')

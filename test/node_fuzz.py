@@ -5,6 +5,9 @@
 Every kind of bad message, robot descriptions that are none, parameter changes that must be refused and services called
 in bad moments reach one node; both get the same good samples. At the end stand the counts, the memory, and how far the
 two nodes differ in what they said and in what they learnt. Exit code 0: it lives, it refused all of it, they agree.
+
+With --settings random changes of every live parameter, valid or not, and the services that change the model are thrown
+too, at one node, for nothing is left to compare with: see node_settings.py.
 """
 
 import argparse
@@ -17,20 +20,18 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import node_settings
 import numpy as np
 from node_client import RECENT, Client, NodeProcess, resident_mb, stamp_of, values_of
-from node_faults import Fuzzer, counts_in, with_gaps
+from node_faults import ANSWERS, CHECK_EVERY, Fuzzer, counts_of, tell_thrown, with_gaps
 from node_helpers import JOINTS, SETTINGS, URDF, motion
 from node_invalid_requests import InvalidRequests
 from std_msgs.msg import String
 
-from semiparam_ros.ros.reports import PERIOD_S
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.table import PARAMETERS
 
 TOPICS = ('joint_states', 'joint_accelerations', 'wrench', 'robot_description', 'desired_trajectory')
-ANSWERS = ('predicted_wrench', 'predicted_wrench_std', 'residual')
-CHECK_EVERY = 500
 
 
 class Pair:
@@ -98,10 +99,14 @@ class Pair:
             node.__exit__()
 
 
+def settings_of(options):
+    return replace(SETTINGS, robot_description='', acceleration_source='measured', features_count=options.features,
+                   initial_samples=options.window, horizon_length=25)
+
+
 def fuzz(folder, options):
     """Run it; returns what was found, as a dictionary."""
-    settings = replace(SETTINGS, robot_description='', acceleration_source='measured', features_count=options.features,
-                       initial_samples=options.window, horizon_length=25)
+    settings = settings_of(options)
     samples = with_gaps(motion(round(options.seconds * options.rate)))
     with Pair(folder, settings) as pair:
         fuzzed, spared = pair.clients
@@ -137,30 +142,12 @@ def fuzz(folder, options):
             'internal': log.count('internal error') + log.count('Traceback')}
 
 
-def counts_of(client, wanted):
-    """What the node says that it has refused, once two reports agree or all is there."""
-    client.heard['/diagnostics'].clear()
-    time.sleep(2.5 * PERIOD_S)
-    _, _, values = client.report('inputs')
-    said = counts_in(values)
-    return {reason: (said[reason], count) for reason, count in wanted.items()}
-
-
 def tell(found):
     """Print it; True when all is as it must be."""
     fuzzer, invalid_requests, memory = found['fuzzer'], found['invalid_requests'], np.array(found['memory'])
-    thrown = fuzzer.thrown + invalid_requests.thrown
     print(f'{found["samples"]} good samples in {found["took_s"]:.0f} s '
           f'({found["samples"] / found["took_s"]:.1f} Hz) to each of two nodes, all answered by both.\n')
-    print('| thrown | times | answer |\n|---|---|---|')
-    for name in [*fuzzer.kinds, *sorted(thrown.keys() - fuzzer.kinds.keys())]:
-        reason = fuzzer.kinds[name][0] if name in fuzzer.kinds else invalid_requests.answers.get(name, 'answered')
-        print(f'| {name} | {thrown[name]} | {f"`{reason}`" if reason in found["counted"] else reason} |')
-    print(f'\n{sum(thrown.values())} altogether. Counted by the node, and thrown:')
-    for reason, (counted, wanted) in sorted(found['counted'].items()):
-        print(f'    {reason:20}{counted:8}{wanted:8}{"" if counted == wanted else "   DIFFERENT"}')
-    for sentence in invalid_requests.wrong:
-        print(f'NOT REFUSED AS IT MUST BE: {sentence}')
+    tell_thrown(fuzzer, invalid_requests, found['counted'])
     early = memory[min(len(memory) - 1, len(memory) // 10)]
     for name, start, first, middle, end in zip(('fuzzed', 'spared'), memory[0], early, memory[len(memory) // 2],
                                                memory[-1], strict=True):
@@ -182,12 +169,15 @@ def main(argv=None):
     parser.add_argument('--seconds', type=float, default=600.0)
     parser.add_argument('--rate', type=float, default=200.0, help='good samples a second')
     parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--settings', action='store_true', help='change the settings too; one node')
     parser.add_argument('--features', type=int, default=500, help='features.count')
     parser.add_argument('--window', type=int, default=1000, help='initial.samples')
     options = parser.parse_args(argv)
     os.environ.setdefault('ROS_DOMAIN_ID', '59')
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with tempfile.TemporaryDirectory() as folder:
+        if options.settings:
+            return int(not node_settings.tell(node_settings.fuzz(Path(folder), options, settings_of(options))))
         return int(not tell(fuzz(Path(folder), options)))
 
 

@@ -58,6 +58,9 @@ SERVICES = ('reset', 'tare', 'save_state', 'load_state', 'diagnose', 'apply_diag
 class InvalidRequests:
     """Throws by a seed what must be refused; ``wrong`` holds what was not."""
 
+    CHANGES = CHANGES
+    CALLS = ('load', 'load', 'load', 'apply', 'pause', 'save', 'save nowhere')
+
     def __init__(self, client, state_file, seed):
         self.client, self.state_file, self.chance = client, state_file, random.Random(seed + 1)
         self.thrown, self.answers, self.wrong = Counter(), {}, []
@@ -91,8 +94,12 @@ class InvalidRequests:
         if index % DESCRIPTION_EVERY == DESCRIPTION_EVERY - 1:
             self.describe(self.chance.choice([*NO_DESCRIPTIONS, 'another robot']), late=True)
         if index % CALL_EVERY == CALL_EVERY - 1:
-            self.chance.choice([self.set_one, self.set_together, self.call_service])()
+            self.chance.choice(self.actions(index))()
         self._proceed()
+
+    def actions(self, index):
+        """What may be called at this sample."""
+        return [self.set_one, self.set_together, self.call_service]
 
     def finish(self):
         """Wait for the last replies."""
@@ -128,13 +135,13 @@ class InvalidRequests:
     # Parameters
 
     def set_one(self):
-        name = self.chance.choice(list(CHANGES))
+        name = self.chance.choice(list(self.CHANGES))
         request = SetParameters.Request(parameters=messages(CHANGES[name]))
         self._count(f'set: {name}', 'parameters', REFUSED)
         self._call(SetParameters, 'set_parameters', request, name, lambda reply: reply.results)
 
     def set_together(self):
-        name = self.chance.choice(list(CHANGES))
+        name = self.chance.choice(list(self.CHANGES))
         both = messages({**GOOD, **CHANGES[name]}) if 'forgetting' not in CHANGES[name] else messages(
             {'learning': False, **CHANGES[name]})
         self.chance.shuffle(both)
@@ -146,7 +153,7 @@ class InvalidRequests:
 
     def call_service(self):
         """One that must fail, or that must change nothing."""
-        kind = self.chance.choice(['load', 'load', 'load', 'apply', 'pause', 'save', 'save nowhere'])
+        kind = self.chance.choice(self.CALLS)
         if kind == 'load':
             self._load()
         elif kind == 'apply':

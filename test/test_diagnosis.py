@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import icub, smooth_motion
+from node_helpers import BODY as SMALL_ARM
+from node_helpers import motion
 
 from semiparam_ros.cli.diagnose import diagnose_bag, write_parameters
 from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.model import Estimator
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.blocks import BLOCKS, FOLDS, folds, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.candidates import added_columns, best_start
 from semiparam_ros.diagnosis.declaration import declare
@@ -334,6 +337,15 @@ RECORDED = replace(MOTION, outputs=BODY.regressors(MOTION) @ BODY.base_parameter
 def test_too_short_a_recording_is_refused():
     with pytest.raises(SemiparamError, match='holds 150 complete samples; a diagnosis needs at least 200'):
         diagnose(BODY, RECORDED[:150])
+
+
+@pytest.mark.parametrize(('count', 'period_ns', 'every'), [(400, 20_000_000, 10), (250, 1_000_000, 1000)],
+                         ids=['gaps everywhere', 'a quarter of a second at 1 kHz'])
+def test_a_recording_of_which_too_little_is_left_is_refused(count, period_ns, every):
+    samples = [sample._replace(stamp=index * period_ns + index // every * 10**9)
+               for index, sample in enumerate(motion(count))]
+    with pytest.raises(SemiparamError, match='0 samples of the recording, averaged to at least 40 Hz, are left'):
+        diagnose(SMALL_ARM, Samples.from_list(samples))
 
 
 def test_a_recording_without_motion_is_refused():

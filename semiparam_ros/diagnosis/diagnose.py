@@ -13,7 +13,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.blocks import interleaved_split, ranges
 from semiparam_ros.diagnosis.findings import Finding, findings
-from semiparam_ros.diagnosis.inputs import Inputs, best_inputs, resting
+from semiparam_ros.diagnosis.inputs import Inputs, best_inputs, require_enough, resting
 from semiparam_ros.diagnosis.judgement import Judgement, judge_here, judge_there
 from semiparam_ros.diagnosis.noise import noise_floor
 from semiparam_ros.diagnosis.regression import Fit
@@ -100,7 +100,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param only: kinds to consider; all unless given.
     :param progress: called with a few words and the share of the round that is done.
 
-    Raises SemiparamError when the recording is too short or nothing moves in it.
+    Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it.
     """
     check(samples, body)
     effects = [effect.in_recording(samples.origin) for effect in effects]
@@ -112,12 +112,13 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     fitting = valid & inputs.mask(may_fit)
     if body.outputs == 'effort':
         fitting &= ~resting(chosen)
+    held_out = valid & ~inputs.mask(may_fit)
+    require_enough(fitting, *([held_out] if other is None else []))
     first = starting_fit(body, chosen, effects, fitting)
     steps, setup = _searched(first, considered(body, only), suspected, progress)
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
     structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale)
-    held_out = valid & ~inputs.mask(may_fit)
     recorded = Recorded(samples, clean & may_fit, *((samples, clean & ~may_fit) if other is None
                                                     else (other[1], ~excluded(other[1]))))
     judged = None if other is None else inputs.prepare(other[1])

@@ -20,10 +20,13 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.cross_validation import fold_losses
 from semiparam_ros.diagnosis.regression import fit, refit_weights, residual_scale
 from semiparam_ros.effects import Effect
+from semiparam_ros.errors import SemiparamError
 
 WORKING_RATE_HZ = 40.0
 END_SAMPLES = 5
 """Working samples at either end of a smoothed recording that are left out."""
+LEAST_WORKING = 50
+"""Fewer working samples cannot tell one cause from another."""
 REST_SHARE = 1e-3
 OPTIONS = ('smoothed', 'smoothed from positions', 'recorded')
 
@@ -51,10 +54,14 @@ class Inputs(NamedTuple):
 
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Mask) -> Inputs:
-    """The motion with which the declared model predicts unseen blocks best, and the factor to the working rate."""
+    """The motion with which the declared model predicts unseen blocks best, and the factor to the working rate.
+
+    Raises SemiparamError when too few samples are left to work with.
+    """
     rate = 1e9 / float(np.median(np.diff(samples.stamps)))
     factor = max(int(rate / WORKING_RATE_HZ), 1)
     options = {name: Inputs(name, factor) for name in OPTIONS}
+    require_enough(*(inputs.mask(use) for inputs in options.values()))
     outputs = samples.outputs[use]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
     losses: dict[str, float] = {}
@@ -64,6 +71,15 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], us
             scale = refit_weights(state).scale
         losses[name] = float(fold_losses(state, scale).sum())
     return options[min(losses, key=lambda name: losses[name])]
+
+
+def require_enough(*masks: Mask) -> None:
+    """Raise SemiparamError when a mask over working samples leaves too few of them."""
+    fewest = min(int(mask.sum()) for mask in masks)
+    if fewest < LEAST_WORKING:
+        raise SemiparamError(f'{fewest} samples of the recording, averaged to at least {WORKING_RATE_HZ:g} Hz, are '
+                             'left beside its ends, gaps, shocks, standstill and what is held out; a diagnosis needs '
+                             f'at least {LEAST_WORKING}.')
 
 
 def moved(samples: Samples, motion: str) -> Samples:

@@ -101,6 +101,8 @@ class ProcessBackground:
             if isinstance(error, BrokenProcessPool):
                 self._died(job)
             elif not job.cancelled:
+                if isinstance(error, MemoryError):
+                    error = SemiparamError('the background process had not memory enough for it.')
                 job.done(None if error else future.result(), error)
         finally:
             self._start_next()
