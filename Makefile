@@ -33,7 +33,7 @@ test: lint
 
 # Every pair of settings with 20000 samples each, where `make test` takes a few hundred: about 40 minutes of one core.
 matrix: setup
-	$(BIN)/python test/settings_matrix.py
+	$(BIN)/python test/support/settings_matrix.py
 
 # The whole suite again, with the lines and branches that it reaches, those in other processes among them.
 coverage: setup
@@ -42,9 +42,9 @@ coverage: setup
 # The oldest versions that pyproject.toml allows, in an environment of their own. pip would not choose a numpy before 2,
 # because pin's wheels declare none; Ubuntu 24.04 has one beside its own pinocchio, and the wheels work with it.
 OLDEST := .venv-oldest
-OLDEST_TESTS := alignment or bags or columns or convert or effects or estimator or evidence or horizon or kinematics or \
-    layers or model or optional or public or random_features or recursion or rigid_body or serialised or settings or \
-    simulation or smoothing or structure or terms or weight_array
+OLDEST_TESTS := alignment or bags or columns or convert or effects or estimator or marginal_likelihood or horizon or differentiation or \
+    layers or model or optional or public or random_features or recursion or rigid_body or cdr or settings or \
+    simulation or smoothing or structure or terms or square_root_filter
 # python3.10 on the path, or pyenv's; uv fetches one where there is neither.
 OLDEST_PYTHON ?= $(or $(shell python3.10 -c 'import sys; print(sys.executable)' 2>/dev/null),\
     $(lastword $(wildcard $(HOME)/.pyenv/versions/3.10.*/bin/python)),3.10)

@@ -21,8 +21,8 @@ from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.bags.loading import load_samples
-    from semiparam_ros.core.model import Estimator, ModelOptions
-    from semiparam_ros.core.rigid_body import RigidBody
+    from semiparam_ros.core.estimator import Estimator, ModelOptions
+    from semiparam_ros.core.robot.rigid_body import RigidBody
     from semiparam_ros.core.samples import Sample, Samples
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.effects.base import Effect
@@ -52,9 +52,9 @@ __all__ = [
 
 _MODULES = {
     'Effect': 'semiparam_ros.effects.base',
-    'Estimator': 'semiparam_ros.core.model',
-    'ModelOptions': 'semiparam_ros.core.model',
-    'RigidBody': 'semiparam_ros.core.rigid_body',
+    'Estimator': 'semiparam_ros.core.estimator',
+    'ModelOptions': 'semiparam_ros.core.estimator',
+    'RigidBody': 'semiparam_ros.core.robot.rigid_body',
     'Sample': 'semiparam_ros.core.samples',
     'Samples': 'semiparam_ros.core.samples',
     'Settings': 'semiparam_ros.settings.snapshot',

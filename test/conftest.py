@@ -12,6 +12,9 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import hypothesis
 import pytest
 
+from support.browser import browse  # noqa: F401  (fixtures)
+from support.mcap_core import node_modules  # noqa: F401  (fixtures)
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED_DATA = REPOSITORY.parent / 'shared' / 'data'
 
@@ -51,9 +54,8 @@ def ros_domain(tmp_path, monkeypatch):
 @pytest.fixture
 def start_node(tmp_path, ros_domain):
     """A function of settings: starts a node, and a client that hears it; returns both, which end with the test."""
-    from node_client import Client, NodeProcess
-
     from semiparam_ros.settings import dump_params
+    from support.node_client import Client, NodeProcess
 
     with ExitStack() as opened:
         def start(settings):

@@ -1,4 +1,4 @@
-"""Dependencies point one way only."""
+"""Dependencies point one way only, and every room says what it is."""
 
 import ast
 import sys
@@ -10,7 +10,9 @@ PACKAGE = Path(__file__).resolve().parents[1] / 'semiparam_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 
 OPEN_TO_ALL = {'errors', 'atomic_write'}
-ANYTHING = {*OPEN_TO_ALL, 'core', 'effects', 'diagnosis', 'simulation', 'settings', 'bags', 'ros', 'report', 'cli'}
+NUMBERS = {*OPEN_TO_ALL, 'core', 'effects', 'diagnosis'}
+OFFLINE = {*NUMBERS, 'settings', 'bags', 'online', 'experiments', 'simulation'}
+ANYTHING = {*OFFLINE, 'playback', 'report', 'ros', 'cli'}
 
 # What each layer may know of the package besides itself.
 MAY_IMPORT = {
@@ -23,8 +25,11 @@ MAY_IMPORT = {
     'simulation': {'errors', 'core.types'},
     'settings': {*OPEN_TO_ALL, 'core', 'effects'},
     'bags': {*OPEN_TO_ALL, 'core', 'settings'},
-    'ros': ANYTHING,
-    'report': ANYTHING,
+    'online': {*NUMBERS, 'settings', 'bags'},
+    'playback': {*OPEN_TO_ALL, 'core', 'bags'},
+    'experiments': OFFLINE,
+    'report': OFFLINE,
+    'ros': {*NUMBERS, 'settings', 'bags', 'online', 'playback'},
     'cli': ANYTHING,
 }
 
@@ -88,9 +93,15 @@ def test_numbers_need_numeric_libraries_alone(path):
     assert outside <= NUMERIC_MAY_IMPORT
 
 
-@pytest.mark.parametrize('path', within('settings', 'bags', 'report'), ids=name_of)
+@pytest.mark.parametrize('path', within('settings', 'bags', 'online', 'playback', 'experiments', 'report'), ids=name_of)
 def test_offline_parts_run_without_ros(path):
     assert not {name.split('.')[0] for name in imports(path)} & ONLY_ROS
+
+
+@pytest.mark.parametrize('path', [path for path in MODULES if path.name == '__init__.py'], ids=name_of)
+def test_every_room_says_what_it_is(path):
+    docstring = ast.get_docstring(ast.parse(path.read_text(encoding='utf-8'))) or ''
+    assert docstring.split('\n\n')[0].endswith('.')
 
 
 def test_the_rule_catches_an_upward_import(tmp_path, monkeypatch):

@@ -79,7 +79,7 @@ print(bag.message_count)
 
 
 def test_the_node_loads_without_the_packages_that_only_pip_installs():
-    result = without(PIP_ALONE, 'import semiparam_ros.ros.estimator_node')
+    result = without(PIP_ALONE, 'import semiparam_ros.ros.estimator.node')
     assert result.returncode == 0, result.stderr
 
 

@@ -136,7 +136,8 @@ def test_every_import_is_declared(folder, extras):
     """Each distribution that is imported is in pyproject.toml, or is what ros-jazzy-... stands for."""
     sources = list((REPOSITORY / folder).rglob('*.py'))
     imported = {name.split('.')[0] for path in sources for name in imports(path)}
-    outside = imported - {'semiparam_ros', *sys.stdlib_module_names, *(path.stem for path in sources)}
+    outside = imported - {'semiparam_ros', *sys.stdlib_module_names, 'support', 'live_benchmark',
+                          *(path.stem for path in sources)}
     mentioned = {plain(requirement) for extra in extras for requirement in declared()[extra]}
     installed = packages_distributions()
     owners = {name: {owner.lower() for owner in installed.get(name, [name])} for name in outside}

@@ -1,1 +1,1 @@
-
+"""Recordings: read, repaired, converted, written, and aligned into samples."""

@@ -15,8 +15,8 @@ from typing import Protocol
 
 import numpy as np
 
-from semiparam_ros.bags.track import Track
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.stamps import in_seconds
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed, shortened
 
@@ -26,8 +26,59 @@ LARGEST = 1e9
 and one such value would leave nothing of a model."""
 
 
+class Track:
+    """Rows (n,) at strictly increasing stamps [ns], interpolated linearly.
+
+    Rows are read at strictly increasing stamps too, so that those behind the last reading can be forgotten.
+    """
+
+    def __init__(self, longest_gap_ns: int) -> None:
+        """:param longest_gap_ns: two rows further apart are not interpolated."""
+        self._longest_gap = longest_gap_ns
+        self._stamps: deque[int] = deque()
+        self._rows: deque[Array] = deque()
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def append(self, stamp: int, row: Array) -> None:
+        """Add the row that follows."""
+        self._stamps.append(stamp)
+        self._rows.append(row)
+
+    def forget_oldest(self) -> None:
+        """Drop one row."""
+        self._stamps.popleft()
+        self._rows.popleft()
+
+    def clear(self) -> None:
+        """Drop all rows."""
+        self._stamps.clear()
+        self._rows.clear()
+
+    def decided(self, stamp: int) -> bool:
+        """Whether no further row can change what :meth:`at` returns for ``stamp``; forgets rows before it."""
+        stamps = self._stamps
+        while len(stamps) > 1 and stamps[1] <= stamp:
+            self.forget_oldest()
+        return bool(stamps) and (stamps[0] >= stamp or len(stamps) > 1)
+
+    def at(self, stamp: int) -> Array | None:
+        """The row at ``stamp``, once that is decided; None before the first row and inside a gap that is too long."""
+        first = self._stamps[0]
+        if first == stamp:
+            return self._rows[0]
+        if first > stamp:
+            return None
+        second = self._stamps[1]
+        if second - first > self._longest_gap:
+            return None
+        row = self._rows[0]
+        return row + (stamp - first) / (second - first) * (self._rows[1] - row)
+
+
 class Differentiator(Protocol):
-    """A causal estimate of rates, such as ``core.kinematics.CausalDifferentiator``."""
+    """A causal estimate of rates, such as ``core.signals.differentiation.CausalDifferentiator``."""
 
     def update(self, stamp: int, values: Array, /) -> Array:
         """(n_joints,) rates [1/s] of the values at ``stamp`` [ns]."""
@@ -136,10 +187,11 @@ class SampleStream:
     def wrench(self, stamp: int, frame_id: str, values: Sequence[float]) -> list[Sample]:
         """A geometry_msgs/WrenchStamped: force [N] and torque [N m], (6,); returns the samples now complete."""
         if self._frame and frame_id.lstrip('/') != self._frame:
-            return self._refuse('wrong_frame', f'wrench at {_seconds(stamp)} s is in frame {frame_id!r}; expected '
+            return self._refuse('wrong_frame', f'wrench at {in_seconds(stamp)} s is in frame {frame_id!r}; expected '
                                                f'{self._frame!r}.')
         if len(values) != 6:
-            return self._refuse('wrong_length', f'wrench at {_seconds(stamp)} s has {len(values)} values; expected 6.')
+            return self._refuse('wrong_length',
+                                f'wrench at {in_seconds(stamp)} s has {len(values)} values; expected 6.')
         if not self._acceptable('wrench', stamp, values):
             return []
         return [] if self._effort else self._await(stamp, np.array(values, dtype=float), None)
@@ -162,11 +214,12 @@ class SampleStream:
             return known[1]
         if names and not set(self.joints).intersection(names):
             self.strangers += 1
-            self.last_stranger = f'{what} at {_seconds(stamp)} s names {listed(names)}; expected {listed(self.joints)}.'
+            self.last_stranger = (f'{what} at {in_seconds(stamp)} s names {listed(names)}; expected '
+                                  f'{listed(self.joints)}.')
             return None
         missing = [joint for joint in self.joints if list(names).count(joint) != 1]
         if missing:
-            self._refuse('missing_joint', f'{what} at {_seconds(stamp)} s must name joint {missing[0]!r} once; it '
+            self._refuse('missing_joint', f'{what} at {in_seconds(stamp)} s must name joint {missing[0]!r} once; it '
                                           f'names {listed(names)}.')
             return None
         order = [list(names).index(joint) for joint in self.joints]
@@ -176,7 +229,7 @@ class SampleStream:
     def _right_length(self, stamp: int, names: Sequence[str], columns: dict[str, Sequence[float]]) -> bool:
         for column, values in columns.items():
             if len(values) != len(names):
-                self._refuse('wrong_length', f'{column} at {_seconds(stamp)} s has {len(values)} values for '
+                self._refuse('wrong_length', f'{column} at {in_seconds(stamp)} s has {len(values)} values for '
                                              f'{len(names)} joints.')
                 return False
         return True
@@ -185,16 +238,17 @@ class SampleStream:
         """Whether values are possible and the stamp is later than the topic's last one, which it then becomes."""
         # One NaN or infinity makes the sum one too: four times faster than asking each value.
         if not isfinite(sum(values)):
-            self._refuse('not_finite', f'{what} at {_seconds(stamp)} s holds a value that is not finite.')
+            self._refuse('not_finite', f'{what} at {in_seconds(stamp)} s holds a value that is not finite.')
             return False
         if values and not (min(values) > -LARGEST and max(values) < LARGEST):
-            self._refuse('out_of_range', f'{what} at {_seconds(stamp)} s holds {max(values, key=abs):g}; expected '
+            self._refuse('out_of_range', f'{what} at {in_seconds(stamp)} s holds {max(values, key=abs):g}; expected '
                                          f'values within {LARGEST:g}.')
             return False
         last = self._last.get(what)
         if last is not None and stamp <= last:
             kind = 'duplicate' if stamp == last else 'backward'
-            self._refuse(f'{kind}_stamp', f'{what} has the {kind} stamp {_seconds(stamp)} s after {_seconds(last)} s.')
+            self._refuse(f'{kind}_stamp',
+                         f'{what} has the {kind} stamp {in_seconds(stamp)} s after {in_seconds(last)} s.')
             return False
         self._last[what] = stamp
         return True
@@ -208,7 +262,7 @@ class SampleStream:
         track.append(stamp, row)
         if self._capacity is not None and len(track) > self._capacity:
             track.forget_oldest()
-            self._refuse('overflow', f'{self._capacity} {what} wait for other topics, the last at {_seconds(stamp)} '
+            self._refuse('overflow', f'{self._capacity} {what} wait for other topics, the last at {in_seconds(stamp)} '
                                      's: the oldest is given up.')
 
     def _await(self, stamp: int, output: Array, state: Array | None) -> list[Sample]:
@@ -217,7 +271,7 @@ class SampleStream:
         if self._capacity is not None and len(self._waiting) > self._capacity:
             self._waiting.popleft()
             self._refuse('overflow', f'{self._capacity} measured outputs wait for the {self._followers[0][1]}s that '
-                                     f'belong to them, the last at {_seconds(stamp)} s: the oldest is given up.')
+                                     f'belong to them, the last at {in_seconds(stamp)} s: the oldest is given up.')
         return done
 
     def _completed(self) -> list[Sample]:
@@ -235,14 +289,9 @@ class SampleStream:
         for track, what in self._followers:
             row = track.at(stamp)
             if row is None:
-                self._refuse('unmatched', f'output at {_seconds(stamp)} s has no {what} within the tolerance.')
+                self._refuse('unmatched', f'output at {in_seconds(stamp)} s has no {what} within the tolerance.')
                 return None
             parts.append(row)
         joined = parts[0] if len(parts) == 1 else np.concatenate(parts)
         n = len(self.joints)
         return Sample(stamp, joined[:n], joined[n:2 * n], joined[2 * n:], output)
-
-
-def _seconds(stamp: int) -> str:
-    """A stamp [ns] in seconds, to the nanosecond."""
-    return f'{stamp // 10**9}.{stamp % 10**9:09d}'

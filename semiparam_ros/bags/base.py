@@ -6,19 +6,67 @@ import os
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
 from semiparam_ros.bags import schemas
-from semiparam_ros.bags.losses import Losses
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.schemas import UNKNOWN, Decoder, Schema
+from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 
 ORDERS = ('log', 'publish', 'header')
 _STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
+
+
+@dataclass
+class Losses:
+    """The account of a bag: falsy when nothing is wrong with it.
+
+    ``intact`` is the number of messages the bag held before it was damaged, None where nothing tells;
+    ``byte_ranges`` are the half-open ranges of the file that could not be used.
+    """
+
+    path: str
+    saved: int = 0
+    intact: int | None = None
+    chunks: int = 0
+    chunks_lost: int = 0
+    byte_ranges: list[tuple[int, int]] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+    undecodable: dict[str, int] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.chunks_lost or self.byte_ranges or self.reasons or self.undecodable)
+
+    @property
+    def messages_lost(self) -> int | None:
+        """How many messages are missing; None where nothing tells."""
+        return None if self.intact is None else max(self.intact - self.saved, 0)
+
+    @property
+    def sentence(self) -> str:
+        """The whole account in one sentence, '' when nothing is wrong."""
+        if not self:
+            return ''
+        of = '' if self.intact is None else f' of {self.intact}'
+        parts = [*self.reasons, f'{self.saved}{of} messages read']
+        if self.chunks_lost:
+            parts.append(f'{self.chunks_lost} of {self.chunks} chunks lost')
+        if self.byte_ranges:
+            parts.append('unreadable bytes ' + _ranges(self.byte_ranges))
+        parts += [f'{count} messages on {topic} do not decode' for topic, count in sorted(self.undecodable.items())]
+        return f'{self.path!r} is damaged: ' + '; '.join(parts) + '.'
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+def _ranges(ranges: list[tuple[int, int]], shown: int = 4) -> str:
+    text = ', '.join(f'{start}-{end}' for start, end in ranges[:shown])
+    return text if len(ranges) <= shown else f'{text} and {len(ranges) - shown} more ranges'
 
 
 class Message(NamedTuple):
@@ -112,7 +160,7 @@ class BagReader(ABC):
         if info.encoding != 'cdr' or not schemas.has_header(info.type, info.schema) or len(message.raw) < 12:
             return message.log_time
         seconds, nanoseconds = _STAMP[message.raw[1] & 1].unpack_from(message.raw, 4)
-        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+        return int(seconds) * NANOSECONDS + int(nanoseconds)
 
     def _decoded(self, found: Iterator[Message]) -> Iterator[Message]:
         decoders = {topic: self._decoder(info) for topic, info in self.topics.items()}

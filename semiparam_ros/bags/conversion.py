@@ -10,8 +10,8 @@ from typing import Any
 
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.base import BagReader, Message
-from semiparam_ros.bags.recording_layout import stamp_fields
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.errors import SemiparamError
 
 _JOINT_STATE, _WRENCH = layout.TYPES[layout.JOINT_STATES], layout.TYPES[layout.WRENCH]

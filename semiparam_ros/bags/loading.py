@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, NamedTuple
 from semiparam_ros.bags import readings
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.alignment import SampleStream
-from semiparam_ros.core.kinematics import CausalDifferentiator
 from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.robot_description import moving_joints, robot_description
 from semiparam_ros.settings.table import Table
 
 if TYPE_CHECKING:
-    from semiparam_ros.bags.base import BagReader
-    from semiparam_ros.bags.losses import Losses
+    from semiparam_ros.bags.base import BagReader, Losses
 
 
 class Topics(NamedTuple):

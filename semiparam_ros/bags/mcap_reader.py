@@ -9,11 +9,9 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-from semiparam_ros.bags import mcap_records, qos, salvage, schemas
-from semiparam_ros.bags.base import BagReader, Message, TopicInfo
-from semiparam_ros.bags.losses import Losses
-from semiparam_ros.bags.mcap_index import Incomplete, Index, Segment, read_summary
-from semiparam_ros.bags.mcap_records import MAGIC, Damage, Entry
+from semiparam_ros.bags import mcap_format, qos, recovery, schemas
+from semiparam_ros.bags.base import BagReader, Losses, Message, TopicInfo
+from semiparam_ros.bags.mcap_format import MAGIC, Damage, Entry, Incomplete, Index, Segment, read_summary
 from semiparam_ros.bags.schemas import UNKNOWN, Schema
 from semiparam_ros.errors import SemiparamError
 
@@ -69,10 +67,10 @@ class McapBag(BagReader):
         definitions = self._index.definitions
         try:
             if segment.chunk is None:
-                found = mcap_records.entries(self._buffer, definitions, segment.offset, segment.end)
+                found = mcap_format.entries(self._buffer, definitions, segment.offset, segment.end)
             else:
-                data = mcap_records.unpack(self._buffer, segment.chunk, self._has_crcs)
-                found = mcap_records.entries(data, definitions)
+                data = mcap_format.unpack(self._buffer, segment.chunk, self._has_crcs)
+                found = mcap_format.entries(data, definitions)
         except Damage as damage:
             self._read[segment] = None
             if str(damage) not in self._reasons:
@@ -108,9 +106,9 @@ def _index(buffer: Any) -> Index:
     try:
         index = read_summary(buffer)
     except Incomplete:
-        return salvage.scan(buffer, reason)
+        return recovery.scan(buffer, reason)
     except Damage as damage:
-        return salvage.scan(buffer, '; '.join(filter(None, (reason, str(damage)))))
+        return recovery.scan(buffer, '; '.join(filter(None, (reason, str(damage)))))
     index.reasons += [reason] if reason else []
     return index
 

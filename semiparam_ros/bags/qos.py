@@ -8,6 +8,8 @@ from typing import Any
 
 import yaml
 
+from semiparam_ros.core.stamps import NANOSECONDS
+
 INFINITE_NS = 2**63 - 1
 _HISTORY = {0: 'system_default', 1: 'keep_last', 2: 'keep_all', 3: 'unknown'}
 _RELIABILITY = {0: 'system_default', 1: 'reliable', 2: 'best_effort', 3: 'unknown', 4: 'best_available'}
@@ -68,7 +70,7 @@ def _nanoseconds(value: object) -> int:
     """A duration {sec, nsec}; zero stands for none, as in rmw."""
     if not isinstance(value, Mapping):
         return INFINITE_NS
-    total = int(value.get('sec', 0)) * 10**9 + int(value.get('nsec', 0))
+    total = int(value.get('sec', 0)) * NANOSECONDS + int(value.get('nsec', 0))
     return total if 0 < total < INFINITE_NS else INFINITE_NS
 
 
@@ -98,4 +100,4 @@ def dump_profiles(profiles: Sequence[Qos]) -> str:
 
 
 def _parts(duration_ns: int) -> dict[str, int]:
-    return {'sec': duration_ns // 10**9, 'nsec': duration_ns % 10**9}
+    return {'sec': duration_ns // NANOSECONDS, 'nsec': duration_ns % NANOSECONDS}

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.alignment import SampleStream
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.stamps import stamp_ns
 
 
 class Reading(NamedTuple):
@@ -21,7 +21,7 @@ class Reading(NamedTuple):
 def of_joint_state(message: Any) -> Reading:
     """Of a sensor_msgs/JointState."""
     header = message.header
-    return Reading(layout.stamp_ns(header.stamp), header.frame_id,
+    return Reading(stamp_ns(header.stamp), header.frame_id,
                    (message.name, message.position, message.velocity, message.effort))
 
 
@@ -29,14 +29,14 @@ def of_wrench(message: Any) -> Reading:
     """Of a geometry_msgs/WrenchStamped."""
     header, force, torque = message.header, message.wrench.force, message.wrench.torque
     values = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
-    return Reading(layout.stamp_ns(header.stamp), header.frame_id, (header.frame_id, values))
+    return Reading(stamp_ns(header.stamp), header.frame_id, (header.frame_id, values))
 
 
 def of_accelerations(message: Any) -> Reading:
     """Of a trajectory_msgs/JointTrajectory with one point; without one its accelerations count as missing."""
     values = message.points[0].accelerations if len(message.points) == 1 else ()
     header = message.header
-    return Reading(layout.stamp_ns(header.stamp), header.frame_id, (message.joint_names, values))
+    return Reading(stamp_ns(header.stamp), header.frame_id, (message.joint_names, values))
 
 
 class Kind(NamedTuple):

@@ -1,8 +1,6 @@
-"""Where a recording of this package keeps what: topic names, message types, and conversions of time stamps."""
+"""Where a recording of this package keeps what: topic names and message types."""
 
 from __future__ import annotations
-
-from typing import Any
 
 from semiparam_ros.bags.qos import LATCHED, Qos
 
@@ -18,13 +16,3 @@ TYPES = {JOINT_STATES: 'sensor_msgs/msg/JointState', WRENCH: 'geometry_msgs/msg/
 def default_qos(topic: str) -> Qos:
     """Latched for a robot description (in any namespace), reliable with depth 10 for everything else."""
     return LATCHED if topic.rsplit('/', 1)[-1] == 'robot_description' else Qos()
-
-
-def stamp_ns(stamp: Any) -> int:
-    """A builtin_interfaces/Time in ns."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def stamp_fields(stamp: int) -> dict[str, int]:
-    """The fields of builtin_interfaces/Time for ``stamp`` [ns]."""
-    return {'sec': stamp // 1_000_000_000, 'nanosec': stamp % 1_000_000_000}

@@ -14,8 +14,8 @@ from semiparam_ros.cli.options import add_json_option, output, progress_bar, wri
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
-    from semiparam_ros.core.model import Estimator
-    from semiparam_ros.core.rigid_body import RigidBody
+    from semiparam_ros.core.estimator import Estimator
+    from semiparam_ros.core.robot.rigid_body import RigidBody
     from semiparam_ros.core.samples import Sample
     from semiparam_ros.core.types import Array
 
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')
     if args.rounds < 1 or any(count < 2 or count % 2 for count in args.features):
         raise SemiparamError('expected at least one round, and even numbers of features from 2 on.')
-    from semiparam_ros.cli.bench_arm import arm
+    from semiparam_ros.experiments.benchmark import arm
 
     body = arm(args.urdf or ARM, args.frame)
     with progress_bar() as progress:
@@ -84,8 +84,7 @@ def run(args: argparse.Namespace) -> int:
 
 def size(body: RigidBody, count: int, rounds: int, tick: Callable[[], None]) -> dict[str, Any]:
     """Figures of D = ``count``: micro-seconds a sample of each contender, and the ratios to ours."""
-    from semiparam_ros.cli.bench_arm import estimator, motion
-    from semiparam_ros.cli.bench_evidence import evidence_seconds
+    from semiparam_ros.experiments.benchmark import estimator, evidence_seconds, motion
 
     model = estimator(body, count)
     cases = [case(model, sample) for sample in motion(body, SAMPLES)]
@@ -111,7 +110,7 @@ def case(model: Estimator, sample: Sample) -> Case:
 
 def contenders(model: Estimator, count: int) -> dict[str, Contender]:
     """Ours and the others at D = ``count``; the dense one takes so long that one sample a round is enough."""
-    from semiparam_ros.cli.bench_contenders import Covariance, Dense, Potter
+    from semiparam_ros.experiments.benchmark import Covariance, Dense, Potter
 
     covariance, potter = Covariance(count), Potter(count)
     dense, together = (Dense(model.columns.n_columns, count, model.body.n_outputs, each) for each in (False, True))

@@ -21,8 +21,7 @@ from semiparam_ros.cli.options import (
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
-    from semiparam_ros.report.comparison.experiment import Comparison
-    from semiparam_ros.report.comparison.scenario import Scenario
+    from semiparam_ros.experiments.comparison import Comparison, Scenario
 
 SHORT = {'first 60 s': '< 60 s', 'after 30 s': '> 30 s', 'learning': 'learn', 'frozen': 'frozen'}
 """Details of columns as a terminal has room for them; the others are on the page."""
@@ -58,10 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compare, write the page, and show the table and the verdict."""
-    from semiparam_ros.report.comparison.experiment import compare, steps
-    from semiparam_ros.report.comparison.page import page
-    from semiparam_ros.report.comparison.parallel import workers
-    from semiparam_ros.report.comparison.tables import as_dictionary
+    from semiparam_ros.experiments.comparison import compare, steps
+    from semiparam_ros.experiments.parallel import workers
+    from semiparam_ros.report.comparison_page import as_dictionary, page
 
     require_places(args.output, args.json)
     scenario = scenario_of(args)
@@ -81,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
 def scenario_of(args: argparse.Namespace) -> Scenario:
     """The checked scenario of the command line."""
     from semiparam_ros.cli.evaluate import chosen_variants, load_bags
-    from semiparam_ros.report.comparison.scenario import scenario_from
+    from semiparam_ros.experiments.comparison import scenario_from
     from semiparam_ros.settings import load_params
 
     if args.seeds < 1:
@@ -119,8 +117,8 @@ def show(comparison: Comparison) -> None:
     from rich import box
     from rich.table import Table
 
-    from semiparam_ros.report.comparison.findings import verdict
-    from semiparam_ros.report.comparison.tables import cells, columns
+    from semiparam_ros.experiments.comparison import verdict
+    from semiparam_ros.report.comparison_page import cells, columns
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column('\nvariant', no_wrap=True)

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
     settings = load_params(args.params)
     diagnosis = diagnose_bag(args, settings)
-    variants = _judge_variants(args, settings, diagnosis)
+    variants = _evaluate_variants(args, settings, diagnosis)
     result = diagnosis.as_dict() | {'command': 'diagnose', 'bag': str(args.bag), 'variants': variants}
     _show(diagnosis, variants)
     if args.json:
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     """Load what the options name and diagnose it, with progress on a terminal."""
     from semiparam_ros.cli.evaluate import load_bags
-    from semiparam_ros.diagnosis.blocks import leading_split
+    from semiparam_ros.diagnosis.data.splits import leading_split
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.settings.build import build_rigid_body, declared_effects
 
@@ -93,10 +93,10 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     bag = load_bags([args.bag], settings)[0]
     other = load_bags([args.judge], settings)[0].samples if args.judge else None
     body = build_rigid_body(settings, bag.robot_description)
-    use = None if args.split is None else leading_split(len(bag.samples), args.split)
+    train_mask = None if args.split is None else leading_split(len(bag.samples), args.split)
     with progress_bar() as bar:
         task = bar.add_task('reading', total=100)
-        return diagnose(body, bag.samples, declared_effects(settings, body), use,
+        return diagnose(body, bag.samples, declared_effects(settings, body), train_mask,
                         None if other is None else (str(args.judge), other), args.kinds,
                         lambda words, share: bar.update(task, description=words, completed=int(100 * share)))
 
@@ -114,26 +114,26 @@ def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> No
     dump_params(replace(settings, effects=tuple(map(effect_to_text, standing.values()))), path)
 
 
-def _judge_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, Any]:
+def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, Any]:
     if not args.variants:
         return {}
     from semiparam_ros.cli.evaluate import chosen_variants
-    from semiparam_ros.report.variants_with_effects import judge_variants
+    from semiparam_ros.experiments.variants_with_effects import evaluate_variants
 
     with progress_bar() as bar:
         task = bar.add_task('variants', total=None)
-        return judge_variants(settings, diagnosis, chosen_variants(args.variants, settings), args.jobs,
-                              lambda done, total: bar.update(task, completed=done, total=total))
+        return evaluate_variants(settings, diagnosis, chosen_variants(args.variants, settings), args.jobs,
+                                 lambda done, total: bar.update(task, completed=done, total=total))
 
 
 def _show(diagnosis: Diagnosis, variants: dict[str, Any]) -> None:
     from rich import box
     from rich.table import Table
 
-    from semiparam_ros.diagnosis.words import in_words
-    from semiparam_ros.report.diagnosis_tables import variant_rows
+    from semiparam_ros.diagnosis.text_report import text_report
+    from semiparam_ros.report.diagnosis_page import variant_rows
 
-    for line in in_words(diagnosis):
+    for line in text_report(diagnosis):
         output.print(line, highlight=False, markup=False, soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column('\noutput', no_wrap=True)
@@ -151,7 +151,7 @@ def _show(diagnosis: Diagnosis, variants: dict[str, Any]) -> None:
 
 
 def _benchmark(args: argparse.Namespace) -> int:
-    from semiparam_ros.report.scoreboard import Plan, print_scoreboard, scoreboard
+    from semiparam_ros.experiments.scoreboard import Plan, print_scoreboard, scoreboard
 
     plan = Plan(args.outputs, tuple(args.kinds), tuple(args.sizes), args.seeds, args.samples)
     with progress_bar() as bar:

@@ -1,12 +1,16 @@
-"""`semiparam evaluate BAG...`: the node's estimator on recordings, without DDS."""
+"""Tables of results for the terminal, 80 columns wide."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from semiparam_ros.cli.options import add_json_option, add_params_option, console, output, progress_bar, write_json
 from semiparam_ros.errors import SemiparamError
@@ -15,10 +19,36 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from semiparam_ros.bags.loading import LoadedBag
-    from semiparam_ros.cli.scores import Scores
+    from semiparam_ros.experiments.evaluation import Scores
     from semiparam_ros.settings import Settings
 
+HEADINGS = {'eps_force': 'eps^F', 'eps_torque': 'eps^T', 'eps_effort': 'eps'}
+PHASES = {'first_30_s': '< 30 s', 'steady_state': 'steady'}
+
 HELP = 'Predict, then learn, every sample of recordings, and report the errors of one or several variants.'
+
+
+def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> None:
+    """One row for each variant: nMSE, the horizon indices at first and in steady state, and the update time."""
+    indices = [name for name in HEADINGS if any(result.get(name) for result in results.values())]
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column('\nvariant', no_wrap=True)
+    phases = [f'{HEADINGS[name]}\n{phase}' for name in indices for phase in PHASES.values()]
+    for heading in ['\nnMSE', *phases, 'update\n[ms]', '\np99', '\nsamples']:
+        table.add_column(heading, justify='right', no_wrap=True)
+    for variant, result in results.items():
+        values = [result[name][phase] for name in indices for phase in PHASES]
+        times = result['update_ms'] or {'median': None, 'p99': None}
+        table.add_row(variant, figure(result['nmse_mean']), *map(figure, values), figure(times['median']),
+                      figure(times['p99']), str(result['samples']))
+    console.print(table)
+
+
+def figure(value: float | None) -> str:
+    """Three significant digits, or a dash where there is no number."""
+    if value is None:
+        return '-'
+    return f'{value:.3g}' if value >= 1e-3 or value == 0.0 else f'{value:.1e}'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,8 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate every variant in turn on the same samples."""
-    from semiparam_ros.cli.plots import picture_format
-    from semiparam_ros.cli.tables import print_scores
+    from semiparam_ros.report.horizon_plot import picture_format
     from semiparam_ros.settings import load_params
 
     if args.plot:
@@ -60,8 +89,7 @@ def run(args: argparse.Namespace) -> int:
 
 def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str]:
     """Checked names, each once, in the order asked for; by default the variant of the settings."""
-    from semiparam_ros.core.model import variant_named
-    from semiparam_ros.core.variants import VARIANTS
+    from semiparam_ros.core.variants import VARIANTS, variant_named
 
     names = [name for word in asked or [settings.variant] for name in (VARIANTS if word == 'all' else [word])]
     for name in names:
@@ -90,8 +118,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
     Raises SemiparamError when the recordings are over before the initial window is.
     """
-    from semiparam_ros.cli.offline import OfflineLearner
-    from semiparam_ros.cli.scores import Scores
+    from semiparam_ros.experiments.evaluation import OfflineLearner, Scores
 
     total = sum(len(bag.samples) for bag in [*training, *bags])
     task = progress.add_task(settings.variant, total=total)
@@ -120,7 +147,7 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
             'train': [str(path) for path in args.train], 'frozen': args.frozen, 'variants': results,
             'left_out': [dict(bag.faults) for bag in bags], 'losses': [str(bag.losses) for bag in bags]})
     if args.plot:
-        from semiparam_ros.cli.plots import plot_indices
+        from semiparam_ros.report.horizon_plot import plot_indices
 
         plot_indices(args.plot, scores)
         console.print(f'plot: {args.plot}', highlight=False, markup=False)

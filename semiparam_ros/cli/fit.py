@@ -19,8 +19,8 @@ from semiparam_ros.cli.options import (
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
-    from semiparam_ros.core.hyperparameters import Hyperparameters
-    from semiparam_ros.report.initial_window import Estimation
+    from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+    from semiparam_ros.experiments.initial_window import Estimation
     from semiparam_ros.settings import Settings
 
 HELP = 'Estimate the hyperparameters from the start of a recording and write a ROS parameter file with them.'
@@ -55,8 +55,8 @@ def add_estimation_options(parser: argparse.ArgumentParser) -> None:
 
 def estimation_of(args: argparse.Namespace) -> Estimation:
     """The checked options. Raises SemiparamError for a grid of one point or a count below one."""
-    from semiparam_ros.core.validation import Grid
-    from semiparam_ros.report.initial_window import Estimation
+    from semiparam_ros.core.hyperparameters.validation import Grid
+    from semiparam_ros.experiments.initial_window import Estimation
 
     for option in ('starts', 'jobs'):
         if getattr(args, option) < 1:
@@ -70,7 +70,7 @@ def estimation_of(args: argparse.Namespace) -> Estimation:
 def run(args: argparse.Namespace) -> int:
     """Fit, write the parameter file, and show what was found."""
     from semiparam_ros.cli.evaluate import chosen_variants, load_bags
-    from semiparam_ros.report.initial_window import fitted_settings
+    from semiparam_ros.experiments.initial_window import fitted_settings
     from semiparam_ros.settings import dump_params, load_params
 
     require_places(args.output, args.json)
@@ -103,7 +103,7 @@ def result(args: argparse.Namespace, settings: Settings, found: Hyperparameters,
 
 
 def _show(settings: Settings, found: Hyperparameters) -> None:
-    from semiparam_ros.cli.tables import figure
+    from semiparam_ros.cli.evaluate import figure
 
     rows = [('variant', settings.variant)]
     for name in ('gamma', 'rho', 'tau', 'sigma', 'output_scale', 'pi'):

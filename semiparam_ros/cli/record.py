@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from semiparam_ros.cli.options import add_json_option, console, write_json
 
 if TYPE_CHECKING:
-    from semiparam_ros.ros.record_options import RecordOptions
+    from semiparam_ros.ros.record.options import RecordOptions
 
 HELP = "Record a node's outputs beside its inputs into a new MCAP bag, until Ctrl-C or a limit."
 
@@ -45,7 +45,7 @@ def _add_end(group: argparse._ArgumentGroup) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Record and tell what was recorded."""
-    from semiparam_ros.ros.record_session import RecordSession
+    from semiparam_ros.ros.record.session import RecordSession
     account = RecordSession(_options(args), console, args.ros_args).run()
     console.print(account.sentence, highlight=False, soft_wrap=True, markup=False)
     if args.json:
@@ -54,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _options(args: argparse.Namespace) -> RecordOptions:
-    from semiparam_ros.ros.record_options import DEFAULT_NODE, Limits, RecordOptions, parse_count
-    from semiparam_ros.ros.replay_timeline import Selection
+    from semiparam_ros.playback.timeline import Selection
+    from semiparam_ros.ros.record.options import DEFAULT_NODE, Limits, RecordOptions, parse_count
     count, count_topic = parse_count(args.count) if args.count else (None, None)
     named = args.node or args.topics or args.all
     return RecordOptions(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from semiparam_ros.cli.options import add_json_option, console, write_json
 
 if TYPE_CHECKING:
-    from semiparam_ros.ros.replay_options import ReplayOptions
+    from semiparam_ros.playback.options import ReplayOptions
 
 HELP = 'Play bags on ROS topics: at any rate, or as fast as the estimator follows without losing a sample.'
 
@@ -80,7 +80,7 @@ def _add_publishing(group: argparse._ArgumentGroup) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play, tell the account, and return 1 when a message was lost or the follower fell silent."""
-    from semiparam_ros.ros.replay_session import ReplaySession
+    from semiparam_ros.ros.replay.session import ReplaySession
     account = ReplaySession(_options(args), console, args.ros_args).run()
     for sentence in account.sentences():
         console.print(sentence, highlight=False, soft_wrap=True, markup=False)
@@ -92,8 +92,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _options(args: argparse.Namespace) -> ReplayOptions:
-    from semiparam_ros.ros import replay_options as options
-    from semiparam_ros.ros.replay_timeline import Cut, Selection
+    from semiparam_ros.playback import options
+    from semiparam_ros.playback.timeline import Cut, Selection
     follow = None
     if args.follow or args.as_fast_as_followed:
         answers = dict(map(options.parse_follow, args.follow or [options.DEFAULT_FOLLOW]))

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     if args.params is not None:
         check_file(args.params, ros_arguments)
         ros_arguments += ['--ros-args', '--params-file', str(args.params)]
-    from semiparam_ros.ros.process import run_estimator  # after the check, which then answers at once
+    from semiparam_ros.ros.estimator.process import run_estimator  # after the check, which then answers at once
 
     return run_estimator(ros_arguments)
 

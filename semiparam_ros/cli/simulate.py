@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from semiparam_ros.cli.options import add_params_option, output, write_json
+from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -152,7 +153,7 @@ def messages(recording: SimulatedRecording, row: int, stamp: int) -> list[tuple[
     """Topic and message of every measurement of one sample."""
     from semiparam_ros.bags import recording_layout as layout
 
-    header = {'stamp': layout.stamp_fields(stamp), 'frame_id': ''}
+    header = {'stamp': stamp_fields(stamp), 'frame_id': ''}
     names, values = list(recording.joint_names), recording.outputs[row].tolist()
     state = {'header': header, 'name': names, 'position': recording.position[row].tolist(),
              'velocity': recording.velocity[row].tolist()}

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -21,7 +21,7 @@ APPROACH_NS = 100_000_000
 """How long a desired state has moved on at its own velocity, for what remembers the way travelled."""
 
 
-class Effect(Protocol):
+class ColumnBlock(Protocol):
     """A physical cause with its nonlinear parameters set: it may move the inputs, shape psi, and add columns.
 
     Each method takes what the effect remembered of earlier samples (None at the start) where it needs a past.
@@ -46,7 +46,7 @@ class Effect(Protocol):
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """(N, n, c) further columns."""
 
-    def desired(self) -> Effect:
+    def desired(self) -> ColumnBlock:
         """The effect as it acts on a desired state, which is exact and belongs to no known time."""
 
 
@@ -55,7 +55,7 @@ class Absent:
 
     of_sensor = False
 
-    def __init__(self, effect: Effect) -> None:
+    def __init__(self, effect: ColumnBlock) -> None:
         self._effect = effect
 
     def check(self, body: RigidBody) -> None:
@@ -77,7 +77,7 @@ class Absent:
         """(N, n, c) zeros."""
         return np.zeros((len(samples), body.n_outputs, len(self.prior_scale(body)))), None
 
-    def desired(self) -> Effect:
+    def desired(self) -> ColumnBlock:
         """Absent too."""
         return self
 
@@ -85,7 +85,7 @@ class Absent:
 class CoupledColumns:
     """Assembles C for a rigid body and its declared effects; a wrench always has a constant offset."""
 
-    def __init__(self, body: RigidBody, effects: Sequence[Effect] = ()) -> None:
+    def __init__(self, body: RigidBody, effects: Sequence[ColumnBlock] = ()) -> None:
         """Raises SemiparamError when an effect cannot be declared on this robot."""
         self.body, self.effects = body, tuple(effects)
         for effect in self.effects:

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtpqrt, dtrtrs
 
+from semiparam_ros.core.square_root_filter import Projection, SquareRootFilter
 from semiparam_ros.core.types import Array
-from semiparam_ros.core.weight_array import Projection, WeightArray
 from semiparam_ros.errors import SemiparamError
 
 QR_BLOCK = 8
@@ -66,7 +66,7 @@ class SemiParametricRecursion:
         self._prior_std = np.array(prior_std, dtype=float)
         self._check()
         self.theta = np.zeros(self.n_columns) if prior_mean is None else np.array(prior_mean, dtype=float)
-        self._weights = WeightArray(n_features, rho, (self.n_columns + 1) * n_outputs)
+        self._weights = SquareRootFilter(n_features, rho, (self.n_columns + 1) * n_outputs)
         self._renewed = 0
         self._information = np.zeros((self.n_columns + 1, self.n_columns + 1), order='F')
         diagonal = np.arange(self.n_columns)

@@ -8,18 +8,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
-from semiparam_ros.diagnosis.blocks import interleaved_split, ranges
+from semiparam_ros.diagnosis.data.identifiability import unidentifiable
+from semiparam_ros.diagnosis.data.outliers import excluded
+from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, resting
+from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
+from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, findings
-from semiparam_ros.diagnosis.inputs import Inputs, best_inputs, require_enough, resting
-from semiparam_ros.diagnosis.judgement import Judgement, judge_here, judge_there
-from semiparam_ros.diagnosis.noise import noise_floor
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.search import Progress, Step, search, starting_fit
-from semiparam_ros.diagnosis.setup_checks import NO_MATCH, SetupProblem, excluded, setup_problems, unidentifiable
-from semiparam_ros.diagnosis.structure import Structure, remaining_structure
+from semiparam_ros.diagnosis.residual.noise import noise_floor
+from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
+from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
+from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.errors import SemiparamError
 
@@ -51,14 +53,14 @@ class Diagnosis:
     first: Fit
     final: Fit
     held_out: Mask
-    before: Judgement
-    after: Judgement
+    before: Evaluation
+    after: Evaluation
     inputs: Inputs
     structure: Structure | None
     setup: list[SetupProblem]
     notes: list[str]
     recorded: Recorded
-    judged_by_step: list[Judgement] = field(default_factory=list)
+    judged_by_step: list[Evaluation] = field(default_factory=list)
     judged_elsewhere: str | None = None
     judged: Samples | None = None
     judged_valid: Mask | None = None
@@ -75,7 +77,7 @@ class Diagnosis:
         """The machine-readable report."""
         found = {'verdict': self.verdict, 'effects': [finding.as_dict() for finding in self.findings],
                  'before': self.before.as_dict(), 'after': self.after.as_dict(),
-                 'by_step': [judgement.as_dict() for judgement in self.judged_by_step],
+                 'by_step': [evaluation.as_dict() for evaluation in self.judged_by_step],
                  'noise_floor_rmse': self.noise_floor_rmse.tolist(), 'held_out': self._held_out(),
                  'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion,
                  'samples_averaged': self.inputs.factor,
@@ -89,13 +91,13 @@ class Diagnosis:
         return {'recording': self.judged_elsewhere, 'ranges': parts}
 
 
-def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), use: Mask | None = None,
+def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), train_mask: Mask | None = None,
              other: tuple[str, Samples] | None = None, only: Sequence[str] = (),
              progress: Progress = lambda words, share: None) -> Diagnosis:
     """Find what the model lacks in one recording.
 
     :param effects: those declared already.
-    :param use: (N,) true for the samples that may fit; others are held out. Interleaved blocks unless given.
+    :param train_mask: (N,) true for the samples that may fit; others are held out. Interleaved blocks unless given.
     :param other: name and samples of another recording that judges instead; then all samples of this one fit.
     :param only: kinds to consider; all unless given.
     :param progress: called with a few words and the share of the round that is done.
@@ -106,7 +108,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     effects = [effect.in_recording(samples.origin) for effect in effects]
     suspected = setup_problems(body, samples)
     clean = ~excluded(samples)
-    may_fit = _fitting(samples, use, other is not None)
+    may_fit = _fitting(samples, train_mask, other is not None)
     inputs = best_inputs(body, samples, effects, clean & may_fit)
     chosen, valid = inputs.prepare(samples), inputs.mask(clean)
     fitting = valid & inputs.mask(may_fit)
@@ -124,10 +126,10 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     judged = None if other is None else inputs.prepare(other[1])
     judged_valid = None if other is None else inputs.mask(recorded.valid)
 
-    def judge(state: Fit) -> Judgement:
+    def judge(fit: Fit) -> Evaluation:
         if judged is None or judged_valid is None:
-            return judge_here(state, held_out)
-        return judge_there(state, judged, judged_valid)
+            return evaluate_here(fit, held_out)
+        return evaluate_there(fit, judged, judged_valid)
 
     by_step = [judge(step.after) for step in steps]
     before = judge(first)
@@ -147,13 +149,13 @@ def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[S
     """
     if any(problem.what != NO_MATCH for problem in suspected):
         return [], suspected
-    steps = search(first, considered, progress, _unlike if suspected else lambda state: False)
+    steps = search(first, considered, progress, _unlike if suspected else lambda fit: False)
     return ([], suspected) if suspected and (not steps or _unlike(steps[-1].after)) else (steps, [])
 
 
-def _unlike(state: Fit) -> bool:
-    outputs = state.samples.outputs[state.use]
-    return bool(np.mean(state.squares / (len(outputs) * outputs.var(axis=0) + 1e-300)) > PUSHED)
+def _unlike(fit: Fit) -> bool:
+    outputs = fit.samples.outputs[fit.train_mask]
+    return bool(np.mean(fit.squares / (len(outputs) * outputs.var(axis=0) + 1e-300)) > PUSHED)
 
 
 def check(samples: Samples, body: RigidBody) -> None:
@@ -176,9 +178,9 @@ def considered(body: RigidBody, only: Sequence[str] = ()) -> dict[str, type[Effe
     return {name: kind for name, kind in known.items() if not only or name in only}
 
 
-def _fitting(samples: Samples, use: Mask | None, judged_elsewhere: bool) -> Mask:
-    if use is not None:
-        return use
+def _fitting(samples: Samples, train_mask: Mask | None, judged_elsewhere: bool) -> Mask:
+    if train_mask is not None:
+        return train_mask
     return np.ones(len(samples), dtype=bool) if judged_elsewhere else interleaved_split(len(samples))
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.candidates import added_columns
-from semiparam_ros.diagnosis.noise import correlation_times
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.rivals import Rival
-from semiparam_ros.diagnosis.search import Step
+from semiparam_ros.diagnosis.residual.noise import correlation_times
+from semiparam_ros.diagnosis.search.ambiguity import Rival
+from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.diagnosis.search.stepwise import Step
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import FLAGS, STARTS
 
@@ -47,46 +47,46 @@ class Finding:
                      'separated_by': kinds()[rival.kind].separated_by} for rival in self.rivals]}
 
 
-def findings(state: Fit, steps: list[Step]) -> list[Finding]:
+def findings(fit: Fit, steps: list[Step]) -> list[Finding]:
     """Every effect that a step added and the final model still holds, in that order, with its final values."""
-    deviations = coefficient_deviations(state)
+    deviations = coefficient_deviations(fit)
     found: list[Finding] = []
     for number, step in enumerate(steps, start=1):
         for trial, rivals in zip(step.added, step.rivals, strict=True):
-            index = _index_in(state, trial.effect, [finding.effect for finding in found])
+            index = _index_in(fit, trial.effect, [finding.effect for finding in found])
             if index is not None:
-                found.append(Finding(state.effects[index], number, trial.evidence,
-                                     _parameters(state, index, deviations), rivals))
+                found.append(Finding(fit.effects[index], number, trial.evidence,
+                                     _parameters(fit, index, deviations), rivals))
     return found
 
 
-def _index_in(state: Fit, effect: Effect, taken: list[Effect]) -> int | None:
+def _index_in(fit: Fit, effect: Effect, taken: list[Effect]) -> int | None:
     """Where the model holds the effect now: at its place, or, as a load moves to the nearest link, with its start."""
-    same = [index for index, known in enumerate(state.effects) if known.kind == effect.kind and known not in taken
+    same = [index for index, known in enumerate(fit.effects) if known.kind == effect.kind and known not in taken
             and (known.where == effect.where or known.start_s == effect.start_s is not None)]
     return same[0] if same else None
 
 
-def coefficient_deviations(state: Fit) -> Array:
+def coefficient_deviations(fit: Fit) -> Array:
     """(p,) standard deviations of theta, widened for the residual's autocorrelation."""
-    inflation = float(np.mean(correlation_times(state.residual[state.use])))
-    return np.asarray(np.sqrt(np.diag(state.theta_covariance()) * inflation))
+    inflation = float(np.mean(correlation_times(fit.residual[fit.train_mask])))
+    return np.asarray(np.sqrt(np.diag(fit.theta_covariance()) * inflation))
 
 
-def _parameters(state: Fit, index: int, deviations: Array) -> dict[str, Quantity]:
-    effect = state.effects[index]
-    block = CoupledColumns(state.body, state.effects).blocks[str(index)]
+def _parameters(fit: Fit, index: int, deviations: Array) -> dict[str, Quantity]:
+    effect = fit.effects[index]
+    block = CoupledColumns(fit.body, fit.effects).blocks[str(index)]
     learnt = {coefficient.name: Quantity(float(value), float(std), coefficient.unit)
-              for coefficient, value, std in zip(effect.coefficients(state.body), state.theta[block],
+              for coefficient, value, std in zip(effect.coefficients(fit.body), fit.theta[block],
                                                  deviations[block], strict=True)}
-    return learnt | _calibrations(state, effect) | _searched(effect)
+    return learnt | _calibrations(fit, effect) | _searched(effect)
 
 
-def _calibrations(state: Fit, effect: Effect) -> dict[str, Quantity]:
+def _calibrations(fit: Fit, effect: Effect) -> dict[str, Quantity]:
     if not effect.is_calibration:
         return {}
-    covariance = state.explain(added_columns(state, effect)).covariance
-    inflation = float(np.mean(correlation_times(state.residual[state.use])))
+    covariance = fit.explain(added_columns(fit, effect)).covariance
+    inflation = float(np.mean(correlation_times(fit.residual[fit.train_mask])))
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0) * inflation)
     return {coefficient.name: Quantity(effect.value(coefficient.name), float(std), coefficient.unit)
             for coefficient, std in zip(effect.calibrations, stds, strict=True)}

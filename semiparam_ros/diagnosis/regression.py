@@ -11,7 +11,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.hyperparameters.window import residual_scale
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.effects import Effect
@@ -32,16 +33,16 @@ class Explained(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """The declared model fitted to the samples where ``use`` is true.
+    """The declared model fitted to the samples where ``train_mask`` is true.
 
-    :param use: (N,) samples that take part. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
+    :param train_mask: (N,) samples that take part. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
     :param columns: C (N, n, p). :param theta: (p,). :param residual: (N, n) of all samples, in the outputs' units.
     """
 
     body: RigidBody
     samples: Samples
     effects: tuple[Effect, ...]
-    use: Mask
+    train_mask: Mask
     scale: Array
     columns: Array
     theta: Array
@@ -50,7 +51,7 @@ class Fit:
     @cached_property
     def scaled(self) -> Array:
         """(M n, p) columns of the samples in use, each channel divided by its scale."""
-        return np.asarray((self.columns[self.use] / self.scale[:, None]).reshape(-1, self.columns.shape[2]))
+        return np.asarray((self.columns[self.train_mask] / self.scale[:, None]).reshape(-1, self.columns.shape[2]))
 
     @cached_property
     def factor(self) -> tuple[Array, bool]:
@@ -65,12 +66,12 @@ class Fit:
     @property
     def squares(self) -> Array:
         """(n,) sum of squared residuals of the samples in use."""
-        return np.asarray((self.residual[self.use] ** 2).sum(axis=0))
+        return np.asarray((self.residual[self.train_mask] ** 2).sum(axis=0))
 
     def explain(self, columns: Array) -> Explained:
         """Regress the residual on columns (N, n, c), the declared ones refitted along."""
-        used = (columns[self.use] / self.scale[:, None]).reshape(-1, columns.shape[2])
-        left = (self.residual[self.use] / self.scale).ravel()
+        used = (columns[self.train_mask] / self.scale[:, None]).reshape(-1, columns.shape[2])
+        left = (self.residual[self.train_mask] / self.scale).ravel()
         cross = cho_solve(self.factor, self.scaled.T @ used)
         inner = used.T @ used - (used.T @ self.scaled) @ cross
         coefficients, covariance, rank = _solve(inner, used.T @ left, np.einsum('ij,ij->j', used, used))
@@ -85,40 +86,34 @@ class Fit:
         return 1.0 / (GAMMA * CoupledColumns(self.body, self.effects).prior_scale) ** 2
 
 
-def fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], use: Mask, scale: Array) -> Fit:
+def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask, scale: Array) -> Fit:
     """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description."""
     assembly = CoupledColumns(body, effects)
     columns, _ = assembly.batch(samples)
     start = assembly.prior_mean
-    return _least_squares(Fit(body, samples, tuple(effects), use, scale, columns, start,
+    return _least_squares(Fit(body, samples, tuple(effects), train_mask, scale, columns, start,
                               samples.outputs - columns @ start))
 
 
-def reweighted(state: Fit, scale: Array) -> Fit:
+def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
-    start = CoupledColumns(state.body, state.effects).prior_mean
-    return _least_squares(replace(state, scale=scale, theta=start,
-                                  residual=state.samples.outputs - state.columns @ start))
+    start = CoupledColumns(fit.body, fit.effects).prior_mean
+    return _least_squares(replace(fit, scale=scale, theta=start,
+                                  residual=fit.samples.outputs - fit.columns @ start))
 
 
 def refit_weights(first: Fit) -> Fit:
     """The same fit with each channel weighed by its own residual."""
-    return reweighted(first, residual_scale(first.residual[first.use], first.samples.outputs[first.use]))
+    return reweighted(first, residual_scale(first.residual[first.train_mask], first.samples.outputs[first.train_mask]))
 
 
 def _least_squares(start: Fit) -> Fit:
     """The fit from a start at the prior mean."""
-    right = start.scaled.T @ (start.residual[start.use] / start.scale).ravel()
+    right = start.scaled.T @ (start.residual[start.train_mask] / start.scale).ravel()
     change = cho_solve(start.factor, right)
     fitted = replace(start, theta=start.theta + change, residual=start.residual - start.columns @ change)
     fitted.__dict__.update(scaled=start.scaled, factor=start.factor)  # they depend on columns and weights alone
     return fitted
-
-
-def residual_scale(residual: Array, outputs: Array) -> Array:
-    """(n,) root mean square of each channel's residual, never below a millionth of the channel."""
-    return np.asarray(np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-6 * np.sqrt(np.mean(outputs**2, axis=0)))
-                      + 1e-12)
 
 
 def _solve(inner: Array, right: Array, power: Array) -> tuple[Array, Array, int]:

@@ -14,9 +14,9 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
-from semiparam_ros.core.columns import Effect as Acting
+from semiparam_ros.core.columns import ColumnBlock as Acting
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.frames import felt_links, frame_motion, links_beside, loaded_links
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.frames import felt_links, frame_motion, links_beside, loaded_links
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.attack import POINT, AtPoint
+from semiparam_ros.effects.application_point import POINT, AtPoint
 from semiparam_ros.effects.base import CHANNELS, Coefficient, Shape, joint_index
 from semiparam_ros.effects.hysteresis import dahl_state
 

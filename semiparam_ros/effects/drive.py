@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Coefficient, Effect, Shape, joint_index, on_joint

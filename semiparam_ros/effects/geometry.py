@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.columns import Absent, Memory
-from semiparam_ros.core.rigid_body import GRAVITY, RigidBody
+from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.effects.base import Coefficient, Effect, joint_index

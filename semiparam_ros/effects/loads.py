@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.frames import felt_links, links_beside, load_regressor, loaded_links
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.frames import felt_links, links_beside, load_regressor, loaded_links
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.attack import AtPoint
+from semiparam_ros.effects.application_point import AtPoint
 from semiparam_ros.effects.base import Coefficient, Effect
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from semiparam_ros.core.columns import Absent, Memory
-from semiparam_ros.core.frames import felt_links, frame_motion, loaded_links
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.frames import felt_links, frame_motion, loaded_links
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, joint_index

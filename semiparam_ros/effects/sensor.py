@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, channel_units

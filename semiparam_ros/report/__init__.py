@@ -1,1 +1,1 @@
-
+"""Pages, figures and tables of results."""

@@ -1,4 +1,10 @@
-"""The figures of a diagnosis: residuals over time, their spectrum, the candidates, and the error of each output."""
+"""The figures of a diagnosis: residuals over time and against the variables that tell, their spectrum, the candidates,
+and the error of each output.
+
+Against what a residual should be drawn so that an effect shows: time, a joint's motion, a link's, or the load. Every
+kind has a role (a friction depends on velocity, a spring on position); which joint or axis of that role is taken from
+the effect's place, or, where it has none, from what its explanation depends on most.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +16,29 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from scipy.signal import welch
 
+from semiparam_ros.core.robot.frames import frame_motion
 from semiparam_ros.core.types import Array, Mask
-from semiparam_ros.diagnosis.blocks import ranges
+from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.diagnose import Diagnosis
-from semiparam_ros.diagnosis.noise import noise_floor
-from semiparam_ros.diagnosis.ranking import Trial
-from semiparam_ros.diagnosis.search import Step
-from semiparam_ros.diagnosis.words import place
-from semiparam_ros.report.svg import FAINT, INK, page_style
+from semiparam_ros.diagnosis.findings import Finding
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.residual.noise import noise_floor
+from semiparam_ros.diagnosis.residual.structure import Structure
+from semiparam_ros.diagnosis.search.scoring import Trial
+from semiparam_ros.diagnosis.search.stepwise import Step
+from semiparam_ros.diagnosis.text_report import place
+from semiparam_ros.effects import Effect
+from semiparam_ros.effects.terms import variable_values
+from semiparam_ros.report.html import FAINT, INK, page_style
+
+TIME = ('payload', 'sensor_offset', 'sensor_drift', 'thermal_drift', 'effort_offset')
+VELOCITY = ('viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmetric_friction', 'load_friction')
+ACCELERATION = ('rotor_inertia',)
+OUTPUT = ('sensor_gain', 'sensor_crosstalk', 'sensor_misalignment', 'effort_gain')
+LINK_VELOCITY = ('viscous_drag', 'quadratic_drag')
+POSITION = ('joint_offset', 'gravity_tilt', 'joint_spring', 'transmission_ripple', 'backlash', 'cable_spring',
+            'cable_hysteresis', 'external_force')
+DEPENDENCE_BINS = 20
 
 BEFORE, AFTER, CHOSEN, RIVAL, OTHER = '#e08a00', '#3b7dd8', '#1a9c78', '#c060a8', '#8c8c8c'
 WIDTH = 8.6
@@ -25,6 +46,97 @@ MOST_COLUMNS = 360
 MOST_BARS = 9
 SEGMENT = 256
 GROUPS = {'wrench': {'Forces': slice(0, 3), 'Torques': slice(3, 6)}, 'effort': {'Efforts': slice(None)}}
+
+HEIGHT = 2.7
+MOST_POINTS = 900
+CLOUD_DPI = 200
+BINS = 40
+MOST_VARIABLES = 2
+QUANTITIES = {'q': 'position of {} [rad]', 'dq': 'velocity of {} [rad/s]', 'ddq': 'acceleration of {} [rad/s²]'}
+
+
+class Variable(NamedTuple):
+    """A quantity over the recording, (N,), and what to write at its axis."""
+
+    label: str
+    values: Array
+
+
+def suspected_variable(effect: Effect, fit: Fit, explained: Array, channel: int) -> Variable:
+    """The variable of an effect.
+
+    :param fit: the fit of which it explains a part. :param explained: (N,) that part, in output ``channel``.
+    """
+    if effect.kind in TIME or effect.start_s is not None:
+        return _time(fit)
+    if effect.kind == 'periodic_disturbance':
+        frequency = effect.value('frequency_hz', 1.0)
+        return Variable(f'phase at {frequency:.3g} Hz [cycles]', np.mod(frequency * fit.samples.time, 1.0))
+    if effect.kind == 'time_delay':
+        rate = np.gradient(_predicted(fit)[:, channel], fit.samples.time)
+        unit = fit.body.output_units[channel]
+        return Variable(f'rate of change of {fit.body.output_names[channel]} [{unit}/s]', rate)
+    return most_telling(_in_role(effect, fit, channel), explained)
+
+
+def most_telling(variables: list[Variable], explained: Array) -> Variable:
+    """The variable that ``explained`` (N,) depends on most."""
+    return max(variables, key=lambda variable: dependence(variable.values, explained))
+
+
+def dependence(variable: Array, explained: Array) -> float:
+    """Share of a signal's variance between the bins of a variable, 0 to 1 (the correlation ratio)."""
+    edges = np.quantile(variable, np.linspace(0.0, 1.0, DEPENDENCE_BINS + 1)[1:-1])
+    bins = np.searchsorted(edges, variable)
+    count = np.bincount(bins, minlength=DEPENDENCE_BINS)
+    mean = np.bincount(bins, explained, DEPENDENCE_BINS) / np.maximum(count, 1)
+    spread = float(np.sum((explained - explained.mean()) ** 2))
+    return float(count @ (mean - explained.mean()) ** 2) / spread if spread > 0.0 else 0.0
+
+
+def _in_role(effect: Effect, fit: Fit, channel: int) -> list[Variable]:
+    if effect.kind in OUTPUT:
+        return _outputs(fit)
+    if effect.kind in LINK_VELOCITY:
+        return _link_velocity(effect, fit)
+    for role, kinds in (('position', POSITION), ('velocity', VELOCITY), ('acceleration', ACCELERATION)):
+        if effect.kind in kinds:
+            return _joints(effect, fit, role)
+    return [_time(fit), *(variable for role in ('position', 'velocity', 'acceleration')
+                          for variable in _joints(effect, fit, role))]
+
+
+def _time(fit: Fit) -> Variable:
+    return Variable('time [s]', fit.samples.time)
+
+
+def _joints(effect: Effect, fit: Fit, role: str) -> list[Variable]:
+    """The motion of the effect's joint, or of every joint."""
+    symbol, unit = {'position': ('position', 'rad'), 'velocity': ('velocity', 'rad/s'),
+                    'acceleration': ('acceleration', 'rad/s²')}[role]
+    values: Array = getattr(fit.samples, role)
+    return [Variable(f'{symbol} of {joint} [{unit}]', values[:, index])
+            for index, joint in enumerate(fit.body.joints)
+            if effect.where not in fit.body.joints or joint == effect.where]
+
+
+def _link_velocity(effect: Effect, fit: Fit) -> list[Variable]:
+    """Velocity of the effect's link along each axis of the sensor."""
+    motion = frame_motion(fit.body, fit.samples, str(effect.where))
+    velocity = -fit.body.sign * (motion.force_map[:, :3] @ motion.velocity[:, :, None])[:, :, 0]
+    return [Variable(f"velocity of {effect.where} along the sensor's {axis} [m/s]", velocity[:, index])
+            for index, axis in enumerate('xyz')]
+
+
+def _outputs(fit: Fit) -> list[Variable]:
+    predicted = _predicted(fit)
+    named = zip(fit.body.output_names, fit.body.output_units, strict=True)
+    return [Variable(f'predicted {name} [{unit}]', predicted[:, index]) for index, (name, unit) in enumerate(named)]
+
+
+def _predicted(fit: Fit) -> Array:
+    """(N, n) outputs as the fit predicts them."""
+    return np.asarray(fit.samples.outputs - fit.residual)
 
 
 class Curve(NamedTuple):
@@ -84,14 +196,14 @@ def limits(*residuals: Array) -> tuple[float, float]:
 
 def spectra(diagnosis: Diagnosis) -> Figure:
     """Power of the residual over that of its white noise, before and after, mean over outputs of a kind."""
-    state = diagnosis.final
-    floor, groups = noise_floor(state.residual[state.use]), GROUPS[state.body.outputs]
-    step = float(np.median(np.diff(state.samples.time)))
+    fit = diagnosis.final
+    floor, groups = noise_floor(fit.residual[fit.train_mask]), GROUPS[fit.body.outputs]
+    step = float(np.median(np.diff(fit.samples.time)))
     with page_style():
         figure = Figure(figsize=(WIDTH, 2.8))
         panels = np.atleast_1d(figure.subplots(1, len(groups), sharey=True))
         for panel, (title, channels) in zip(panels, groups.items(), strict=True):
-            for curve in curves(diagnosis.first.residual, state.residual, bool(diagnosis.steps)):
+            for curve in curves(diagnosis.first.residual, fit.residual, bool(diagnosis.steps)):
                 frequency, power = relative_power(curve.residual, step, floor)
                 panel.plot(frequency, power[:, channels].mean(axis=1), color=curve.colour, label=curve.name)
             panel.axhline(1.0, color=INK, linewidth=0.9, linestyle=(0, (2, 2)), label='white noise')
@@ -176,3 +288,110 @@ def _plain_ticks(panel: Axes) -> None:
     panel.xaxis.set_major_formatter(formatter)
     panel.xaxis.set_minor_formatter(formatter)
     panel.tick_params(axis='x', which='minor', labelsize=9)
+
+
+class Suspicion(NamedTuple):
+    """Findings of one round that show in the same output against the same variable."""
+
+    findings: list[Finding]
+    step: Step
+    channel: int
+    variable: Variable
+    explained: Array
+
+
+def suspicions(diagnosis: Diagnosis) -> list[Suspicion]:
+    """All findings, those together that one picture shows."""
+    found: dict[tuple[int, int, str], Suspicion] = {}
+    for finding in diagnosis.findings:
+        step = diagnosis.steps[finding.round_number - 1]
+        channel = telling_channel(step, diagnosis.final, finding)
+        explained = step.before.residual[:, channel] - step.after.residual[:, channel]
+        variable = suspected_variable(finding.effect, step.before, explained, channel)
+        key = finding.round_number, channel, variable.label
+        found.setdefault(key, Suspicion([], step, channel, variable, explained)).findings.append(finding)
+    return list(found.values())
+
+
+def against_suspected(diagnosis: Diagnosis, suspicion: Suspicion) -> Figure:
+    """The residual of an output before and after what was found in it, at the samples that fitted."""
+    channel, train_mask = suspicion.channel, diagnosis.first.train_mask
+    variable = Variable(suspicion.variable.label, suspicion.variable.values[train_mask])
+    sides = (('before', suspicion.step.before.residual[train_mask, channel], BEFORE),
+             ('after', diagnosis.final.residual[train_mask, channel], AFTER))
+    with page_style():
+        figure = Figure(figsize=(WIDTH, HEIGHT), dpi=CLOUD_DPI)
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        for panel, (title, residual, colour) in zip(panels, sides, strict=True):
+            _cloud(panel, variable, residual, colour)
+            panel.set_title(title)
+        _course(panels[0], variable, suspicion.explained[train_mask], 'what the effect explains')
+        panels[0].set_ylabel(_residual_label(diagnosis.first, channel))
+        panels[0].set_ylim(*limits(*(residual for _, residual, _ in sides)))
+    return figure
+
+
+def telling_channel(step: Step, final: Fit, finding: Finding) -> int:
+    """The channel in which a finding explains most over what is left; an effort's own joint."""
+    if finding.effect.where in final.body.output_names:
+        return final.body.output_names.index(str(finding.effect.where))
+    explained = (step.before.residual - step.after.residual) / final.scale
+    return int(np.argmax((explained**2).sum(axis=0)))
+
+
+def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
+    """What is left of the channel with most structure against what it depends on most, and the channel's name.
+
+    Where time is among the variables, the beginning and the end of the recording have courses of their own.
+    """
+    channel, train_mask = int(np.argmax(structure.channel_shares)), fit.train_mask
+    residual, time = fit.residual[train_mask, channel], fit.samples.time[train_mask]
+    names = [each.name for each in structure.variables]
+    chosen = sorted(names, key=lambda name: name == 'time')[:MOST_VARIABLES] or ['time']
+    with page_style():
+        figure = Figure(figsize=(WIDTH, HEIGHT), dpi=CLOUD_DPI)
+        panels = np.atleast_1d(figure.subplots(1, len(chosen), sharey=True))
+        for panel, name in zip(panels, chosen, strict=True):
+            variable = Variable(_quantity(name), variable_values(name, fit.body, fit.samples)[train_mask])
+            _cloud(panel, variable, residual, AFTER)
+            for label, rows, colour in _periods(time, 'time' in names and name != 'time'):
+                _course(panel, Variable(variable.label, variable.values[rows]), residual[rows], label, colour)
+        panels[0].set_ylabel(_residual_label(fit, channel))
+        panels[0].set_ylim(*limits(residual))
+    return figure, fit.body.output_names[channel]
+
+
+def _periods(time: Array, apart: bool) -> list[tuple[str, Mask, str]]:
+    if not apart:
+        return [('its mean', np.ones(len(time), dtype=bool), INK)]
+    third = (time[-1] - time[0]) / 3.0
+    return [('mean of the first third', time < time[0] + third, INK),
+            ('mean of the last third', time > time[-1] - third, OTHER)]
+
+
+def _quantity(name: str) -> str:
+    role, _, joint = name.partition('_')
+    return QUANTITIES[role].format(joint) if role in QUANTITIES else 'time [s]'
+
+
+def _residual_label(fit: Fit, channel: int) -> str:
+    return f'residual of {fit.body.output_names[channel]} [{fit.body.output_units[channel]}]'
+
+
+def _cloud(panel: Axes, variable: Variable, residual: Array, colour: str) -> None:
+    chosen = np.unique(np.linspace(0, len(residual) - 1, MOST_POINTS).astype(int))
+    panel.plot(variable.values[chosen], residual[chosen], linestyle='none', marker='o', markersize=2.4, color=colour,
+               markeredgewidth=0, alpha=0.6, rasterized=True)  # a point in SVG takes a hundred bytes
+    panel.axhline(0.0, color=INK, linewidth=0.7)
+    panel.set_xlabel(variable.label)
+
+
+def _course(panel: Axes, variable: Variable, values: Array, label: str, colour: str = INK) -> None:
+    """The mean of values in bins of the variable."""
+    edges = np.unique(np.quantile(variable.values, np.linspace(0.0, 1.0, BINS + 1)))
+    bins = np.clip(np.searchsorted(edges, variable.values, side='right') - 1, 0, max(len(edges) - 2, 0))
+    count = np.bincount(bins)
+    filled = count > 0
+    centre, mean = (np.bincount(bins, column)[filled] / count[filled] for column in (variable.values, values))
+    panel.plot(centre, mean, color=colour, linewidth=1.5, label=label)
+    panel.legend(loc='best', fontsize=8)

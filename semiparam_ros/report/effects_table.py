@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects import Coefficient, Effect
 from semiparam_ros.effects.base import FLAGS

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
-from semiparam_ros.core.hyperparameters import Hyperparameters
-from semiparam_ros.core.model import Estimator, ModelOptions
-from semiparam_ros.core.rigid_body import RigidBody
+from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.settings import robot_description as description
 from semiparam_ros.settings.table import Table
 
 if TYPE_CHECKING:
-    from semiparam_ros.core.window import LengthScales, Noise
+    from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
     from semiparam_ros.effects import Effect
 
 

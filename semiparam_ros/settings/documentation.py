@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from semiparam_ros.settings.files import params_text
-from semiparam_ros.settings.parameter import Parameter, shown
 from semiparam_ros.settings.rules import RULES
 from semiparam_ros.settings.snapshot import Settings
-from semiparam_ros.settings.table import PARAMETERS
+from semiparam_ros.settings.table import PARAMETERS, Parameter, shown
 
 HEADER = """# Parameters
 

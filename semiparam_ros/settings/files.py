@@ -12,9 +12,8 @@ import yaml
 
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.settings.parameter import Parameter
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest
-from semiparam_ros.settings.table import BY_NAME, PARAMETERS
+from semiparam_ros.settings.table import BY_NAME, PARAMETERS, Parameter
 
 WIDTH = 110
 

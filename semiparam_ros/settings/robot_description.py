@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-from semiparam_ros.core import urdf as urdf_tree
+from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.table import Table
 

@@ -1,4 +1,5 @@
-"""The simulated arm: a pinocchio model whose force/torque sensor is a joint that does not move.
+"""The simulated arm: a pinocchio model whose force/torque sensor is a joint that does not move, its kinematics, and
+postures for a path of its tip.
 
 Recursive Newton-Euler gives the spatial force that each joint transmits. When the sensor's fixed joint is turned into a
 joint held at zero, the force that it transmits is the measured wrench, wherever in the chain the sensor sits.
@@ -8,17 +9,87 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.simulation import chain, urdf_edit
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.simulation import urdf_edit
 
 CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
 OUTPUTS = ('wrench', 'effort')
 CHANNELS = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
+
+ITERATIONS = 40
+DAMPING_M = 1e-2
+LIMIT_MARGIN = 0.03
+TOLERANCE_RAD = 1e-7
+
+
+class Poses(NamedTuple):
+    """A frame along a motion, in base axes: ``rotation`` (N, 3, 3), ``place`` (N, 3) [m], ``jacobian``
+    (N, 6, n_joints), linear rows first, of the frame's origin."""
+
+    rotation: Array
+    place: Array
+    jacobian: Array
+
+    def velocity(self, joint_velocity: Array) -> Array:
+        """(N, 6) linear [m/s] and angular [rad/s] velocity of the frame."""
+        return np.asarray(np.einsum('nkj,nj->nk', self.jacobian, joint_velocity))
+
+    def shifted(self, offset: Array) -> Poses:
+        """The frame moved by ``offset`` (3,) [m] in its own axes."""
+        arm = self.rotation @ offset
+        linear = self.jacobian[:, :3] + np.cross(self.jacobian[:, 3:], arm[:, :, None], axisa=1, axisb=1, axisc=1)
+        return Poses(self.rotation, self.place + arm, np.concatenate([linear, self.jacobian[:, 3:]], axis=1))
+
+
+def poses(model: pin.Model, joint: int, placement: pin.SE3, columns: Sequence[int], position: Array) -> Poses:
+    """Poses of a frame fixed to ``joint`` by ``placement``; ``columns`` places the joints in the model."""
+    count = len(position)
+    rotation, place = np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3))
+    moving = []
+    for index in list(model.supports[joint])[1:]:
+        rotation, place = _fixed_step(rotation, place, model.jointPlacements[index])
+        column = _column(model, index, columns)
+        if column is not None:
+            linear, angular = _axis(model, index)
+            moving.append((column, rotation @ linear, rotation @ angular, place))
+            place = place + position[:, column, None] * (rotation @ linear)
+            rotation = rotation @ rotation_about(angular, position[:, column])
+    rotation, place = _fixed_step(rotation, place, placement)
+    jacobian = np.zeros((count, 6, position.shape[1]))
+    for column, linear, angular, origin in moving:
+        jacobian[:, :3, column] = linear + np.cross(angular, place - origin)
+        jacobian[:, 3:, column] = angular
+    return Poses(np.asarray(rotation), place, jacobian)
+
+
+def rotation_about(axis: Array, angle: Array) -> Array:
+    """(N, 3, 3) rotations by ``angle`` (N,) [rad] about a unit ``axis`` (3,); the identity for a zero axis."""
+    skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + sine * skew + (1 - cosine) * (skew @ skew))
+
+
+def _fixed_step(rotation: Array, place: Array, step: pin.SE3) -> tuple[Array, Array]:
+    return rotation @ step.rotation, place + rotation @ step.translation
+
+
+def _column(model: pin.Model, index: int, columns: Sequence[int]) -> int | None:
+    place = int(model.joints[index].idx_q)
+    return list(columns).index(place) if place in columns else None
+
+
+def _axis(model: pin.Model, index: int) -> tuple[Array, Array]:
+    """Motion subspace of a one-degree joint in its own frame: linear and angular part, each (3,)."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    column = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)[:, model.joints[index].idx_v]
+    return column[:3], column[3:]
 
 
 @dataclass(frozen=True)
@@ -129,12 +200,12 @@ class Arm:
             wrench[row] = data.f[sensor].vector
         return self.sign * wrench
 
-    def pose(self, frame: str, position: Array) -> chain.Poses:
+    def pose(self, frame: str, position: Array) -> Poses:
         """Rotation, place and Jacobian of a frame along the motion, in base axes."""
         item = self.model.frames[self.frame_id(frame)]
-        return chain.poses(self.model, item.parentJoint, item.placement, self.columns, position)
+        return poses(self.model, item.parentJoint, item.placement, self.columns, position)
 
-    def load_of_force(self, pose: chain.Poses, force: Array, position: Array, torque: Array | None = None) -> Array:
+    def load_of_force(self, pose: Poses, force: Array, position: Array, torque: Array | None = None) -> Array:
         """Change of the outputs (N, n) when a force (N, 3) [N], base axes, pushes on the body at ``pose``.
 
         The arm must hold against it: efforts change by -J'f. The action of the sensor on the distal bodies changes by
@@ -178,3 +249,39 @@ def _reduced(robot: urdf_edit.Element, joints: Sequence[str]) -> pin.Model:
 def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
     if value not in choices:
         raise SemiparamError(f"{name} '{value}' is unknown; expected one of {', '.join(choices)}.")
+
+
+def follow(arm: Arm, frame: str, path: Array, posture: Array) -> Array:
+    """Joint positions (N, n_joints) whose ``frame`` runs along ``path`` (N, 3) [m], as near as may be to ``posture``.
+
+    Damped Newton steps J# (path - x) + (1 - J# J) (posture - q), for all instants at once. The redundancy is settled
+    by the posture and not by history, so the result is a smooth function of the path and never drifts.
+    """
+    low, high = (limit + sign * LIMIT_MARGIN for limit, sign in zip(arm.limits, (1, -1), strict=True))
+    posture = np.broadcast_to(posture, (len(path), arm.n_joints))
+    position, open_rows = np.clip(posture, low, high), np.arange(len(path))
+    for _ in range(ITERATIONS):
+        step = _step(arm.pose(frame, position[open_rows]), path[open_rows], (posture - position)[open_rows])
+        position[open_rows] = np.clip(position[open_rows] + np.clip(step, -0.2, 0.2), low, high)
+        open_rows = open_rows[np.abs(step).max(axis=1) > TOLERANCE_RAD]
+        if not len(open_rows):
+            break
+    return position
+
+
+def _step(pose: Poses, path: Array, wish: Array) -> Array:
+    """The damped Newton step (N, n_joints); ``wish`` is the way to the posture."""
+    jacobian = pose.jacobian[:, :3]
+    inner = jacobian @ jacobian.transpose(0, 2, 1) + DAMPING_M**2 * np.eye(3)
+    missing = path - pose.place - np.einsum('nkj,nj->nk', jacobian, wish)
+    return np.asarray(wish + np.einsum('nkj,nk->nj', jacobian, np.linalg.solve(inner, missing[:, :, None])[:, :, 0]))
+
+
+def home_posture(arm: Arm) -> Array:
+    """A posture with room to move, (n_joints,): the best of many random ones by manipulability, limits kept away."""
+    rng = np.random.default_rng(0)
+    low, high = (np.clip(limit, -np.pi, np.pi) for limit in arm.limits)
+    candidates = low + (high - low) * rng.uniform(0.25, 0.75, (400, arm.n_joints))
+    jacobian = arm.pose(arm.tip, candidates).jacobian[:, :3]
+    dexterity = np.sqrt(np.maximum(np.linalg.det(jacobian @ jacobian.transpose(0, 2, 1)), 0.0))
+    return np.asarray(candidates[np.argmax(dexterity)])

@@ -7,7 +7,7 @@ from math import exp
 
 import numpy as np
 
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.trajectory import Instants, Trajectory
 
 STEP_S = 1e-3

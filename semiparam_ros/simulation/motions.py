@@ -7,12 +7,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.simulation.arm import Arm
-from semiparam_ros.simulation.arrays import Array
-from semiparam_ros.simulation.inverse_kinematics import follow
-from semiparam_ros.simulation.trajectory import Trajectory, fine_time, tracked
-from semiparam_ros.simulation.wander import wander, wanders
+from semiparam_ros.simulation.arm import Arm, follow
+from semiparam_ros.simulation.trajectory import Trajectory, fine_time, tracked, wander, wanders
 
 Homes = Mapping[str, Array]
 Reference = Callable[[Arm, Array, Homes, np.random.Generator], Array]

@@ -1,21 +1,50 @@
-"""The arm of a scenario: the package's own iCub arm, or any URDF."""
+"""The arm of a scenario, the package's own iCub arm or any URDF, and how it differs from its description, as every
+real one does.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 
+from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.simulation import inverse_kinematics, urdf_edit
-from semiparam_ros.simulation.arm import Arm
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.simulation import urdf_edit
+from semiparam_ros.simulation.arm import Arm, home_posture
 from semiparam_ros.simulation.scenario import Scenario
+
+MASS_ERROR = (0.10, 0.30)
+STRETCH = 0.06
+SHIFT_M = 0.006
 
 ICUB_JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 ICUB_SENSOR = 'r_arm_ft_sensor'
 # The elbow reaches over ten centimetres only: circles must lie across the line from the shoulder to the hand.
 ICUB_HOMES = {'circle_xy': (-0.3, 0.75, 1.4, 1.29), 'circle_xz': (-0.68, 1.8, 1.35, 1.3)}
+
+
+def varied(arm: Arm, rng: np.random.Generator) -> Arm:
+    """The same arm with masses wrong by 10 to 30 %, and centres of mass and inertias wrong with them.
+
+    Each body is scaled in density and deformed by an affine map near the identity, which acts on its 4 x 4
+    pseudo-inertia by congruence: the result is a body that can exist.
+    """
+    bodies = {}
+    for joint in range(1, arm.model.njoints):
+        factor = 1 + rng.choice([-1, 1]) * rng.uniform(*MASS_ERROR)
+        deformation = np.eye(4)
+        deformation[:3, :3] += STRETCH * rng.standard_normal((3, 3))
+        deformation[:3, 3] = SHIFT_M * rng.standard_normal(3)
+        if arm.model.inertias[joint].mass > 0:
+            bodies[joint] = _deformed(arm.model.inertias[joint], factor, deformation)
+    return arm.with_inertias(bodies)
+
+
+def _deformed(body: pin.Inertia, factor: float, deformation: Array) -> pin.Inertia:
+    pseudo = pin.PseudoInertia.FromInertia(body).toMatrix()
+    return pin.PseudoInertia.FromMatrix(factor * deformation @ pseudo @ deformation.T).toInertia()
 
 
 def arm_of(scenario: Scenario) -> Arm:
@@ -34,7 +63,7 @@ def homes_of(scenario: Scenario, arm: Arm) -> dict[str, Array]:
         raise SemiparamError(f'home has {len(scenario.home)} values; expected one for each of {arm.n_joints} joints.')
     if scenario.home is None and scenario.urdf is None and arm.joints == ICUB_JOINTS:
         return {plane: np.array(home) for plane, home in ICUB_HOMES.items()}
-    home = inverse_kinematics.home(arm) if scenario.home is None else np.array(scenario.home, dtype=float)
+    home = home_posture(arm) if scenario.home is None else np.array(scenario.home, dtype=float)
     return dict.fromkeys(ICUB_HOMES, home)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from semiparam_ros.simulation.arrays import Array, Stamps
+from semiparam_ros.core.types import Array, Stamps
 
 
 @dataclass(frozen=True)

@@ -6,19 +6,94 @@ from typing import Any
 
 import numpy as np
 
-from semiparam_ros.simulation import noise
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.arm import Arm
-from semiparam_ros.simulation.arrays import Array
-from semiparam_ros.simulation.baseline import REFERENCE_HZ, REFERENCE_MOTION, REFERENCE_S, with_baseline
-from semiparam_ros.simulation.checking import check
-from semiparam_ros.simulation.hiding import add_effects, output_scale
+from semiparam_ros.simulation.causes import cause_of
+from semiparam_ros.simulation.hiding import (
+    REFERENCE_HZ,
+    REFERENCE_MOTION,
+    REFERENCE_S,
+    add_effects,
+    check_baseline,
+    output_scale,
+    with_baseline,
+)
 from semiparam_ros.simulation.motions import Homes, trajectory
-from semiparam_ros.simulation.robot_variation import varied
-from semiparam_ros.simulation.robots import arm_of, homes_of
-from semiparam_ros.simulation.scenario import Scenario, SimulatedRecording
+from semiparam_ros.simulation.robots import arm_of, homes_of, varied
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario, SimulatedRecording
+from semiparam_ros.simulation.trajectory import Instants
 from semiparam_ros.simulation.world import World
 
+MIN_SAMPLES = 10
+
+OUTPUT_NOISE_SHARE = 0.02
+POSITION_NOISE = 1e-4
+VELOCITY_NOISE = 2e-3
+ACCELERATION_NOISE = 2e-2
+ENCODER_STEP = 2 * np.pi / 2**16
+# Converters' steps, powers of two: bags compress well, and the last bits of a processor's arithmetic do not show.
+VELOCITY_STEP, ACCELERATION_STEP = 2.0**-14, 2.0**-11
+OUTPUT_STEP = 2.0**-15
+FORCE_OFFSET, TORQUE_OFFSET = 4.0, 0.3
+
 START_NS = 1_700_000_000_000_000_000
+
+
+def check(scenario: Scenario) -> None:
+    """Refuse what cannot be simulated, each with its sentence."""
+    if scenario.samples < MIN_SAMPLES:
+        raise SemiparamError(f'{scenario.samples} samples are too few; expected at least {MIN_SAMPLES}.')
+    if not (np.isfinite(scenario.rate_hz) and 0 < scenario.rate_hz <= 1000):
+        raise SemiparamError(f'rate {scenario.rate_hz} Hz is out of range; expected more than 0 and at most 1000.')
+    if scenario.seed < 0 or (scenario.robot_seed or 0) < 0:
+        raise SemiparamError('a seed is negative; expected a whole number from 0 on.')
+    for name in ('noise', 'encoder_noise'):
+        if not (np.isfinite(getattr(scenario, name)) and getattr(scenario, name) >= 0):
+            raise SemiparamError(f'{name} {getattr(scenario, name)} is out of range; expected 0 or more.')
+    check_baseline(scenario.baseline)
+    for effect in scenario.effects:
+        check_effect(effect, scenario)
+
+
+def check_effect(effect: EffectRequest, scenario: Scenario) -> None:
+    """Size and start of one requested effect."""
+    cause = cause_of(effect.kind, scenario.outputs)
+    if not (np.isfinite(effect.size) and effect.size > 0):
+        raise SemiparamError(f"size {effect.size} of effect '{effect.kind}' is out of range; expected more than 0.")
+    if effect.where is not None and not cause.takes_place:
+        raise SemiparamError(f"effect '{effect.kind}' has no place; leave out '@{effect.where}'.")
+    if effect.start_s is not None and not cause.can_start:
+        raise SemiparamError(f"effect '{effect.kind}' is there all the time; it cannot have a start.")
+    if effect.start_s is not None and not 0 <= effect.start_s < scenario.samples / scenario.rate_hz:
+        raise SemiparamError(f"start {effect.start_s} s of effect '{effect.kind}' lies outside the recording of "
+                             f'{scenario.samples / scenario.rate_hz:g} s.')
+
+
+def joint_readings(motion: Instants, scale: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Position, velocity and acceleration (N, n_joints) as measured; the position in steps of a 16-bit encoder."""
+    levels = (POSITION_NOISE, VELOCITY_NOISE, ACCELERATION_NOISE)
+    noisy = [values + scale * level * rng.standard_normal(values.shape)
+             for values, level in zip(motion[1:], levels, strict=True)]
+    steps = (ENCODER_STEP, VELOCITY_STEP, ACCELERATION_STEP)
+    position, velocity, acceleration = (in_steps(values, step) for values, step in zip(noisy, steps, strict=True))
+    return position, velocity, acceleration
+
+
+def output_readings(outputs: Array, std: Array, rng: np.random.Generator) -> Array:
+    """Outputs (N, n) as converted, with white noise of ``std`` (n,); the converter's step suits the largest value."""
+    noisy = outputs + std * rng.standard_normal(outputs.shape)
+    return in_steps(noisy, OUTPUT_STEP * 2.0 ** np.ceil(np.log2(np.abs(noisy).max(axis=0) + 1e-6)))
+
+
+def constant_offset(rng: np.random.Generator) -> Array:
+    """Offset of a wrench sensor, (6,) [N, N m]."""
+    return np.asarray(rng.standard_normal(6) * np.repeat([FORCE_OFFSET, TORQUE_OFFSET], 3))
+
+
+def in_steps(values: Array, step: float | Array) -> Array:
+    """Rounded to multiples of ``step``, one for all columns or one for each."""
+    return np.asarray(np.round(values / step) * step)
 
 
 def simulate(scenario: Scenario) -> SimulatedRecording:
@@ -39,7 +114,7 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
         reference = moved(arm, REFERENCE_MOTION, round(REFERENCE_S * REFERENCE_HZ), REFERENCE_HZ, homes, inheriting)
         world, extra = with_baseline(bare, reference, scale, inheriting, warming)
     world, truth = add_effects(world, scenario.effects, scale, causing)
-    offset = noise.constant_offset(mounting) if arm.outputs == 'wrench' else np.zeros(arm.n_joints)
+    offset = constant_offset(mounting) if arm.outputs == 'wrench' else np.zeros(arm.n_joints)
     return measured(scenario, world, offset, scale, measuring, truth, extra)
 
 
@@ -58,12 +133,12 @@ def moved(arm: Arm, motion: str, samples: int, rate_hz: float, homes: Homes, rng
 def measured(scenario: Scenario, world: World, offset: Array, scale: Array, rng: np.random.Generator,
              truth: list[dict[str, Any]], extra: list[dict[str, Any]]) -> SimulatedRecording:
     """What encoders and sensors report of the world: noise on everything, and the sensor's constant ``offset``."""
-    noise_std = scenario.noise * noise.OUTPUT_NOISE_SHARE * scale
-    position, velocity, acceleration = noise.joint_readings(world.trajectory.at(world.times), scenario.encoder_noise,
-                                                            rng)
+    noise_std = scenario.noise * OUTPUT_NOISE_SHARE * scale
+    position, velocity, acceleration = joint_readings(world.trajectory.at(world.times), scenario.encoder_noise,
+                                                      rng)
     return SimulatedRecording(
         stamps=START_NS + np.round(world.times * 1e9).astype(np.int64), joint_names=world.arm.joints,
         position=position, velocity=velocity, acceleration=acceleration if scenario.accelerations else None,
-        outputs=noise.output_readings(world.outputs + offset, noise_std, rng), outputs_kind=world.arm.outputs,
+        outputs=output_readings(world.outputs + offset, noise_std, rng), outputs_kind=world.arm.outputs,
         convention=scenario.convention, frame_id=world.arm.sensor_frame or '', urdf=world.arm.urdf,
         noise_std=noise_std, truth=tuple(truth), baseline_truth=tuple(extra))

@@ -1,4 +1,6 @@
-"""The motion as it happened: one smooth function of time for all joints, its derivatives exact."""
+"""The motion as it happened: one smooth function of time for all joints, its derivatives exact; and slow random
+functions of time.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.core.types import Array
+
+TERMS = 5
 
 FINE_RATE_HZ = 1000
 KNOT_STEP = 10
@@ -17,6 +21,26 @@ BANDWIDTH_HZ = 5.0
 DAMPING = 0.9
 TREMOR_RAD = 1.5e-3
 TREMOR_HZ = 1.0
+
+
+def wander(time: Array, period_s: float, rng: np.random.Generator) -> Array:
+    """Smooth random function (N,) of unit RMS whose ups and downs take about ``period_s``; it never repeats."""
+    frequency = rng.uniform(0.4, 1.6, TERMS) / period_s
+    phase = rng.uniform(0, 2 * np.pi, TERMS)
+    weight = rng.uniform(0.5, 1.0, TERMS)
+    weight *= np.sqrt(2 / np.sum(weight**2))
+    return np.asarray(np.sin(2 * np.pi * np.outer(time, frequency) + phase) @ weight)
+
+
+def wanders(time: Array, period_s: float, count: int, rng: np.random.Generator) -> Array:
+    """``count`` independent ones as columns, (N, count)."""
+    return np.stack([wander(time, period_s, rng) for _ in range(count)], axis=1)
+
+
+def unit_vector(rng: np.random.Generator) -> Array:
+    """A random direction, (3,)."""
+    vector = rng.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 class Instants(NamedTuple):

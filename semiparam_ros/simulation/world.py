@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.arm import Arm
-from semiparam_ros.simulation.arrays import Array
 from semiparam_ros.simulation.trajectory import Instants, Trajectory
 
 Change: TypeAlias = Callable[['World', Instants, Array], Array]

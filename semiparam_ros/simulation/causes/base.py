@@ -7,8 +7,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.simulation.arrays import Array
 from semiparam_ros.simulation.world import World
 
 BOTH = ('wrench', 'effort')

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start
 from semiparam_ros.simulation.causes.forces import FrameForce
 from semiparam_ros.simulation.fine_states import bouc_wen, fine_motion, sampled
-from semiparam_ros.simulation.trajectory import Instants
-from semiparam_ros.simulation.wander import unit_vector
+from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import World
 
 CABLE_STEP_S = 4e-3

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.fine_states import fine_motion, play, sampled

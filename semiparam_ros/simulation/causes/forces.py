@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start, since
 from semiparam_ros.simulation.causes.friction import JointTorque
-from semiparam_ros.simulation.trajectory import Instants
-from semiparam_ros.simulation.wander import unit_vector
+from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import Body, World
 
 PAYLOAD_RADIUS_M = 0.03

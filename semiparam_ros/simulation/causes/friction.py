@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start, since
 from semiparam_ros.simulation.fine_states import STEP_S, bristle, fine_motion, sampled
 from semiparam_ros.simulation.trajectory import Instants

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start, since
-from semiparam_ros.simulation.trajectory import Instants
-from semiparam_ros.simulation.wander import unit_vector
+from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import World
 
 

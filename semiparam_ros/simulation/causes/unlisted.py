@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semiparam_ros.simulation.arrays import Array
+from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.causes.base import BOTH, Cause, Quantity, Site, known_start
 from semiparam_ros.simulation.causes.forces import FrameForce
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.fine_states import sampled
-from semiparam_ros.simulation.trajectory import Instants, second_order
-from semiparam_ros.simulation.wander import unit_vector, wander
+from semiparam_ros.simulation.trajectory import Instants, second_order, unit_vector, wander
 from semiparam_ros.simulation.world import World
 
 RINGING_STEP_S = 5e-3

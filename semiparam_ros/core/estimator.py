@@ -1,0 +1,355 @@
+"""The estimator: predict one sample, then learn it, for every model class of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
+
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memory
+from semiparam_ros.core.horizon import HorizonErrors, HorizonIndex
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
+from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
+from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
+from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
+from semiparam_ros.errors import SemiparamError
+
+HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
+
+
+EFFECT_GAMMA = 1.0
+"""Standard deviation of effects over their prior scale, in the variants that have no gamma."""
+
+PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
+LONGEST_PAUSE_NS = 3600 * 10**9
+"""A stamp further ahead of the last one, or before it, is that of a clock that jumped."""
+
+
+class Model:
+    """One variant with its hyperparameters: scaled outputs, features, a fixed mean where pi is fixed, the recursion.
+
+    Of the columns of C, those of the rigid body and the offset are learnt, fixed or absent, as the variant has it;
+    those of effects, which stand last, are learnt in every variant.
+
+    :param prior_scale: (p,) prior standard deviations of theta over gamma. :param prior_mean: (p,), zero unless given.
+    :param n_effects: how many of the columns are effects'.
+    """
+
+    def __init__(self, variant: Variant, hyperparameters: Hyperparameters, features: RandomFeatures | None,
+                 prior_scale: Array, prior_mean: Array | None = None, forgetting: float = 1.0,
+                 n_effects: int = 0) -> None:
+        self.variant, self.hyperparameters, self.features = variant, hyperparameters, features
+        self.output_scale = np.asarray(hyperparameters.output_scale, dtype=float)
+        own, everything = len(prior_scale) - n_effects, len(prior_scale)
+        learnt = variant.pi == 'learnt'
+        self.gamma = hyperparameters.gamma if learnt else EFFECT_GAMMA
+        self.learnt = slice(0 if learnt else own, everything)
+        """Columns of C that the recursion learns."""
+        self.covered = slice(own if variant.pi == 'absent' else 0, everything)
+        """Columns of C that ``theta`` has coefficients for."""
+        self.pi = np.asarray(hyperparameters.pi, dtype=float) if variant.pi == 'fixed' else None
+        self.recursion = SemiParametricRecursion(
+            len(self.output_scale), features.count if features else 0, self.gamma * prior_scale[self.learnt],
+            hyperparameters.rho, hyperparameters.sigma, None if prior_mean is None else prior_mean[self.learnt],
+            forgetting)
+
+    @property
+    def theta(self) -> Array:
+        """Coefficients, learnt or fixed, of the ``covered`` columns: of all, or of the effects where pi is absent."""
+        return self.recursion.theta if self.pi is None else np.concatenate([self.pi, self.recursion.theta])
+
+    def theta_std(self) -> Array:
+        """Their posterior standard deviations; zero where pi is fixed."""
+        std = np.zeros(len(self.theta))
+        if self.recursion.n_columns:
+            std[-self.recursion.n_columns:] = np.sqrt(np.diag(self.recursion.theta_covariance()))
+        return std
+
+    def part(self, block: slice) -> Array:
+        """Coefficients of a block of columns; empty where the model has none for it."""
+        start = self.covered.start
+        return self.theta[block.start - start:block.stop - start] if block.start >= start else np.zeros(0)
+
+    def contribution(self, columns: Array) -> Array:
+        """(n,) what columns (n, p) in N and N m bring about."""
+        return np.asarray(columns[:, self.covered] @ self.theta)
+
+    def predict(self, x: Array, columns: Array) -> tuple[Prior, Array, Array]:
+        """The recursion's prior, its columns (n, p) and the fixed mean (n,), all in units of ``output_scale``."""
+        scaled = columns / self.output_scale[:, None]
+        fixed = np.zeros(len(self.output_scale)) if self.pi is None else scaled[:, :len(self.pi)] @ self.pi
+        learnt = scaled[:, self.learnt]
+        phi = self.features(x) if self.features else np.zeros(0)
+        return self.recursion.predict(phi, learnt), learnt, fixed
+
+
+def log_density(innovation: Array, covariance: Array) -> float:
+    """Log of N(innovation; 0, covariance), for (n,) and (n, n) [nat]."""
+    lower, _ = dpotrf(covariance, lower=1)
+    white, _ = dtrtrs(lower, innovation, lower=1)
+    return float(-0.5 * white @ white - np.log(lower.diagonal()).sum() - len(white) * HALF_LOG_2PI)
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """What a user chooses of the model; see docs/parameters.md. ``hyperparameters`` None: from the initial window."""
+
+    variant: str = 'SPK-ML'
+    features_count: int = 500
+    features_seed: int = 0
+    length_scales: LengthScales = 'kind'
+    noise: Noise = 'output'
+    initial_samples: int = 1000
+    horizon: int = 25
+    forgetting: float = 1.0
+    hyperparameters: Hyperparameters | None = None
+    input_mean: tuple[float, ...] = ()
+    input_scale: tuple[float, ...] = ()
+
+
+class Prediction(NamedTuple):
+    """What the model said of one sample before learning it, in N, N m; and the horizon that it completed."""
+
+    mean: Array  # (n,)
+    std: Array  # (n,) predictive, noise included
+    ready: bool  # the initial window is over
+    horizon: HorizonErrors | None
+    sample: Sample
+    prior: Prior
+    columns: Array
+    fixed: Array
+    output_scale: Array
+    memory: Memory
+
+    @property
+    def log_density(self) -> float:
+        """Of the measured outputs [nat]; NaN outputs give NaN."""
+        innovation = self.sample.outputs / self.output_scale - self.fixed - self.prior.mean
+        return log_density(innovation, self.prior.covariance) - float(np.log(self.output_scale).sum())
+
+
+class DesiredOutputs(NamedTuple):
+    """What a desired motion brings about, (n,) each, in N and N m."""
+
+    shown: Array  # by the sensor
+    needed: Array  # by the arm: without the sensor's offset and effects
+
+
+class Remembered(NamedTuple):
+    """A sample of the initial window with its coupled columns (n, p), in N and N m, as they were at the time."""
+
+    sample: Sample
+    columns: Array
+
+
+class EstimatorState(NamedTuple):
+    """What an estimator has learnt and what it remembers, beside its options and hyperparameters."""
+
+    recursion: dict[str, Array]
+    horizon: Mapping[str, Array | Stamps]
+    window: tuple[Remembered, ...]
+    origin: int | None  # [ns]
+    newest: int | None  # [ns] stamp of the last sample
+    memory: Memory
+
+
+class Estimator:
+    """Online semi-parametric model of one robot's outputs.
+
+    The first ``initial_samples`` are answered by the rigid body alone, which starts from the robot description's
+    inertias. They then give the hyperparameters, are learnt by the chosen variant, and it takes over.
+
+    :param origin: stamp [ns] from which the time of effects counts, such as the start of a recording; that of the first
+        sample unless given. It moves along when the clock jumps, so that time goes on from the last sample.
+    """
+
+    def __init__(self, body: RigidBody, options: ModelOptions | None = None, effects: Sequence[ColumnBlock] = (),
+                 origin: int | None = None) -> None:
+        """Raises SemiparamError when the options or the effects do not fit the robot."""
+        self.options = options or ModelOptions()
+        self.variant = variant_named(self.options.variant)
+        self.columns = CoupledColumns(body, effects)
+        self.body = body
+        self.window: list[Remembered] = []
+        self.input_scaling: tuple[Array, Array] | None = None
+        self.origin = origin
+        self._newest: int | None = None
+        self._memory: Memory = None
+        given = self.options.hyperparameters
+        self.ready = given is not None
+        self.model = self._provisional() if given is None else self._given(given)
+        self.horizon = self._new_horizon()
+
+    def step(self, sample: Sample, learn: bool = True) -> Prediction:
+        """Predict the sample, then learn it (unless told not to)."""
+        prediction = self.predict(sample)
+        return prediction._replace(horizon=self.observe(prediction, learn))
+
+    def predict(self, sample: Sample) -> Prediction:
+        """Predict the outputs at the sample's inputs; nothing changes. Unknown outputs may be NaN.
+
+        Raises SemiparamError when an input is not finite.
+        """
+        x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
+        require_finite('positions, velocities and accelerations', x)
+        memory = None if self._has_jumped(sample.stamp) else self._memory
+        columns, memory = self.columns.one(sample, self._origin_at(sample.stamp), memory)
+        if self.columns.effects:
+            require_finite('columns of the effects', columns)
+        prior, learnt, fixed = self.model.predict(x, columns)
+        scale = self.model.output_scale
+        mean, std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
+        return Prediction(mean, std, self.ready, None, sample, prior, learnt, fixed, scale, memory)
+
+    def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
+        """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
+
+        A desired state is exact and has no past, so its own time plays no part: see :meth:`CoupledColumns.desired`.
+        Raises SemiparamError when a value, or what follows from it, is not finite.
+        """
+        x = np.concatenate([position, velocity, acceleration])
+        require_finite('desired positions, velocities and accelerations', x)
+        origin = self.origin or 0
+        now = origin if self._newest is None else self._newest
+        shown, needed = self.columns.desired(position, velocity, acceleration, now, origin)
+        model = self.model
+        prior, _, fixed = model.predict(x, shown)
+        outputs = model.output_scale * (prior.mean + fixed)
+        of_sensor = model.contribution(shown - needed)
+        require_finite('predicted outputs of a desired state', outputs)
+        return DesiredOutputs(outputs, outputs - of_sensor)
+
+    def observe(self, prediction: Prediction, learn: bool = True) -> HorizonErrors | None:
+        """Charge the sample of the latest prediction to the horizon index, and learn it; the horizon it completed.
+
+        Raises SemiparamError, with nothing changed, when the measured outputs are not finite.
+        """
+        sample, recursion = prediction.sample, self.model.recursion
+        require_finite('outputs', sample.outputs)
+        self.origin, self._newest = self._origin_at(sample.stamp), sample.stamp
+        self._memory = prediction.memory
+        outputs = sample.outputs / self.model.output_scale
+        complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)
+        correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None
+        self.horizon.remember(sample.stamp, recursion.theta, correction)
+        if learn and not self.ready:
+            self.window.append(Remembered(sample, prediction.columns))
+            if len(self.window) >= self.options.initial_samples:
+                self.finish_window()
+        return complete
+
+    def finish_window(self) -> None:
+        """End the initial window now: estimate hyperparameters from it, learn it, and let the variant take over.
+
+        Raises SemiparamError when the window holds too little to estimate from.
+        """
+        samples = Samples.from_list(sample for sample, _ in self.window)
+        columns = np.array([columns for _, columns in self.window])
+        scaling = input_scaling(samples.inputs)
+        hyperparameters = self._estimate(samples, columns, scaling)
+        self.input_scaling = scaling
+        self.model = self._build(hyperparameters)
+        for sample, column in zip(samples, columns, strict=True):
+            self._learn_quietly(sample, column)
+        self.ready, self.window = True, []
+        self.horizon = self._new_horizon()
+
+    def clear_pending(self) -> None:
+        """Forget half-finished horizons and what effects remember, as after a jump of the clock; keep the model."""
+        self.horizon.clear()
+        self._memory = None
+
+    def begin_recording(self, origin: int) -> None:
+        """Go on with another recording, whose time starts at ``origin`` [ns]; what is learnt stays."""
+        self.clear_pending()
+        self.origin, self._newest = origin, None
+
+    def state(self) -> EstimatorState:
+        """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
+        return EstimatorState(self.model.recursion.state(), self.horizon.state(), tuple(self.window), self.origin,
+                              self._newest, self._memory)
+
+    def restore(self, state: EstimatorState) -> None:
+        """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
+
+        Raises SemiparamError when it is that of another one.
+        """
+        self.model.recursion.restore(state.recursion)
+        self.horizon.restore(state.horizon)
+        self.window, self._memory = list(state.window), state.memory
+        self.origin, self._newest = state.origin, state.newest
+
+    def _has_jumped(self, stamp: int) -> bool:
+        return self._newest is not None and not 0 <= stamp - self._newest <= LONGEST_PAUSE_NS
+
+    def _origin_at(self, stamp: int) -> int:
+        """Where time counts from at a stamp: the origin, moved by what the clock jumped."""
+        if self.origin is None:
+            return stamp
+        since = stamp - (self.origin if self._newest is None else self._newest)
+        if 0 <= since <= LONGEST_PAUSE_NS:
+            return self.origin
+        return stamp - LONGEST_PAUSE_NS if self._newest is None else self.origin + since
+
+    def hyperparameters(self) -> Hyperparameters:
+        """Those in use, with pi as it stands."""
+        pi = tuple(self.model.part(slice(0, self.columns.n_own)).tolist())
+        return replace(self.model.hyperparameters, pi=pi or None)
+
+    def _learn_quietly(self, sample: Sample, columns: Array) -> None:
+        x = np.concatenate([sample.position, sample.velocity, sample.acceleration])
+        prior, _, fixed = self.model.predict(x, columns)
+        self.model.recursion.learn(prior, sample.outputs / self.model.output_scale - fixed)
+
+    def _estimate(self, samples: Samples, columns: Array, scaling: tuple[Array, Array]) -> Hyperparameters:
+        options, inputs = self.options, (samples.inputs - scaling[0]) / scaling[1]
+        omega = spectrum(inputs.shape[1], options.features_count, options.features_seed)
+        return estimate(options.variant, samples.outputs, columns, inputs, omega,
+                        length_scales=options.length_scales, noise=options.noise,
+                        prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects)
+
+    def _given(self, hyperparameters: Hyperparameters) -> Model:
+        options, size = self.options, 3 * self.body.n_joints
+        mean, scale = np.array(options.input_mean), np.array(options.input_scale)
+        if self.variant.features and not len(mean) == len(scale) == size:
+            raise SemiparamError(f'hyperparameters.input_mean and .input_scale hold {len(mean)} and {len(scale)} '
+                                 f'values; expected {size}, three for each joint.')
+        if self.variant.pi == 'fixed' and len(hyperparameters.pi or ()) != self.columns.n_own:
+            raise SemiparamError(f'hyperparameters.pi holds {len(hyperparameters.pi or ())} values; expected '
+                                 f'{self.columns.n_own} for {options.variant}: base parameters and offset.')
+        if len(hyperparameters.output_scale) != self.body.n_outputs:
+            raise SemiparamError(f'hyperparameters.output_scale holds {len(hyperparameters.output_scale)} values; '
+                                 f'expected {self.body.n_outputs}.')
+        self.input_scaling = (mean, scale)
+        return self._build(hyperparameters)
+
+    def _build(self, hyperparameters: Hyperparameters) -> Model:
+        assert self.input_scaling is not None
+        features = None
+        if self.variant.features:
+            features = RandomFeatures(3 * self.body.n_joints, self.options.features_count, self.options.features_seed,
+                                      hyperparameters.tau, *self.input_scaling)
+        return Model(self.variant, hyperparameters, features, self.columns.prior_scale,
+                     forgetting=self.options.forgetting, n_effects=self.columns.n_effects)
+
+    def _provisional(self) -> Model:
+        hyperparameters = Hyperparameters(gamma=PROVISIONAL_GAMMA, rho=1.0, tau=(1.0,), sigma=PROVISIONAL_SIGMA,
+                                          output_scale=(1.0,) * self.body.n_outputs, pi=None)
+        return Model(VARIANTS['P'], hyperparameters, None, self.columns.prior_scale, self.columns.prior_mean)
+
+    def _new_horizon(self) -> HorizonIndex:
+        recursion = self.model.recursion
+        return HorizonIndex(self.options.horizon, recursion.n_outputs, recursion.n_features, recursion.n_columns)
+
+
+def require_finite(what: str, values: Array) -> None:
+    """Raise SemiparamError when one of the values is NaN or infinite: the model must never take it in."""
+    if not np.isfinite(values).all():
+        raise SemiparamError(f'the {what} of a sample are {values.tolist()}; expected finite values.')

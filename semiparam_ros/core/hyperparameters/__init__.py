@@ -1,0 +1,1 @@
+"""Hyperparameters from the initial window: the marginal likelihood and its maximum, or a validation set."""

@@ -1,0 +1,351 @@
+"""The log marginal likelihood of a window with its gradient, and its maximum over the hyperparameters.
+
+Log marginal likelihood of a window under the model y = C theta + (phi' x I) alpha + e, with its gradient. All outputs
+share phi, so after whitening by ``output_scale`` the covariance of the stacked outputs is V = I_n x A + C Gamma C' with
+A = sigma^2 N + rho^2 Phi Phi'. Only A (through min(t, D)) and a p x p matrix are ever factored. The gradient runs
+backwards: dL/dA once, and from it every length scale (docs/mathematics.md, Evidence). N = I is the paper's white noise;
+with a drift, N = I + kappa R (see ``noise_covariance``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.hyperparameters.maximisation import Maximum, maximise
+from semiparam_ros.core.hyperparameters.noise_covariance import Drift, SharedFactor
+from semiparam_ros.core.hyperparameters.window import least_squares, normalised, residual_scale
+from semiparam_ros.core.types import Array, Stamps
+
+LOG_2PI = float(np.log(2.0 * np.pi))
+RANK_TOLERANCE = 1e-12
+"""Directions of theta that the window excites less than this (relative, columns scaled) keep a zero estimate."""
+
+SCAN = (200, 50)
+"""Samples and frequencies of the coarse scan that finds the starts."""
+DRAFT = (500, 150)
+"""Samples and frequencies of the searches from every start; the best end is then polished on all of them."""
+TAU_SCAN = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+KIND_PATTERNS = ((1.0, 1.0, 1.0), (1.0, 3.0, 6.0))
+SIGNAL_SCAN = (0.3, 3.0)
+NOISE_SCAN = (0.03, 0.3, 1.0)
+FIRST_KAPPA, FIRST_MEMORY = 0.3, 20.0
+LEAST_DRIFT, MOST_DRIFT = (1e-3, 3.0), (1e2, 1e3)
+"""Bounds of kappa and memory [samples]: a faster drift is noise, a slower one is an offset."""
+SAME_BASIN = 0.5
+"""Draft ends farther apart than this in any logarithm are polished separately."""
+
+
+class Slope(NamedTuple):
+    """Derivatives of the log evidence by the logarithm of each hyperparameter; ``tau`` (groups,), scales (n,)."""
+
+    gamma: float
+    rho: float
+    tau: Array
+    sigma: float
+    output_scale: Array
+    kappa: float = 0.0
+    memory: float = 0.0
+
+
+class Evidence(NamedTuple):
+    """``value`` [nat]; ``theta`` (p,): posterior mean, or the generalised least squares estimate if profiled."""
+
+    value: float
+    theta: Array
+    slope: Slope | None
+
+
+@dataclass(frozen=True)
+class Window:
+    """The data of one evidence: t samples, n outputs, p coupled columns, m scaled inputs, d frequencies.
+
+    :param outputs: Y (t, n), in N and N m.
+    :param coupled: C (t, n, p); p = 0 for a purely non-parametric model.
+    :param inputs: (x - mean) / scale, (t, m).
+    :param spectrum: omega (d, m), standard normal; d = 0 for a purely parametric model.
+    :param groups: (m,) index of the length scale of each input.
+    :param prior_scale: (p,) prior standard deviations of theta in units of gamma.
+    :param step: distance of neighbouring samples in the recording, for the drift.
+    :param profiled: theta is a hyperparameter maximised in closed form (SP), not a Gaussian variable (P, SPK).
+    :param n_effects: of the columns, the last so many stay Gaussian beside a profiled mean, with ``prior_scale`` for
+        standard deviations whatever gamma: what the window does not excite keeps its prior.
+    """
+
+    outputs: Array
+    coupled: Array
+    inputs: Array
+    spectrum: Array
+    groups: Stamps
+    prior_scale: Array
+    profiled: bool = False
+    step: int = 1
+    n_effects: int = 0
+
+    @property
+    def n_profiled(self) -> int:
+        """So many columns, the first ones, are profiled."""
+        return self.coupled.shape[2] - self.n_effects if self.profiled else 0
+
+    def thinned(self, rows: int, frequencies: int) -> Window:
+        """The same problem on at most ``rows`` evenly spaced samples and the first ``frequencies`` of omega."""
+        step = max(1, -(-len(self.outputs) // rows))
+        return replace(self, outputs=self.outputs[::step], coupled=self.coupled[::step], inputs=self.inputs[::step],
+                       spectrum=self.spectrum[:frequencies], step=self.step * step)
+
+
+class Point(NamedTuple):
+    """Where the evidence is taken: ``tau`` (groups,), ``output_scale`` (n,); kappa 0 is white noise."""
+
+    gamma: float
+    rho: float
+    tau: Array
+    sigma: float
+    output_scale: Array
+    kappa: float = 0.0
+    memory: float = 1.0
+
+
+class _Coupled(NamedTuple):
+    """The estimate of theta and what the gradient needs of it; ``root`` (p, p) has root root' = M^-1."""
+
+    theta: Array
+    root: Array
+    log_determinant: float
+    penalty: float
+    gamma_slope: float
+
+
+def evidence(window: Window, at: Point, gradient: bool = True) -> Evidence:
+    """Log marginal likelihood of the window, O(t D min(t, D)) with or without the gradient."""
+    steps, n, p = window.coupled.shape
+    y = window.outputs / at.output_scale
+    c = (window.coupled / at.output_scale[:, None]).reshape(steps * n, p)
+    scaled_inputs = window.inputs / at.tau[window.groups]
+    phi = harmonics(scaled_inputs @ window.spectrum.T)
+    drift = Drift(steps, at.kappa, at.memory, window.step) if at.kappa > 0.0 else None
+    factor = SharedFactor(at.rho * phi, at.sigma, drift)
+    solved = factor.solve(np.hstack([y, c.reshape(steps, n * p)]))
+    ay, ac = solved[:, :n], np.ascontiguousarray(solved[:, n:]).reshape(steps * n, p)
+    prior_std = window.prior_scale if window.profiled else at.gamma * window.prior_scale
+    coupled = _estimate(c.T @ ac, ac.T @ y.ravel(), prior_std, window.n_profiled)
+    errors = y - (c @ coupled.theta).reshape(steps, n)
+    weighted = ay - (ac @ coupled.theta).reshape(steps, n)
+    value = -0.5 * (n * factor.log_determinant + coupled.log_determinant + float(np.sum(errors * weighted))
+                    + coupled.penalty + steps * n * LOG_2PI) - steps * float(np.log(at.output_scale).sum())
+    if not gradient:
+        return Evidence(value, coupled.theta, None)
+    z = np.hstack([weighted, (ac @ coupled.root).reshape(steps, -1)])
+    slopes = factor.slopes(z, n)
+    scale_slope = np.sum(errors * weighted, axis=0) - steps
+    scale_slope += np.sum(((ac @ coupled.root) * (c @ coupled.root)).reshape(steps, n, -1), axis=(0, 2))
+    tau_slope = _length_scale_slopes(at.rho * slopes.features, phi, scaled_inputs, window, len(at.tau))
+    gamma_slope = 0.0 if window.profiled else coupled.gamma_slope
+    return Evidence(value, coupled.theta, Slope(gamma_slope, slopes.rho, tau_slope, slopes.sigma, scale_slope,
+                                                slopes.kappa, slopes.memory))
+
+
+def harmonics(phase: Array) -> Array:
+    """Phi = [cos z | sin z] / sqrt(d) for z (t, d), so that each row has norm one."""
+    frequencies = phase.shape[1]
+    phi = np.empty((len(phase), 2 * frequencies))
+    np.cos(phase, out=phi[:, :frequencies])
+    np.sin(phase, out=phi[:, frequencies:])
+    return np.asarray(phi / np.sqrt(max(frequencies, 1)))
+
+
+def _estimate(information: Array, right: Array, prior_std: Array, n_profiled: int) -> _Coupled:
+    """theta from N = C'A^-1 C and h = C'A^-1 y: its first part by generalised least squares, the rest by its prior."""
+    if not len(right):
+        return _Coupled(right, information, 0.0, 0.0, 0.0)
+    if n_profiled == len(right):
+        return _least_squares(information, right)
+    if not n_profiled:
+        return _posterior(information, right, prior_std)
+    return _beside_mean(information, right, prior_std, n_profiled)
+
+
+def _beside_mean(information: Array, right: Array, prior_std: Array, k: int) -> _Coupled:
+    """The first k by least squares with the others' prior in the covariance, which are then eliminated; then those."""
+    inner, across = information[k:, k:], information[k:, :k]
+    root = _posterior(inner, right[k:], prior_std[k:]).root
+    half = root.T @ across
+    mean = _least_squares(information[:k, :k] - half.T @ half, right[:k] - half.T @ (root.T @ right[k:])).theta
+    others = _posterior(inner, right[k:] - across @ mean, prior_std[k:])
+    return others._replace(theta=np.concatenate([mean, others.theta]),
+                           root=np.vstack([np.zeros((k, root.shape[1])), root]))
+
+
+def _least_squares(information: Array, right: Array) -> _Coupled:
+    """Maximum likelihood: by the envelope theorem the gradient sees no change of theta, hence no root."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
+    kept = values > RANK_TOLERANCE * values[-1]
+    basis = scale[:, None] * vectors[:, kept]
+    theta = basis @ ((basis.T @ right) / values[kept])
+    return _Coupled(theta, np.zeros((len(right), 0)), 0.0, 0.0, 0.0)
+
+
+def _posterior(information: Array, right: Array, prior_std: Array) -> _Coupled:
+    """M = Gamma^-1 + N through W = I + Gamma^1/2 N Gamma^1/2, which stays finite for gamma to 0 and to infinity."""
+    values, vectors = np.linalg.eigh(prior_std[:, None] * information * prior_std)
+    eigenvalues = 1.0 + np.maximum(values, 0.0)
+    root = prior_std[:, None] * vectors / np.sqrt(eigenvalues)
+    white = vectors @ ((vectors.T @ (prior_std * right)) / eigenvalues)
+    penalty = float(white @ white)
+    slope = penalty - float(np.sum(1.0 - 1.0 / eigenvalues))
+    return _Coupled(prior_std * white, root, float(np.log(eigenvalues).sum()), penalty, slope)
+
+
+def _length_scale_slopes(by_phi: Array, phi: Array, scaled: Array, window: Window, groups: int) -> Array:
+    """dL/dlog tau (groups,) from dL/dPhi: back through cos and sin to z = omega' x / tau."""
+    d = len(window.spectrum)
+    by_phase = by_phi[:, d:] * phi[:, :d] - by_phi[:, :d] * phi[:, d:]
+    by_input = -np.sum((by_phase.T @ scaled) * window.spectrum, axis=0)
+    return np.bincount(window.groups, weights=by_input, minlength=groups).astype(np.float64)
+
+
+class EvidenceMaximum(NamedTuple):
+    """The hyperparameters, theta (p,) there, and the log evidence [nat]."""
+
+    at: Point
+    theta: Array
+    value: float
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Which logarithms are searched, in the order gamma, rho, tau, sigma, kappa, memory, output scales."""
+
+    free: Array  # boolean mask over the full vector
+    base: Array  # logarithms of the values that stay
+    groups: int
+    drifting: bool
+
+    def point(self, vector: Array) -> Point:
+        """Hyperparameters at the searched logarithms; the mean log scale is taken out (it is sigma's and rho's)."""
+        full = self.base.copy()
+        full[self.free] = vector
+        gamma, rho, *tau = np.exp(full[:2 + self.groups]).tolist()
+        sigma, kappa, memory = np.exp(full[2 + self.groups:5 + self.groups]).tolist()
+        scale = full[5 + self.groups:]
+        return Point(gamma, rho, np.array(tau), sigma, np.exp(scale - scale.mean()), kappa * self.drifting, memory)
+
+    def gradient(self, slope: Slope) -> Array:
+        """(k,) slope by the searched logarithms."""
+        scale = slope.output_scale - slope.output_scale.mean()
+        noise = [slope.sigma, slope.kappa, slope.memory]
+        full = np.concatenate([[slope.gamma, slope.rho], slope.tau, noise, scale])
+        return np.asarray(full[self.free])
+
+    def vector(self, at: Point) -> Array:
+        """(k,) searched logarithms of a point."""
+        return np.asarray(logarithms(at)[self.free])
+
+
+def maximise_evidence(window: Window, noise: str, drifting: bool, method: str, starts: int,
+                      jobs: int) -> EvidenceMaximum:
+    """The best of several searches; every start is drafted on a thinned window, the best ends polished on all of it.
+
+    :param drifting: the noise is white plus a drift; otherwise white, as in the paper.
+    """
+    guess = first_guess(window, noise, drifting)
+    coordinates, bounds = _coordinates(window, guess, noise), _bounds(window, guess)
+    box = bounds[coordinates.free]
+    draft = window.thinned(*DRAFT)
+    begin = [coordinates.vector(at) for at in scan(window, guess, starts)]
+    # the draft is only a warm start: an end within a tenth of a nat is as good as any
+    ends = maximise(_Objective(draft, coordinates), begin, box, method, iterations=80, tolerance=1e-6, jobs=jobs)
+    if len(draft.outputs) == len(window.outputs) and len(draft.spectrum) == len(window.spectrum):
+        chosen = [ends[0].point]
+    else:
+        chosen = [end.point for end in _distinct(ends)]
+    best = maximise(_Objective(window, coordinates), chosen, box, method, jobs=jobs)[0]
+    at = coordinates.point(best.point)
+    result = evidence(window, at, gradient=False)
+    present = at._replace(gamma=at.gamma * _has_prior(window), rho=at.rho * (len(window.spectrum) > 0))
+    return EvidenceMaximum(present, result.theta, result.value)
+
+
+class _Objective:
+    """The evidence as a function of the searched logarithms."""
+
+    def __init__(self, window: Window, coordinates: Coordinates) -> None:
+        self.window, self.coordinates = window, coordinates
+
+    def __call__(self, vector: Array, gradient: bool) -> tuple[float, Array]:
+        result = evidence(self.window, self.coordinates.point(vector), gradient)
+        return result.value, vector if result.slope is None else self.coordinates.gradient(result.slope)
+
+
+def first_guess(window: Window, noise: str, drifting: bool = False) -> Point:
+    """A point of the right orders of magnitude, from a least squares fit of the coupled columns."""
+    theta = least_squares(window.outputs, window.coupled)
+    residuals = window.outputs - window.coupled @ theta
+    scale = residual_scale(residuals, window.outputs)
+    output_scale = np.ones_like(scale) if noise == 'one' else normalised(scale)
+    left = float(np.sqrt(np.mean((residuals / output_scale) ** 2)))
+    spread = theta / window.prior_scale
+    gamma = max(float(np.sqrt(np.mean(spread**2))), 1e-3) if len(theta) else 1.0
+    groups = int(window.groups.max()) + 1
+    return Point(gamma, left, np.full(groups, 2.0), left, output_scale, FIRST_KAPPA * drifting, FIRST_MEMORY)
+
+
+def scan(window: Window, guess: Point, starts: int) -> list[Point]:
+    """The best points of a coarse grid on a thinned window, no two with the same length scales."""
+    if not len(window.spectrum):
+        return [guess._replace(sigma=guess.sigma * factor) for factor in (1.0, 0.5, 2.0, 0.1)[:starts]]
+    thin = window.thinned(*SCAN)
+    scored = sorted(((evidence(thin, at, gradient=False).value, index, at)
+                     for index, at in enumerate(_grid(window, guess))), key=lambda entry: -entry[0])
+    chosen: dict[tuple[float, ...], Point] = {}
+    for _, _, at in scored:
+        chosen.setdefault(tuple(at.tau.tolist()), at)
+    return list(chosen.values())[:max(starts, 1)]
+
+
+def _grid(window: Window, guess: Point) -> Iterator[Point]:
+    groups = len(guess.tau)
+    patterns = KIND_PATTERNS if groups > 1 else KIND_PATTERNS[:1]
+    for tau, pattern, signal, left in product(TAU_SCAN, patterns, SIGNAL_SCAN, NOISE_SCAN):
+        per_group = np.repeat(pattern, max(1, groups // len(pattern)))[:groups]
+        yield guess._replace(tau=tau * per_group, rho=signal * guess.rho, sigma=left * guess.sigma)
+
+
+def _coordinates(window: Window, guess: Point, noise: str) -> Coordinates:
+    nonparametric, n = bool(len(window.spectrum)), window.outputs.shape[1]
+    several, drifting = noise == 'output' and n > 1, guess.kappa > 0.0
+    free = [_has_prior(window), nonparametric, *[nonparametric] * len(guess.tau), True, drifting, drifting,
+            *[several] * n]
+    return Coordinates(np.array(free), logarithms(guess), len(guess.tau), drifting)
+
+
+def _bounds(window: Window, guess: Point) -> Array:
+    """(k, 2) logarithms: generous, yet such that the shared covariance keeps a Cholesky factor."""
+    size = float(np.sqrt(np.mean((window.outputs / guess.output_scale) ** 2)))
+    low = [1e-4 * guess.gamma, 1e-3 * guess.rho, *[0.1] * len(guess.tau), 1e-4 * guess.sigma, *LEAST_DRIFT,
+           *(1e-4 * guess.output_scale)]
+    high = [1e4 * guess.gamma, 1e3 * size, *[300.0] * len(guess.tau), 10.0 * size, *MOST_DRIFT,
+            *(1e4 * guess.output_scale)]
+    return np.asarray(np.log(np.column_stack([low, high])))
+
+
+def _distinct(ends: list[Maximum]) -> list[Maximum]:
+    """The best end, and the next best if it lies in another basin and is not clearly worse."""
+    others = [end for end in ends[1:] if np.abs(end.point - ends[0].point).max() > SAME_BASIN
+              and end.value > ends[0].value - 10.0]
+    return [ends[0], *others[:1]]
+
+
+def _has_prior(window: Window) -> bool:
+    return window.coupled.shape[2] > 0 and not window.profiled
+
+
+def logarithms(at: Point) -> Array:
+    """The full vector of logarithms of a point."""
+    noise = [at.sigma, at.kappa or 1.0, at.memory]
+    return np.asarray(np.log(np.concatenate([[at.gamma, at.rho], at.tau, noise, at.output_scale])))

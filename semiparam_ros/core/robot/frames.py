@@ -1,0 +1,169 @@
+"""What a force at a link does to the outputs, and how a link moves: the ground that many effects stand on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+LINKS_APART = 0.005
+MOST_LINKS = 6
+
+
+class FrameMotion(NamedTuple):
+    """A link's frame over N samples, in the base."""
+
+    position: Array  # (N, 3) [m]
+    velocity: Array  # (N, 3) [m/s]
+    turning: Array  # (N, 3) angular velocity [rad/s]
+    rotation: Array  # (N, 3, 3) link to base
+    force_map: Array  # (N, n, 3) outputs caused by an external unit force at the frame's origin, along base axes
+    couple_map: Array  # (N, n, 3) outputs caused by an external unit couple on the link, about base axes
+
+    def at(self, point: Array) -> FrameMotion:
+        """The same of a frame beside it, at a point (3,) [m] of the link."""
+        arm = self.rotation @ point
+        return self._replace(position=self.position + arm, velocity=self.velocity + np.cross(self.turning, arm),
+                             force_map=self.force_map + self.couple_map @ _levers(arm))
+
+
+def loaded_links(body: RigidBody) -> dict[str, int]:
+    """For each body that the outputs feel, the farthest of its links with mass or children, and the body's number.
+
+    These are the places where a load or an outside force can be told from another body's.
+    """
+    model = body.arm if body.distal is None else body.distal
+    links: dict[int, tuple[float, str]] = {}
+    for frame in model.frames:
+        joint = frame.parentJoint
+        if frame.type != pin.FrameType.BODY or joint == 0:
+            continue
+        reach = float(np.linalg.norm(frame.placement.translation))
+        if joint not in links or reach > links[joint][0] + 1e-9:
+            links[joint] = (reach, frame.name)
+    return {name: joint - 1 for joint, (_, name) in sorted(links.items())}
+
+
+@lru_cache(maxsize=8)
+def felt_links(body: RigidBody) -> tuple[str, ...]:
+    """Every link that the outputs feel, by name."""
+    model = body.arm if body.distal is None else body.distal
+    return tuple(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint != 0)
+
+
+def links_beside(body: RigidBody, link: str) -> list[str]:
+    """The links fixed to the same body as ``link``, itself first, that stand at clearly different places."""
+    model = body.arm if body.distal is None else body.distal
+    own = model.frames[_frame(model, link, body)]
+    chosen = [own]
+    for frame in model.frames:
+        apart = [float(np.linalg.norm(frame.placement.translation - other.placement.translation)) for other in chosen]
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == own.parentJoint and min(apart) > LINKS_APART:
+            chosen.append(frame)
+    return [frame.name for frame in chosen[:MOST_LINKS]]
+
+
+@lru_cache(maxsize=24)
+def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
+    """Motion of a link and the outputs' response to a force on it. An unknown link raises SemiparamError."""
+    frame = _frame(body.arm, link, body)
+    felt, maps = _sensor_response(body) if body.distal is not None else _joint_response(body, frame)
+    data, model = body.arm.createData(), body.arm
+    rows = []
+    for q, dq in zip(body.arm_vector(samples.position), body.arm_vector(samples.velocity), strict=True):
+        pin.forwardKinematics(model, data, q, dq)
+        placement = pin.updateFramePlacement(model, data, frame)
+        twist = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        rows.append((placement.translation.copy(), twist.linear, twist.angular, placement.rotation.copy(), *felt(data)))
+    position, velocity, turning, rotation, *state = (np.array(column) for column in zip(*rows, strict=True))
+    return FrameMotion(position, velocity, turning, rotation, *maps(position, *state))
+
+
+def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
+    """Of the links beside ``link``, the one whose origin is nearest to a point (3,) [m], and the point in its frame.
+
+    :param point: in the frame of ``link``.
+    """
+    model = body.arm if body.distal is None else body.distal
+    place = model.frames[_frame(model, link, body)].placement.act(point)
+    inside = {name: model.frames[_frame(model, name, body)].placement.actInv(place)
+              for name in links_beside(body, link)}
+    nearest = min(inside, key=lambda name: float(np.linalg.norm(inside[name])))
+    return nearest, inside[nearest]
+
+
+def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
+    """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body."""
+    model = body.arm if body.distal is None else body.distal
+    frame = model.frames[_frame(model, link, body)]
+    placement = frame.placement
+    rotation, shift = placement.rotation, placement.translation
+    return frame.parentJoint - 1, np.column_stack([_moved(unit, rotation, shift) for unit in np.eye(10)])
+
+
+def load_regressor(body: RigidBody, samples: Samples, link: str) -> Array:
+    """(N, n, 10) outputs caused by a load on ``link``: mass, first moment and inertia in the link's frame."""
+    index, transform = load_transform(body, link)
+    columns = slice(10 * index, 10 * index + 10)
+    return np.asarray(body.full_regressors(samples)[:, :, columns] @ transform)
+
+
+def _moved(parameters: Array, rotation: Array, shift: Array) -> Array:
+    """Inertial parameters (m, m c, Ixx Ixy Iyy Ixz Iyz Izz) of a frame, seen from its parent."""
+    mass, moment = parameters[0], rotation @ parameters[1:4]
+    xx, xy, yy, xz, yz, zz = parameters[4:]
+    inertia = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
+    outer = np.outer(shift, moment)
+    second = mass * np.outer(shift, shift) + outer + outer.T
+    inertia = inertia + np.trace(second) * np.eye(3) - second
+    return np.array([mass, *(moment + mass * shift), inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2],
+                     inertia[1, 2], inertia[2, 2]])
+
+
+Response = tuple[Callable[[pin.Data], tuple[Array, ...]], Callable[..., tuple[Array, Array]]]
+"""What to keep of the arm's state at each sample, and the force and couple maps (N, n, 3) that follow from all."""
+
+
+def _sensor_response(body: RigidBody) -> Response:
+    def felt(data: pin.Data) -> tuple[Array, ...]:
+        sensor = pin.updateFramePlacement(body.arm, data, body.sensor_index)
+        return sensor.translation.copy(), sensor.rotation.copy()
+
+    def maps(position: Array, sensor: Array, rotation: Array) -> tuple[Array, Array]:
+        to_sensor = -body.sign * np.swapaxes(rotation, 1, 2)
+        return (np.concatenate([to_sensor, to_sensor @ _levers(position - sensor)], axis=1),
+                np.concatenate([np.zeros_like(to_sensor), to_sensor], axis=1))
+
+    return felt, maps
+
+
+def _joint_response(body: RigidBody, frame: int) -> Response:
+    def felt(data: pin.Data) -> tuple[Array, ...]:
+        pin.computeJointJacobians(body.arm, data)
+        return (pin.getFrameJacobian(body.arm, data, frame, pin.LOCAL_WORLD_ALIGNED),)
+
+    def maps(position: Array, jacobian: Array) -> tuple[Array, Array]:
+        turned = -np.swapaxes(jacobian[:, :, body.arm_columns], 1, 2)
+        return turned[:, :, :3], turned[:, :, 3:]
+
+    return felt, maps
+
+
+def _levers(arms: Array) -> Array:
+    """(N, 3, 3) couples about an origin of unit forces at arms (N, 3) from it."""
+    return np.swapaxes(np.cross(arms[:, None], np.eye(3)), 1, 2)
+
+
+def _frame(model: pin.Model, link: str, body: RigidBody) -> int:
+    if not model.existFrame(link, pin.FrameType.BODY):
+        raise SemiparamError(f"link '{link}' is not a link of the robot description that the outputs feel; "
+                             f'expected one of {", ".join(loaded_links(body))}.')
+    return int(model.getFrameId(link, pin.FrameType.BODY))

@@ -1,0 +1,293 @@
+"""The rigid-body regressor psi(x): outputs linear in the inertial parameters of the links.
+
+A wrench sensor sees the bodies that hang on it. They are a tree of their own whose root moves with the sensor, so the
+wrench is the first six rows of that tree's joint-torque regressor with a free-flying root (Atkeson et al. 1986).
+Joint efforts take the regressor of the whole arm. Columns are reduced to the identifiable combinations, an orthonormal
+basis of the row space: a prior gamma^2 I on all inertial parameters stays gamma^2 I on the base parameters.
+
+A mimic joint is a joint like any other: it stays where ``locked`` puts it.
+"""
+
+from __future__ import annotations
+
+import copy
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property, lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.core.robot import urdf as urdf_tree
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+SENSOR = 'semiparam_sensor'
+ROOT = 'semiparam_root'
+
+OUTPUTS = ('wrench', 'effort')
+CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
+RANK_TOLERANCE = 1e-8
+INDEPENDENT = 1e-6
+PROBES = 400
+
+
+def build(robot: ElementTree.Element, root: pin.JointModel | None = None) -> pin.Model:
+    """The model of a whole tree, on a fixed base unless ``root`` is the joint that carries it."""
+    text = ElementTree.tostring(robot, encoding='unicode')
+    try:
+        model = pin.buildModelFromXML(text) if root is None else pin.buildModelFromXML(text, root, ROOT)
+    except Exception as error:
+        reason = ' '.join(str(error).split())
+        raise SemiparamError(f'the robot description cannot be read as a robot: {reason}') from error
+    model.gravity.linear = GRAVITY
+    return model
+
+
+def check_locked(joints: Sequence[str], locked: Mapping[str, float]) -> None:
+    """Raise SemiparamError when a joint is to move and to be locked at once."""
+    for name in joints:
+        if name in locked:
+            raise SemiparamError(f"joint '{name}' is named both among the moving and the locked joints.")
+
+
+def with_gravity(model: pin.Model, gravity: Array) -> tuple[pin.Model, pin.Data]:
+    """A copy of the model under another gravity (3,) [m/s^2], and data for it."""
+    model = model.copy()
+    model.gravity.linear = gravity
+    return model, model.createData()
+
+
+def _posture(model: pin.Model, locked: Mapping[str, float]) -> Array:
+    posture = pin.neutral(model)
+    for name, value in locked.items():
+        if not model.existJointName(name):
+            raise SemiparamError(f"locked joint '{name}' is not a moving joint of the robot description.")
+        joint = model.joints[model.getJointId(name)]
+        if joint.nq != 1 or not np.isfinite(value):
+            raise SemiparamError(f"locked joint '{name}' is held at {value}; expected one finite number for a joint "
+                                 'that is revolute, continuous or prismatic.')
+        posture[joint.idx_q] = value
+    return np.asarray(posture)
+
+
+def reduced(model: pin.Model, joints: Collection[str], locked: Mapping[str, float],
+            keep_root: bool = False) -> pin.Model:
+    """The model with all but the named joints held where ``locked`` says, 0 unless given."""
+    moving = set(joints) | ({model.names[1]} if keep_root else set())
+    frozen = [model.getJointId(name) for name in list(model.names)[1:] if name not in moving]
+    return pin.buildReducedModel(model, frozen, _posture(model, locked))
+
+
+def mark_sensor(arm: pin.Model, full: pin.Model, joints: Sequence[str], locked: Mapping[str, float],
+                link: str) -> None:
+    """Add a frame ``SENSOR`` to the arm, where the sensor's link is (fixed to its nearest moving joint)."""
+    posture = _posture(full, locked)
+    data = full.createData()
+    pin.framesForwardKinematics(full, data, posture)
+    placement = data.oMf[full.getFrameId(link, pin.FrameType.BODY)]
+    joint = full.frames[full.getFrameId(link, pin.FrameType.BODY)].parentJoint
+    while joint and full.names[joint] not in joints:
+        joint = full.parents[joint]
+    carrier = arm.getJointId(full.names[joint]) if joint else 0
+    arm.addFrame(pin.Frame(SENSOR, carrier, 0, data.oMi[joint].actInv(placement), pin.FrameType.OP_FRAME))
+
+
+class RigidBody:
+    """Regressor of ``outputs`` for the named joints of one arm.
+
+    Build it with :meth:`from_urdf`. Inputs are arrays over the named joints in their order, in rad, rad/s and rad/s^2
+    (m for prismatic ones).
+    """
+
+    def __init__(self, arm: pin.Model, distal: pin.Model | None, frame: str | None, joints: Sequence[str],
+                 sign: float) -> None:
+        self.joints = tuple(joints)
+        self.outputs = 'effort' if distal is None else 'wrench'
+        self.sensor_frame = frame
+        self.sign = sign
+        self.arm = arm
+        self.distal = distal
+        self._arm_data = arm.createData()
+        self.arm_columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
+        self._arm_order = self.arm_columns.argsort()
+        if distal is not None:
+            self.sensor_index = arm.getFrameId(SENSOR)
+            self._distal_data = distal.createData()
+            shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
+            self._distal_from = np.array(shared, dtype=int)
+        self.basis = self._identifiable_basis()
+        self._from_base = self.basis
+
+    @classmethod
+    def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
+                  convention: str = 'action', locked: Mapping[str, float] | None = None) -> RigidBody:
+        """Read an arm from URDF text.
+
+        :param joints: moving joints, in the order of the inputs; all others stay at ``locked`` [rad] (0 unless given).
+        :param outputs: ``wrench`` at ``sensor_frame`` or joint ``effort``.
+        :param convention: the wrench is the ``action`` on the distal bodies, or their ``reaction`` on the sensor.
+
+        Raises SemiparamError for an unknown joint, frame, output or convention.
+        """
+        if outputs not in OUTPUTS:
+            raise SemiparamError(f"outputs '{outputs}' is unknown; expected one of {', '.join(OUTPUTS)}.")
+        if convention not in CONVENTIONS:
+            raise SemiparamError(f"wrench_convention '{convention}' is unknown; expected action or reaction.")
+        robot = urdf_tree.parse(urdf)
+        urdf_tree.check_joints(robot, joints)
+        locked = dict(locked or {})
+        check_locked(joints, locked)
+        arm = reduced(build(robot), joints, locked)
+        if outputs == 'effort':
+            return cls(arm, None, None, joints, 1.0)
+        if not sensor_frame:
+            raise SemiparamError('sensor_frame is empty; a wrench needs the link or joint that carries the sensor.')
+        link = urdf_tree.sensor_link(robot, sensor_frame)
+        mark_sensor(arm, build(robot), joints, locked, link)
+        subtree = ElementTree.fromstring(urdf_tree.distal_subtree(robot, link))
+        inside = set(urdf_tree.joint_types(subtree))
+        distal = reduced(build(subtree, pin.JointModelFreeFlyer()), inside & set(joints),
+                         {name: value for name, value in locked.items() if name in inside}, keep_root=True)
+        return cls(arm, distal, sensor_frame, joints, CONVENTIONS[convention])
+
+    @property
+    def n_joints(self) -> int:
+        """Number of moving joints."""
+        return len(self.joints)
+
+    @property
+    def n_outputs(self) -> int:
+        """Six for a wrench, n_joints for efforts."""
+        return 6 if self.outputs == 'wrench' else self.n_joints
+
+    @property
+    def n_parameters(self) -> int:
+        """Number p of identifiable base parameters."""
+        return int(self.basis.shape[1])
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Channel labels: fx..tz, or the joints."""
+        return ('fx', 'fy', 'fz', 'tx', 'ty', 'tz') if self.outputs == 'wrench' else self.joints
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """Unit of each channel."""
+        return ('N',) * 3 + ('N m',) * 3 if self.outputs == 'wrench' else ('N m',) * self.n_joints
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies whose ten inertial parameters are the columns of :meth:`full_regressor`."""
+        model = self.arm if self.distal is None else self.distal
+        names = list(model.names)[1:]
+        return tuple(names) if self.distal is None else (str(self.sensor_frame), *names[1:])
+
+    @cached_property
+    def inertial_parameters(self) -> Array:
+        """(10 n_bodies,) m, m c, and inertia about the body's origin, as the URDF gives them."""
+        model = self.arm if self.distal is None else self.distal
+        return np.concatenate([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
+
+    @property
+    def base_parameters(self) -> Array:
+        """(p,) the URDF's inertial parameters in the identifiable basis."""
+        return np.asarray(self.basis.T @ self.inertial_parameters)
+
+    def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """(n, p) matrix psi with outputs = psi @ base_parameters."""
+        return np.asarray(self.full_regressor(position, velocity, acceleration) @ self._from_base)
+
+    def regressors(self, samples: Samples) -> Array:
+        """(N, n, p) one regressor for each sample."""
+        return np.asarray(self.full_regressors(samples) @ self._from_base)
+
+    def full_regressors(self, samples: Samples) -> Array:
+        """(N, n, 10 n_bodies) before the reduction to base parameters; the latest few are remembered."""
+        return _full_regressors(self, samples)
+
+    def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """(n, 10 n_bodies) matrix before the reduction to base parameters."""
+        return self.sign * self.rows(self.arm_vector(position), self.arm_vector(velocity),
+                                      self.arm_vector(acceleration))
+
+    def sensor_placement(self, position: Array) -> pin.SE3:
+        """Pose of the sensor frame in the base, at a joint position (n_joints,)."""
+        pin.framesForwardKinematics(self.arm, self._arm_data, self.arm_vector(position))
+        return self._arm_data.oMf[self.sensor_index].copy()
+
+    def rows(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """(n, 10 n_bodies) regressor of the action at vectors of the model, see :meth:`arm_vector`."""
+        return self._effort_rows(q, dq, ddq) if self.distal is None else self._sensor_rows(q, dq, ddq)
+
+    def _effort_rows(self, q: Array, dq: Array, ddq: Array) -> Array:
+        full = pin.computeJointTorqueRegressor(self.arm, self._arm_data, q, dq, ddq)
+        return np.asarray(full.reshape(self.arm.nv, -1)[self.arm_columns])  # one row comes as a vector
+
+    def _sensor_rows(self, q: Array, dq: Array, ddq: Array) -> Array:
+        data, frame, take = self._arm_data, self.sensor_index, self._distal_from
+        pin.forwardKinematics(self.arm, data, q, dq, ddq)
+        placement = pin.SE3ToXYZQUAT(pin.updateFramePlacement(self.arm, data, frame))
+        twist = pin.getFrameVelocity(self.arm, data, frame, pin.LOCAL).vector
+        change = pin.getFrameAcceleration(self.arm, data, frame, pin.LOCAL).vector
+        full = pin.computeJointTorqueRegressor(self.distal, self._distal_data, np.concatenate((placement, q[take])),
+                                               np.concatenate((twist, dq[take])), np.concatenate((change, ddq[take])))
+        return np.asarray(full[:6])
+
+    def with_gravity(self, gravity: Array) -> RigidBody:
+        """The same body and base parameters under another gravity (3,) [m/s^2], in the base's axes.
+
+        Where the first axis stands upright, a tilt shows masses that the base parameters do not hold: these follow the
+        robot description, in proportion to the base parameters.
+        """
+        other = copy.copy(self)
+        described = self.base_parameters
+        hidden = self.inertial_parameters - self.basis @ described
+        other._from_base = self.basis + np.outer(hidden, described) / max(float(described @ described), 1e-12)
+        other.arm, other._arm_data = with_gravity(self.arm, gravity)
+        if self.distal is not None:
+            other.distal, other._distal_data = with_gravity(self.distal, gravity)
+        return other
+
+    def arm_vector(self, values: Array) -> Array:
+        """Values (..., n_joints) of the named joints in the order of the model."""
+        return values.take(self._arm_order, -1)
+
+    def _identifiable_basis(self) -> Array:
+        rng = np.random.default_rng(0)
+        probes = (rng.uniform(-np.pi, np.pi, (PROBES, self.n_joints)), rng.normal(0, 2, (PROBES, self.n_joints)),
+                  rng.normal(0, 5, (PROBES, self.n_joints)))
+        stacked = np.vstack([self.full_regressor(*row) for row in zip(*probes, strict=True)])
+        scale = 1.0 / np.sqrt(len(stacked))
+        _, singular, directions = np.linalg.svd(stacked * scale, full_matrices=False)
+        rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+        return _canonical(directions[:rank].T)
+
+
+def _canonical(basis: Array) -> Array:
+    """The orthonormal basis (q, p) of the same span that does not depend on the machine or on the probes.
+
+    The span's projector is unique, and so is Gram-Schmidt on its columns in their order; the singular vectors are
+    not, and coefficients written to a file on one machine would mean other parameters on the next.
+    """
+    chosen = np.zeros((len(basis), 0))
+    for column in basis @ basis.T:
+        rest = column - chosen @ (chosen.T @ column)
+        rest -= chosen @ (chosen.T @ rest)  # once more, for orthogonality to the last digit
+        if np.linalg.norm(rest) > INDEPENDENT:
+            chosen = np.column_stack([chosen, rest / np.linalg.norm(rest)])
+    return np.ascontiguousarray(chosen if chosen.shape == basis.shape else basis)
+
+
+@lru_cache(maxsize=4)
+def _full_regressors(body: RigidBody, samples: Samples) -> Array:
+    if samples.position.shape[1] != body.n_joints:
+        raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is used with '
+                             f'{body.n_joints} joints: {", ".join(body.joints)}.')
+    motion = (body.arm_vector(values) for values in (samples.position, samples.velocity, samples.acceleration))
+    full = np.empty((len(samples), body.n_outputs, len(body.basis)))
+    for rows, (q, dq, ddq) in zip(full, zip(*motion, strict=True), strict=True):
+        rows[:] = body.rows(q, dq, ddq)
+    return body.sign * full

@@ -1,0 +1,222 @@
+"""URDF text: checked before a library reads it, its joints, and cutting the tree at a sensor."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Sequence
+
+from semiparam_ros.errors import SemiparamError
+
+MOST_LINKS, MOST_JOINTS = 1000, 200
+"""Of a robot, and those that move: a humanoid with its fingers has a hundred. More would take minutes and gigabytes."""
+
+TYPES = ('revolute', 'continuous', 'prismatic', 'fixed', 'floating', 'planar')
+NUMBERS = {'origin': {'xyz': 3, 'rpy': 3}, 'axis': {'xyz': 3}, 'mass': {'value': 1},
+           'inertia': dict.fromkeys(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'), 1)}
+
+MOVING = ('revolute', 'continuous', 'prismatic')
+IGNORED = ('visual', 'collision')
+MOST_CHARACTERS = 2_000_000
+"""Of a description: ten times the longest of a humanoid."""
+
+
+def check_tree(robot: ElementTree.Element) -> None:
+    """Raise SemiparamError unless links and joints form one tree with finite numbers."""
+    links, joints = _named(robot, 'link'), _named(robot, 'joint')
+    moving = sum(joint.get('type') != 'fixed' for joint in joints.values())
+    for count, most, what in ((len(links), MOST_LINKS, 'links'), (moving, MOST_JOINTS, 'moving joints')):
+        if count > most:
+            raise _fault(f'it has {count} {what}; expected at most {most}.')
+    parents: dict[str, str] = {}
+    for name, joint in joints.items():
+        if joint.get('type') not in TYPES:
+            raise _fault(f"joint '{name}' has type '{joint.get('type')}'; expected one of {', '.join(TYPES)}.")
+        child = _end(joint, 'child', links)
+        if child in parents:
+            raise _fault(f"link '{child}' is the child of two joints; expected a tree.")
+        parents[child] = _end(joint, 'parent', links)
+    _check_one_root(links, parents)
+    for element in (*links.values(), *joints.values()):
+        _check_numbers(element)
+        _check_axis(element)
+        _check_inertial(element)
+
+
+def _end(joint: ElementTree.Element, end: str, links: dict[str, ElementTree.Element]) -> str:
+    element = joint.find(end)
+    name = None if element is None else element.get('link')
+    if name is None or name not in links:
+        raise _fault(f"joint '{joint.get('name')}' has "
+                     + (f'no {end} link.' if name is None else f"the {end} link '{name}', which is not described."))
+    return name
+
+
+def _named(robot: ElementTree.Element, kind: str) -> dict[str, ElementTree.Element]:
+    table: dict[str, ElementTree.Element] = {}
+    for element in robot.findall(kind):
+        name = element.get('name')
+        if not name:
+            raise _fault(f'a {kind} has no name.')
+        if name in table:
+            raise _fault(f"two {kind}s are called '{name}'.")
+        table[name] = element
+    return table
+
+
+def _check_one_root(links: dict[str, ElementTree.Element], parents: dict[str, str]) -> None:
+    roots = [name for name in links if name not in parents]
+    if len(roots) != 1:
+        raise _fault(f'{len(roots)} links are nobody\'s child ({", ".join(roots[:4]) or "a loop"}); '
+                     'expected one root link.')
+    for name in links:
+        if not any(ancestor == roots[0] for ancestor in _ancestors(name, parents)):
+            raise _fault(f"link '{name}' is part of a loop; expected a tree.")
+
+
+def _ancestors(name: str, parents: dict[str, str]) -> Iterator[str]:
+    """The link and those it hangs on, at most once around a loop."""
+    for _ in range(len(parents) + 1):
+        yield name
+        if name not in parents:
+            return
+        name = parents[name]
+
+
+def _check_numbers(element: ElementTree.Element) -> None:
+    for part in element.iter():
+        for attribute, count in NUMBERS.get(part.tag, {}).items():
+            text = part.get(attribute)
+            if text is not None and not _is_finite(text, count):
+                raise _fault(f"{element.tag} '{element.get('name')}' has {part.tag} {attribute}=\"{text}\"; expected "
+                             f'{count} finite number{"s" if count > 1 else ""}.')
+
+
+def _check_axis(element: ElementTree.Element) -> None:
+    axis = element.find('axis')
+    if axis is None or element.get('type') not in ('revolute', 'continuous', 'prismatic'):
+        return
+    if not any(float(word) for word in str(axis.get('xyz', '')).split()):
+        raise _fault(f"joint '{element.get('name')}' moves about the axis \"{axis.get('xyz')}\"; expected a direction.")
+
+
+def _check_inertial(element: ElementTree.Element) -> None:
+    inertial = element.find('inertial')
+    if inertial is None:
+        return
+    values = {tag: {} if part is None else part.attrib
+              for tag, part in (('mass', inertial.find('mass')), ('inertia', inertial.find('inertia')))}
+    for tag, given in values.items():
+        missing = [name for name in NUMBERS[tag] if name not in given]
+        if missing:
+            raise _fault(f"link '{element.get('name')}' has an inertial without {tag} {', '.join(missing)}.")
+    if float(values['mass']['value']) < 0.0:
+        raise _fault(f"link '{element.get('name')}' has a negative mass ({values['mass']['value']} kg).")
+
+
+def _is_finite(text: str, count: int) -> bool:
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        return False
+    return len(values) == count and all(math.isfinite(value) for value in values)
+
+
+def _fault(sentence: str) -> SemiparamError:
+    return SemiparamError(f'robot description: {sentence}')
+
+
+def parse(urdf: str) -> ElementTree.Element:
+    """The robot element, without meshes and limits, and with unlimited joints written as revolute ones.
+
+    Raises SemiparamError when the text is not a URDF of one tree, or too long.
+    """
+    if len(urdf) > MOST_CHARACTERS:
+        raise SemiparamError(f'the robot description has {len(urdf)} characters; expected at most {MOST_CHARACTERS}.')
+    try:
+        robot = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise SemiparamError(f'the robot description is not valid XML ({error}); expected a URDF.') from error
+    if robot.tag != 'robot' or robot.find('link') is None:
+        raise SemiparamError(f'the robot description starts with <{robot.tag}> and holds '
+                             f'{len(robot.findall("link"))} links; expected a URDF <robot> with at least one.')
+    for link in robot.findall('link'):
+        for name in IGNORED:
+            for element in link.findall(name):
+                link.remove(element)
+    check_tree(robot)
+    for joint in robot.findall('joint'):
+        if joint.get('type') == 'continuous':
+            joint.set('type', 'revolute')  # pinocchio would store cos and sin; an angle is what joint states hold
+        if joint.get('type') in MOVING:
+            _widen_limit(joint)
+    return robot
+
+
+def _widen_limit(joint: ElementTree.Element) -> None:
+    """A limit that never binds: the reader demands one, the dynamics do not."""
+    for limit in joint.findall('limit'):
+        joint.remove(limit)
+    ElementTree.SubElement(joint, 'limit', lower='-1e9', upper='1e9', effort='1e9', velocity='1e9')
+
+
+def joint_types(robot: ElementTree.Element) -> dict[str, str]:
+    """Every joint's name and type."""
+    return {str(joint.get('name')): str(joint.get('type')) for joint in robot.findall('joint')}
+
+
+def check_joints(robot: ElementTree.Element, joints: Sequence[str]) -> None:
+    """Raise SemiparamError unless every name is a distinct moving joint of the robot."""
+    types = joint_types(robot)
+    moving = [name for name, kind in types.items() if kind in MOVING]
+    if not joints:
+        raise SemiparamError(f'no joints are named; expected some of: {", ".join(moving)}.')
+    for name in joints:
+        if name not in types:
+            raise SemiparamError(f"joint '{name}' is not in the robot description; its moving joints are: "
+                                 f'{", ".join(moving)}.')
+        if types[name] not in MOVING:
+            raise SemiparamError(f"joint '{name}' is {types[name]}; expected a revolute, continuous or prismatic one.")
+    if len(set(joints)) != len(joints):
+        raise SemiparamError(f'a joint is named twice in {", ".join(joints)}; expected distinct names.')
+
+
+def sensor_link(robot: ElementTree.Element, frame: str) -> str:
+    """The link whose frame is the sensor's: ``frame`` names that link, or the joint that carries it."""
+    links = [str(link.get('name')) for link in robot.findall('link')]
+    for joint in robot.findall('joint'):
+        if joint.get('name') == frame:
+            return _linked(joint, 'child')
+    if frame in links:
+        return frame
+    likely = [name for name in (*joint_types(robot), *links) if 'sensor' in name or 'ft' in name.split('_')]
+    hint = f'; names that look like a sensor: {", ".join(likely[:8])}' if likely else ''
+    raise SemiparamError(f"sensor frame '{frame}' is neither a link nor a joint of the robot description{hint}.")
+
+
+def distal_subtree(robot: ElementTree.Element, root: str) -> str:
+    """URDF text of link ``root`` and everything after it: the bodies that hang on the sensor."""
+    children = _joints_by_parent(robot)
+    subtree = ElementTree.Element('robot', name='distal')
+    links = {link.get('name'): link for link in robot.findall('link')}
+    pending = [root]
+    while pending:
+        name = pending.pop()
+        subtree.append(links[name])
+        for joint in children.get(name, ()):
+            subtree.append(joint)
+            pending.append(_linked(joint, 'child'))
+    return ElementTree.tostring(subtree, encoding='unicode')
+
+
+def _joints_by_parent(robot: ElementTree.Element) -> dict[str, list[ElementTree.Element]]:
+    table: dict[str, list[ElementTree.Element]] = {}
+    for joint in robot.findall('joint'):
+        table.setdefault(_linked(joint, 'parent'), []).append(joint)
+    return table
+
+
+def _linked(joint: ElementTree.Element, end: str) -> str:
+    element = joint.find(end)
+    assert element is not None  # check_tree saw to it
+    return str(element.get('link'))

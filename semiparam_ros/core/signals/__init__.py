@@ -1,0 +1,1 @@
+"""Velocities and accelerations of joints: estimated as samples come, or from a whole recording."""

@@ -1,0 +1,120 @@
+"""D random weights in one array [S | Theta]: a square root S of their covariance P = S S', and q estimates beside it.
+
+What is learnt changes both by multiples of the same vector S f (Potter 1963):
+
+    f = S' phi,  s = sigma^2 + f'f,   S -= S f f' / (s + sigma sqrt(s)),   Theta += S f e' / s
+
+and of both a prediction asks for products with phi. At D = 1000 the array is 9 MB, and the time of a sample is that of
+moving it through the processor. So the changes of a few samples wait, M + U V', and are added together; and S f is
+computed a block of columns at a time, while the block that gave its part of f is near.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.blas import dgemm, dgemv
+
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+RENORMALISE_ABOVE = 1e3
+BLOCK_ELEMENTS = 2**16
+"""Elements of a block of columns: 512 kB, which stay in a processor's second cache beside what else is at work."""
+MOST_WAITING = 8
+"""Changes that wait: with more of them their own products take longer than is won."""
+
+
+class Projection(NamedTuple):
+    """The array's products with features phi (D,)."""
+
+    f: Array  # (D,) S' phi
+    reach: Array  # (D,) S f = P phi
+    regressed: Array  # (q,) Theta' phi
+
+
+class SquareRootFilter:
+    """[inflation S | Theta] = M + U V', S starting from ``deviation`` times the identity and Theta from zero."""
+
+    def __init__(self, size: int, deviation: float, n_estimates: int = 0) -> None:
+        self.size = size
+        self._array = np.zeros((size, size + n_estimates), order='F')
+        self._array[:, :size] = deviation * np.eye(size)
+        self._inflation = 1.0  # apart from M, so that growing costs no pass over it
+        self._left = np.zeros((size, MOST_WAITING), order='F')
+        self._right = np.zeros((size + n_estimates, MOST_WAITING), order='F')
+        self._waiting = 0  # columns of U and V in use
+
+    def project(self, phi: Array) -> Projection:
+        """What a prediction at phi (D,) needs; nothing changes."""
+        size, inflation = self.size, self._inflation
+        left, right = self._left[:, :self._waiting], self._right[:, :self._waiting]
+        products = dgemv(1.0, right, dgemv(1.0, left, phi, trans=1)) if self._waiting else np.zeros(len(self._right))
+        f, reach = products[:size], np.zeros(size)
+        width = max(1, BLOCK_ELEMENTS // size)
+        for start in range(0, size, width):
+            columns, part = self._array[:, start:min(start + width, size)], f[start:start + width]
+            dgemv(1.0, columns, phi, beta=1.0, y=part, overwrite_y=1, trans=1)
+            dgemv(1.0, columns, part, beta=1.0, y=reach, overwrite_y=1)
+        if self._waiting:
+            dgemv(1.0, left, f @ right[:size], beta=1.0, y=reach, overwrite_y=1)
+        regressed = products[size:]
+        if len(regressed):
+            dgemv(1.0, self._array[:, size:], phi, beta=1.0, y=regressed, overwrite_y=1, trans=1)
+        return Projection(inflation * f, inflation**2 * reach, regressed)
+
+    def learn(self, projection: Projection, sigma: float, innovations: Array | None = None) -> None:
+        """Take in one observation with noise ``sigma``, whose estimates were wrong by ``innovations`` (q,), None: by 0.
+
+        ``projection`` is that of its features, with no change since.
+        """
+        f = projection.f
+        s = sigma**2 + float(f @ f)
+        column = self._right[:, self._waiting]
+        self._left[:, self._waiting] = projection.reach
+        np.multiply(f, -1.0 / (self._inflation * (s + sigma * np.sqrt(s))), out=column[:self.size])
+        column[self.size:] = 0.0 if innovations is None else innovations / s
+        self._waiting += 1
+        if self._waiting == MOST_WAITING:
+            self._settle()
+
+    def inflate(self, factor: float) -> None:
+        """S times ``factor``."""
+        self._inflation *= factor
+        if self._inflation > RENORMALISE_ABOVE:
+            self._settle()
+            self._array[:, :self.size] *= self._inflation
+            self._inflation = 1.0
+
+    def estimates(self) -> Array:
+        """Theta' (q, D)."""
+        size, waiting = self.size, self._waiting
+        return np.asarray(self._array[:, size:].T + self._right[size:, :waiting] @ self._left[:, :waiting].T)
+
+    def state(self) -> dict[str, Array]:
+        """M, U, V and the inflation; :meth:`restore` takes them back bit for bit."""
+        return {'array': self._array.copy(order='F'), 'left': self._left.copy(order='F'),
+                'right': self._right.copy(order='F'), 'waiting': np.array(self._waiting),
+                'inflation': np.array(self._inflation)}
+
+    def restore(self, state: dict[str, Array]) -> None:
+        """Return to a saved :meth:`state` of the same size.
+
+        Raises SemiparamError, with nothing changed, when the number of changes that wait is none.
+        """
+        if state['waiting'] not in range(MOST_WAITING):
+            raise SemiparamError(f"the saved 'waiting' is {state['waiting']}; expected a number from 0 to "
+                                 f'{MOST_WAITING - 1}.')
+        self._array, self._left, self._right = (np.array(state[name], dtype=float, order='F')
+                                                for name in ('array', 'left', 'right'))
+        self._waiting, self._inflation = int(state['waiting']), float(state['inflation'])
+
+    def _settle(self) -> None:
+        """M takes in the changes that wait."""
+        left, right = self._left[:, :self._waiting], self._right[:, :self._waiting]
+        width = max(1, BLOCK_ELEMENTS // self.size)
+        for start in range(0, len(self._right), width):
+            block = slice(start, start + width)
+            dgemm(1.0, left, right[block], beta=1.0, c=self._array[:, block], trans_b=1, overwrite_c=1)
+        self._waiting = 0

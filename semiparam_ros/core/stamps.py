@@ -1,0 +1,22 @@
+"""Time stamps: nanoseconds since the epoch, as integers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+NANOSECONDS = 1_000_000_000
+
+
+def stamp_ns(stamp: Any) -> int:
+    """A builtin_interfaces/Time in ns."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def stamp_fields(stamp: int) -> dict[str, int]:
+    """The fields of builtin_interfaces/Time for ``stamp`` [ns]."""
+    return {'sec': stamp // NANOSECONDS, 'nanosec': stamp % NANOSECONDS}
+
+
+def in_seconds(stamp: int) -> str:
+    """A stamp [ns] as seconds with nine decimals, exactly."""
+    return f'{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d}'

@@ -1,0 +1,1 @@
+"""The samples of a diagnosis: prepared, split, cleared of outliers, and what they can tell."""

@@ -1,0 +1,109 @@
+"""The samples that a diagnosis works on: the better of the recorded and the smoothed motion, at a working rate.
+
+Accelerations estimated causally from 20 Hz velocities miss several times the sensor's noise, and everything then looks
+like an effect; a recording is there as a whole, so it can be smoothed. Arms move slowly against a fast recording's
+rate: averaging neighbouring samples first loses nothing of the motion, takes white noise out of the outputs, and leaves
+the smoother fewer steps to reach over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.hyperparameters.window import residual_scale
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.signals.smoothing import smoothed
+from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.data.splits import fold_losses
+from semiparam_ros.diagnosis.regression import fit_model, refit_weights
+from semiparam_ros.effects import Effect
+from semiparam_ros.errors import SemiparamError
+
+WORKING_RATE_HZ = 40.0
+END_SAMPLES = 5
+"""Working samples at either end of a smoothed recording that are left out."""
+LEAST_WORKING = 50
+"""Fewer working samples cannot tell one cause from another."""
+REST_SHARE = 1e-3
+OPTIONS = ('smoothed', 'smoothed from positions', 'recorded')
+
+
+class Inputs(NamedTuple):
+    """How a recording was prepared: which motion, and how many samples each working sample averages."""
+
+    motion: str
+    factor: int
+
+    def prepare(self, samples: Samples) -> Samples:
+        """Another recording of the same robot, prepared alike."""
+        return moved(averaged(samples, self.factor), self.motion)
+
+    def mask(self, mask: Mask) -> Mask:
+        """A mask over samples (N,) as one over working samples: true where all that it averages are true.
+
+        The ends of a smoothed recording take no part: the smoother sees them from one side alone.
+        """
+        groups = len(mask) // self.factor
+        whole = np.asarray(mask[:groups * self.factor].reshape(groups, self.factor).all(axis=1))
+        if self.motion != 'recorded':
+            whole[:END_SAMPLES], whole[-END_SAMPLES:] = False, False
+        return whole
+
+
+def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask) -> Inputs:
+    """The motion with which the declared model predicts unseen blocks best, and the factor to the working rate.
+
+    Raises SemiparamError when too few samples are left to work with.
+    """
+    rate = 1e9 / float(np.median(np.diff(samples.stamps)))
+    factor = max(int(rate / WORKING_RATE_HZ), 1)
+    options = {name: Inputs(name, factor) for name in OPTIONS}
+    require_enough(*(inputs.mask(train_mask) for inputs in options.values()))
+    outputs = samples.outputs[train_mask]
+    scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
+    losses: dict[str, float] = {}
+    for name, inputs in options.items():
+        fit = fit_model(body, inputs.prepare(samples), effects, inputs.mask(train_mask), scale)
+        if not losses:
+            scale = refit_weights(fit).scale
+        losses[name] = float(fold_losses(fit, scale).sum())
+    return options[min(losses, key=lambda name: losses[name])]
+
+
+def require_enough(*masks: Mask) -> None:
+    """Raise SemiparamError when a mask over working samples leaves too few of them."""
+    fewest = min(int(mask.sum()) for mask in masks)
+    if fewest < LEAST_WORKING:
+        raise SemiparamError(f'{fewest} samples of the recording, averaged to at least {WORKING_RATE_HZ:g} Hz, are '
+                             'left beside its ends, gaps, shocks, standstill and what is held out; a diagnosis needs '
+                             f'at least {LEAST_WORKING}.')
+
+
+def moved(samples: Samples, motion: str) -> Samples:
+    """The samples with their motion as one of OPTIONS."""
+    return samples if motion == 'recorded' else smoothed(samples, motion == 'smoothed')
+
+
+def averaged(samples: Samples, factor: int) -> Samples:
+    """Means of ``factor`` neighbouring samples, stamped in the middle; a remainder at the end is left out."""
+    if factor == 1:
+        return samples
+    groups = len(samples) // factor
+
+    def mean(values: Array) -> Array:
+        return np.asarray(values[:groups * factor].reshape(groups, factor, -1).mean(axis=1))
+
+    stamps = samples.stamps[:groups * factor].reshape(groups, factor)
+    middle = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
+    return Samples(middle, mean(samples.position), mean(samples.velocity), mean(samples.acceleration),
+                   mean(samples.outputs), samples.origin)
+
+
+def resting(samples: Samples) -> Mask:
+    """(N,) true where no joint moves: static friction then holds any effort, so efforts there tell nothing."""
+    speed = np.abs(samples.velocity)
+    return np.asarray((speed < REST_SHARE * speed.max(axis=0)).all(axis=1))

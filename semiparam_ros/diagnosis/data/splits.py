@@ -1,0 +1,72 @@
+"""Which samples fit and which judge: contiguous blocks, for neighbouring samples tell the same story; and whether an
+effect helps on blocks that did not fit it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.diagnosis.regression import Fit
+
+BLOCKS = 15
+HELD_OUT_EVERY = 3
+FOLDS = 10
+
+LEAST_GAIN = 0.003  # the best trial of 48 recordings with nothing hidden gained at most 0.0013
+LEAST_RATIO = 3.0
+
+
+def interleaved_split(count: int) -> Mask:
+    """(N,) true for samples that fit: of fifteen blocks every third is held out, so both parts span the recording."""
+    block = np.minimum(np.arange(count) * BLOCKS // count, BLOCKS - 1)
+    return np.asarray(block % HELD_OUT_EVERY != 1)
+
+
+def leading_split(count: int, share: float) -> Mask:
+    """(N,) true for the first ``share`` of the samples; the rest is held out."""
+    return np.arange(count) < round(count * share)
+
+
+def folds(train_mask: Mask) -> Stamps:
+    """(N,) number of the fold of each sample in use, -1 elsewhere; folds are contiguous and equally long."""
+    labels = np.full(len(train_mask), -1, dtype=np.int64)
+    used = np.flatnonzero(train_mask)
+    labels[used] = np.minimum(np.arange(len(used)) * FOLDS // max(len(used), 1), FOLDS - 1)
+    return labels
+
+
+def ranges(mask: Mask) -> list[tuple[int, int]]:
+    """Half-open index ranges where a mask is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
+
+
+def fold_losses(fit: Fit, scale: Array) -> Array:
+    """(folds,) squared error of each block in use, predicted by a fit of the other blocks, over ``scale``^2."""
+    labels = folds(fit.train_mask)
+    ridge = 1e-9 * np.eye(fit.columns.shape[2])
+    grams, rights, powers = [], [], []
+    for fold in range(FOLDS):
+        rows = labels == fold
+        columns = (fit.columns[rows] / scale[:, None]).reshape(-1, fit.columns.shape[2])
+        left = (fit.residual[rows] / scale).ravel()
+        grams.append(columns.T @ columns)
+        rights.append(columns.T @ left)
+        powers.append(left @ left)
+    total, right = sum(grams), sum(rights)
+    size = 1.0 / np.sqrt(np.diag(total) + 1e-300)
+    losses = []
+    for gram, moment, power in zip(grams, rights, powers, strict=True):
+        rest = (total - gram) * np.outer(size, size) + ridge
+        change = np.linalg.lstsq(rest, (right - moment) * size, rcond=1e-10)[0] * size
+        losses.append(power - 2.0 * change @ moment + change @ gram @ change)
+    return np.array(losses)
+
+
+def carries_over(before: Fit, after: Fit) -> bool:
+    """True when the blocks that the added effects help far outweigh those that they harm."""
+    losses = fold_losses(before, after.scale)
+    gains = losses - fold_losses(after, after.scale)
+    helped, harmed = gains[gains > 0].sum(), -gains[gains < 0].sum()
+    return bool(helped - harmed > LEAST_GAIN * losses.sum() and helped > LEAST_RATIO * harmed)

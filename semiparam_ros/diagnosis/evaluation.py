@@ -1,0 +1,99 @@
+"""Before and after, on data that did not fit the model: normalised errors, horizon errors, and their confidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.data.splits import ranges
+from semiparam_ros.diagnosis.regression import Fit
+
+HORIZON = 25
+BOOTSTRAP_DRAWS = 400
+BOOTSTRAP_BLOCK = 50
+CONFIDENCE = (2.5, 97.5)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Errors of one model on held-out samples. ``residual`` and ``outputs``: (N, n) of those samples alone."""
+
+    outputs: Array
+    residual: Array
+    parts: tuple[tuple[int, int], ...]  # contiguous runs of the held-out samples
+    wrench: bool
+
+    @property
+    def rmse(self) -> Array:
+        """(n,) root mean square error, in the outputs' units."""
+        return np.asarray(np.sqrt(np.mean(self.residual**2, axis=0)))
+
+    @property
+    def nmse(self) -> Array:
+        """(n,) mean square error over the variance of the channel."""
+        return np.asarray(np.mean(self.residual**2, axis=0) / np.maximum(self.outputs.var(axis=0), 1e-300))
+
+    @property
+    def eps(self) -> Array:
+        """(n,) relative squared error over a horizon of 25 samples, mean over all horizons inside the parts."""
+        shares = [_horizon_shares(self.residual[start:end], self.outputs[start:end]) for start, end in self.parts]
+        stacked = np.concatenate([share for share in shares if len(share)] or [np.zeros((1, self.outputs.shape[1]))])
+        return np.asarray(stacked.mean(axis=0))
+
+    def interval(self) -> tuple[float, float]:
+        """95 % confidence interval of the mean normalised error, from a bootstrap of contiguous blocks."""
+        share = (self.residual**2 / np.maximum(self.outputs.var(axis=0), 1e-300)).mean(axis=1)
+        count = max(len(share) // BOOTSTRAP_BLOCK, 1)
+        means = np.array([block.mean() for block in np.array_split(share, count)])
+        draws = np.random.default_rng(0).integers(count, size=(BOOTSTRAP_DRAWS, count))
+        low, high = np.percentile(means[draws].mean(axis=1), CONFIDENCE)
+        return float(low), float(high)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry ``before`` or ``after`` of the machine-readable report."""
+        eps = self.eps
+        force, torque = (float(eps[:3].mean()), float(eps[3:].mean())) if self.wrench else (None, float(eps.mean()))
+        return {'nmse': self.nmse.tolist(), 'rmse': self.rmse.tolist(), 'nmse_mean': float(self.nmse.mean()),
+                'nmse_mean_interval': list(self.interval()), 'eps_force': force, 'eps_torque': torque}
+
+
+def _horizon_shares(residual: Array, outputs: Array) -> Array:
+    sums = [np.lib.stride_tricks.sliding_window_view(values**2, HORIZON, axis=0).sum(axis=-1)
+            if len(values) >= HORIZON else np.zeros((0, values.shape[1])) for values in (residual, outputs)]
+    return np.asarray(sums[0] / np.maximum(sums[1], 1e-300))
+
+
+def evaluation_of(body: RigidBody, outputs: Array, residual: Array, valid: Mask) -> Evaluation:
+    """The errors (N, n) of the samples that count."""
+    parts, start = [], 0
+    for low, high in ranges(valid):
+        parts.append((start, start + high - low))
+        start += high - low
+    return Evaluation(outputs[valid], residual[valid], tuple(parts), body.outputs == 'wrench')
+
+
+def evaluate_here(fit: Fit, held_out: Mask) -> Evaluation:
+    """The model on held-out samples of its own recording."""
+    return evaluation_of(fit.body, fit.samples.outputs, fit.residual, held_out)
+
+
+def evaluate_there(fit: Fit, samples: Samples, valid: Mask) -> Evaluation:
+    """The model on another recording: what began during the first one counts as there from the start.
+
+    What belongs to the first recording's own clock (a drift, a phase) is left out.
+    """
+    effects = [effect.without_start() for effect in fit.effects]
+    assembly = CoupledColumns(fit.body, effects)
+    theta = fit.theta.copy()
+    for index, effect in enumerate(effects):
+        if effect.of_one_recording:
+            theta[assembly.blocks[str(index)]] = 0.0
+    columns, _ = assembly.batch(samples)
+    there = replace(fit, samples=samples, residual=samples.outputs - columns @ theta)
+    return evaluate_here(there, valid)

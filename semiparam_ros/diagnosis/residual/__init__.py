@@ -1,0 +1,1 @@
+"""What no effect explains: whether it is noise, what it depends on, and a formula for it."""

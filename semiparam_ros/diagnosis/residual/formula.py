@@ -1,0 +1,156 @@
+"""A sparse formula for one output channel, from named terms that the effect kind ``terms`` understands."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.residual.flexible import FOLDS, fold_labels
+from semiparam_ros.effects.terms import Terms, term_unit, term_values
+
+MOST_TERMS = 6
+LEAST_SHARE = 0.05
+"""Of the residual, that a formula must explain on unseen blocks to be worth a reader's time."""
+LONG_BLOCKS = 15
+"""A formula is judged on longer blocks than the question whether anything is left: it is meant to carry over."""
+ENOUGH = 0.9
+"""The shortest formula that explains this share of what the best one explains of unseen blocks."""
+QUANTILES = (0.02, 0.15, 0.3, 0.5, 0.7, 0.85, 0.98)
+WIDTHS = (0.25, 0.6)
+
+
+class Summand(NamedTuple):
+    """A term with its coefficient."""
+
+    term: str
+    coefficient: float
+    unit: str
+
+
+class Formula(NamedTuple):
+    """What was found for one channel; ``share`` of the residual that it explains on unseen blocks."""
+
+    channel: str
+    summands: tuple[Summand, ...]
+    share: float
+
+    @property
+    def text(self) -> str:
+        """The formula as a reader writes it."""
+        parts = [f'{each.coefficient:+.3g} {each.unit} {each.term}'.replace('  ', ' ') for each in self.summands]
+        return f'{self.channel} = {" ".join(parts)}'.replace('= +', '= ')
+
+    @property
+    def effect(self) -> Terms:
+        """The same as an effect that can be declared."""
+        return Terms(self.channel, {each.term: each.coefficient for each in self.summands})
+
+
+def library(variables: Sequence[str], body: RigidBody, samples: Samples) -> list[str]:
+    """Names of the terms made of some variables, the plainest first."""
+    motion = [name for name in variables if name != 'time']
+    plain = [term for name in motion for term in _of_one(name)]
+    if 'time' in variables:
+        plain = ['time', 'time^2', *plain, *(f'time*{term}' for term in plain), *(f'time^2*{name}' for name in motion)]
+    bumps = [term for name in motion if name.startswith('q_') for term in _bumps(name, body, samples)]
+    return [*plain, *_products(motion), *bumps]
+
+
+def _of_one(name: str) -> list[str]:
+    if name.startswith('q_'):
+        return [name, f'{name}^2', f'{name}^3', f'sin({name})', f'cos({name})']
+    if name.startswith('dq_'):
+        return [name, f'sign({name})', f'abs({name})', f'{name}*abs({name})', f'{name}^2', f'{name}^3']
+    return [name, f'abs({name})', f'{name}^2']
+
+
+def _products(names: Sequence[str]) -> Iterator[str]:
+    for one, other in combinations(names, 2):
+        yield f'{one}*{other}'
+        for still, moving in ((one, other), (other, one)):
+            if still.startswith('q_') and moving.startswith('dq_'):
+                yield f'{still}*sign({moving})'
+                yield f'{still}*abs({moving})'
+            if still.startswith('q_'):
+                yield f'sin({still})*{moving}'
+                yield f'cos({still})*{moving}'
+
+
+def _bumps(name: str, body: RigidBody, samples: Samples) -> Iterator[str]:
+    values = term_values(name, body, samples)
+    spread = float(values.std())
+    if spread <= 1e-6:
+        return
+    for centre in np.quantile(values, QUANTILES):
+        for width in WIDTHS:
+            yield f'bump({name},{centre:.4f},{max(width * spread, 1e-4):.4f})'
+
+
+def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, values: Array,
+                 channel: int) -> Formula | None:
+    """The shortest formula for values (M,) in output ``channel``; None without variables or a term that helps on
+    unseen blocks.
+
+    Orthogonal matching pursuit puts the terms in order; blocks that took no part say how many of them to keep.
+    """
+    names = library(variables, body, samples)
+    if not names:
+        return None
+    columns = np.column_stack([term_values(name, body, samples) for name in names])
+    usable = columns.std(axis=0) > 1e-9
+    names, columns = [name for name, keep in zip(names, usable, strict=True) if keep], columns[:, usable]
+    if not names:
+        return None
+    shares = _held_out_shares(columns, values)
+    if shares.max() < LEAST_SHARE:
+        return None
+    count = 1 + int(np.argmax(shares >= ENOUGH * shares.max()))
+    kept = _pursuit(columns, values)[:count]
+    coefficients = _least_squares(columns[:, kept], values)[:-1]
+    summands = tuple(Summand(names[index], float(value), term_unit(names[index], body, channel))
+                     for index, value in zip(kept, coefficients, strict=True))
+    return Formula(body.output_names[channel], summands, float(shares[count - 1]))
+
+
+def _pursuit(columns: Array, values: Array) -> list[int]:
+    """Numbers of the columns in the order in which they come in."""
+    from sklearn.linear_model import orthogonal_mp  # a second of loading, for the few who need it
+
+    moved = columns - columns.mean(axis=0)
+    moved /= np.linalg.norm(moved, axis=0) + 1e-12
+    steps = min(MOST_TERMS, moved.shape[1])
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', RuntimeWarning)  # terms that depend on one another end the pursuit early
+        path = orthogonal_mp(moved, values - values.mean(), n_nonzero_coefs=steps, return_path=True)
+    present = np.atleast_2d(path.reshape(moved.shape[1], -1) != 0.0)
+    entered = np.where(present.any(axis=1), present.argmax(axis=1), steps + 1)
+    return [int(index) for index in np.argsort(entered, kind='stable') if entered[index] <= steps]
+
+
+def _held_out_shares(columns: Array, values: Array) -> Array:
+    """(MOST_TERMS,) share of the variance of values that formulas of 1, 2, ... terms predict of unseen blocks.
+
+    Each fold chooses its own terms: a choice that has seen the blocks which judge it flatters itself.
+    """
+    labels = fold_labels(len(values), LONG_BLOCKS)
+    squares = np.zeros(MOST_TERMS)
+    for fold in range(FOLDS):
+        held = labels == fold
+        order = _pursuit(columns[~held], values[~held])
+        for count in range(1, MOST_TERMS + 1):
+            kept = order[:count]
+            found = _least_squares(columns[~held][:, kept], values[~held])
+            squares[count - 1] += np.sum((values[held] - columns[held][:, kept] @ found[:-1] - found[-1]) ** 2)
+    return np.asarray(1.0 - squares / (np.sum((values - values.mean()) ** 2) + 1e-300))
+
+
+def _least_squares(columns: Array, values: Array) -> Array:
+    """Coefficients, and a constant after them."""
+    return np.asarray(np.linalg.lstsq(np.column_stack([columns, np.ones(len(columns))]), values, rcond=1e-10)[0])

@@ -1,0 +1,113 @@
+"""How much of a residual is noise: its floor, the number of independent samples it is worth, noise of its colour, and
+what noise in the inputs leaves in it.
+
+Noise with the colour of a residual: what flexible regression finds in it is chance. A sensor's noise may be correlated
+over a second. A function of the motion fitted on some blocks then predicts a little of their neighbours, though nothing
+is missing. How much, autoregressive noise with the residual's own autocorrelation tells: it knows nothing of the
+motion.
+
+Noise in the inputs leaves structure in a residual that is no effect of the robot. Least squares on noisy regressors is
+pulled towards zero where the motion hardly excites them, and what it then leaves is a function of the motion. That
+function lies near the span of the regressors at inputs with other noise: the same motion, smoothed a little more and a
+little less. On simulated circles with nothing missing the share that flexible regression finds falls from up to 5 % to
+at most 0.4 %; a bump or a resonance at half size keeps 23 % or more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter, savgol_filter
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.data.outliers import typical_step
+
+LONGEST_SHARE = 0.1
+
+ORDER = 20
+SETTLING = 500
+WHITENING = 1e-9
+"""Share of the power that keeps the equations of a residual that is nearly periodic solvable."""
+
+WINDOWS = (9, 15)
+"""Samples of a moving polynomial of degree DEGREE: at 20 Hz about half a second and three quarters."""
+DEGREE = 4
+RANK = 1e-7
+
+
+def noise_floor(residual: Array) -> Array:
+    """(n,) standard deviation of what changes from sample to sample without any pattern.
+
+    Third differences cancel whatever varies slowly and keep white noise with a gain of sqrt(20) (von Neumann 1941).
+    """
+    differences = np.diff(residual, 3, axis=0)
+    return np.asarray(np.sqrt(np.mean(differences**2, axis=0) / 20.0))
+
+
+def correlation_times(residual: Array) -> Array:
+    """(n,) integrated autocorrelation time of each channel in samples, at least 1.
+
+    Sums pairs of neighbouring autocorrelations while they stay positive (Geyer 1992).
+    """
+    return np.array([_channel_time(column) for column in residual.T])
+
+
+def _channel_time(values: Array) -> float:
+    count = len(values)
+    centred = values - values.mean()
+    spectrum = np.abs(np.fft.rfft(centred, 2 * count)) ** 2
+    covariance = np.fft.irfft(spectrum)[:max(int(LONGEST_SHARE * count), 2)]
+    if covariance[0] <= 0.0:
+        return 1.0
+    correlation = covariance / covariance[0]
+    pairs = correlation[:len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0.0)
+    return float(max(1.0, 2.0 * pairs[:negative[0] if len(negative) else None].sum() - 1.0))
+
+
+def coloured_noise(residual: Array, count: int, seed: int = 0) -> Array:
+    """(count, M, n) noise; each channel has the autocorrelation and the power of that of the residual (M, n)."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.standard_normal((count, SETTLING + len(residual), residual.shape[1]))
+    for channel, values in enumerate(residual.T):
+        weights, deviation = _autoregression(values)
+        drawn[:, :, channel] = lfilter([deviation], np.append(1.0, -weights), drawn[:, :, channel], axis=1)
+    return drawn[:, SETTLING:]
+
+
+def _autoregression(values: Array) -> tuple[Array, float]:
+    """(ORDER,) weights of the past values, and the standard deviation of what they do not predict (Yule-Walker)."""
+    spectrum = np.abs(np.fft.rfft(values - values.mean(), 2 * len(values))) ** 2
+    covariance = np.fft.irfft(spectrum)[:ORDER + 1] / len(values)
+    if covariance[0] <= 0.0:
+        return np.zeros(ORDER), 0.0
+    covariance[0] *= 1.0 + WHITENING
+    weights = solve_toeplitz(covariance[:-1], covariance[1:])
+    return weights, float(np.sqrt(covariance[0] - weights @ covariance[1:]))
+
+
+def without_input_errors(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask, scale: Array) -> Array:
+    """(N, n) residual less all that regressors at differently smoothed inputs explain of it.
+
+    :param train_mask: (N,) samples that fit. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
+    """
+    if train_mask.sum() < 4 * max(WINDOWS):
+        return residual
+    others = [body.regressors(resmoothed(samples, window)) for window in WINDOWS]
+    columns = np.concatenate([body.regressors(samples), *others], axis=2)
+    rows = (columns[train_mask] / scale[:, None]).reshape(-1, columns.shape[2])
+    size = np.linalg.norm(rows, axis=0) + 1e-12
+    change = np.linalg.lstsq(rows / size, (residual[train_mask] / scale).ravel(), rcond=RANK)[0] / size
+    return np.asarray(residual - columns @ change)
+
+
+def resmoothed(samples: Samples, window: int) -> Samples:
+    """Positions and velocities by a moving polynomial, accelerations as the derivative of the velocities."""
+    step = typical_step(samples.time)
+    return replace(samples, position=savgol_filter(samples.position, window, DEGREE, axis=0),
+                   velocity=savgol_filter(samples.velocity, window, DEGREE, axis=0),
+                   acceleration=savgol_filter(samples.velocity, window, DEGREE, deriv=1, delta=step, axis=0))

@@ -1,0 +1,147 @@
+"""Is anything left that no kind explains, what does it depend on, and what formula describes it?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.diagnosis.residual.dependence import Dependence, dependences
+from semiparam_ros.diagnosis.residual.flexible import Motion, block_sums, explained
+from semiparam_ros.diagnosis.residual.formula import Formula, find_formula
+from semiparam_ros.diagnosis.residual.noise import coloured_noise, without_input_errors
+from semiparam_ros.effects.terms import Terms
+
+MOST_SAMPLES = 4000
+LEAST_SAMPLES = 300
+SHARE, DEVIATIONS = 0.015, 2.0
+"""Of all channels together: least share of the residual, and least mean gain of a block in its standard errors."""
+LARGE_SHARE, FEW_DEVIATIONS = 0.06, 0.9
+"""The same where few blocks hold most of the residual, as when something is touched now and then."""
+CHANNEL_SHARE, CHANNEL_DEVIATIONS = 0.05, 3.0
+"""The same of one channel alone."""
+DRAWS, BEYOND_CHANCE, BEYOND_CHANCE_IN = 16, 3.0, 5.0
+"""Draws of noise with the residual's autocorrelation, and by how many of their standard deviations the share of all
+channels, and that of one, must exceed their mean. Noise correlated over 0.2 to 4 s exceeds it by up to 2.0 and 3.5."""
+FORMULA_VARIABLES = 4
+DECLARED_SHARE = 0.25
+"""Of a channel's residual, that a formula must explain on unseen blocks before it is offered as an effect."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a smooth function of the motion and of time would still explain of a residual, on unseen blocks.
+
+    ``share`` and ``channel_shares`` (n,): of the squared residual; about 0 where there is nothing. ``variables``:
+    what it depends on, the most telling first. ``families``: share by family of functions.
+    """
+
+    share: float
+    channel_shares: Array
+    significant: bool
+    channels: tuple[str, ...]
+    variables: tuple[Dependence, ...]
+    formulas: tuple[Formula, ...]
+    families: dict[str, float]
+
+    @property
+    def effects(self) -> tuple[Terms, ...]:
+        """The formulas that are worth it, as effects that can be declared."""
+        return tuple(formula.effect for formula in self.formulas if formula.share > DECLARED_SHARE)
+
+    @property
+    def sentence(self) -> str:
+        """What a user reads."""
+        if not self.significant:
+            return 'Nothing is left that depends on the motion or on time.'
+        names = ', '.join(f'{each.name} ({100 * each.share:.0f} %)' for each in self.variables) or 'no single variable'
+        best = max(self.formulas, key=lambda formula: formula.share, default=None)
+        said = f' A formula explains {100 * best.share:.0f} % of it in one channel: {best.text}.' if best else ''
+        return (f'{100 * self.share:.0f} % of what is left is more than noise, and no kind of effect explains it. It '
+                f'shows in {", ".join(self.channels)} and depends on {names}.{said}')
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry ``unexplained`` of the machine-readable report."""
+        return {'significant': self.significant, 'share': self.share, 'channel_shares': self.channel_shares.tolist(),
+                'channels': list(self.channels), 'variables': [each._asdict() for each in self.variables],
+                'formulas': [{'channel': formula.channel, 'text': formula.text, 'share': formula.share,
+                              'terms': [each._asdict() for each in formula.summands]} for formula in self.formulas],
+                'families': self.families, 'sentence': self.sentence}
+
+
+def remaining_structure(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask,
+                        scale: Array) -> Structure:
+    """Look for structure in the residual (N, n) of a fitted model.
+
+    :param train_mask: (N,) samples to look at. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
+    """
+    rows = _thinned(train_mask)
+    if len(rows) < LEAST_SAMPLES:
+        return Structure(0.0, np.zeros(body.n_outputs), False, (), (), (), {})
+    motion = Motion(body.joints, samples[rows])
+    guarded = without_input_errors(body, samples, residual, train_mask, scale)[rows] / scale
+    found, families = explained(motion, guarded)
+    gains, power = block_sums(guarded**2 - (guarded - found) ** 2), np.sum(guarded**2, axis=0) + 1e-300
+    share, shares = float(gains.sum() / power.sum()), gains.sum(axis=0) / power
+    affected = (shares > CHANNEL_SHARE) & (_standard_errors(gains) > CHANNEL_DEVIATIONS)
+    deviations = float(_standard_errors(gains.sum(axis=1, keepdims=True))[0])
+    together = (share > SHARE and deviations > DEVIATIONS) or (share > LARGE_SHARE and deviations > FEW_DEVIATIONS)
+    if together or affected.any():
+        beyond, beyond_in = _beyond_chance(motion, guarded)
+        together, affected = together and beyond, affected & beyond_in
+    if not together and not affected.any():
+        return Structure(share, shares, False, (), (), (), families)
+    if not affected.any():
+        affected = shares >= shares.max()
+    return _described(body, samples[rows], motion, residual[rows], scale, affected,
+                      Structure(share, shares, True, (), (), (), families))
+
+
+def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Array, scale: Array, affected: Array,
+               structure: Structure) -> Structure:
+    """The structure with its channels, its variables and its formulas."""
+    numbers = np.flatnonzero(affected)
+    variables = dependences(motion, (residual / scale)[:, numbers], float(structure.channel_shares[numbers].mean()))
+    names = [each.name for each in variables][:FORMULA_VARIABLES]
+    formulas = [find_formula(names, body, samples, residual[:, channel], int(channel)) for channel in numbers]
+    return Structure(structure.share, structure.channel_shares, True, tuple(body.output_names[k] for k in numbers),
+                     variables, tuple(formula for formula in formulas if formula is not None), structure.families)
+
+
+def _beyond_chance(motion: Motion, residual: Array) -> tuple[bool, Mask]:
+    """Whether more is explained than of noise of the residual's colour: in all channels together, and (n,) in each.
+
+    Asked twice, for time takes what is slow: once with it, and once of the motion alone.
+    """
+    noise = coloured_noise(residual, DRAWS)
+    everything = np.concatenate([residual[None], noise])
+    side_by_side = np.moveaxis(everything, 0, 1).reshape(len(residual), -1)
+    power = (everything**2).sum(axis=1) + 1e-300
+    beyond, beyond_in = False, np.zeros(residual.shape[1], dtype=bool)
+    for with_time in (True, False):
+        found, _ = explained(motion, side_by_side, with_time)
+        gains = (side_by_side**2 - (side_by_side - found) ** 2).sum(axis=0).reshape(power.shape)
+        beyond = beyond or bool(_stands_out(gains.sum(axis=1) / power.sum(axis=1), BEYOND_CHANCE))
+        beyond_in = beyond_in | _stands_out(gains / power, BEYOND_CHANCE_IN)
+    return beyond, beyond_in
+
+
+def _stands_out(shares: Array, deviations: float) -> Mask:
+    """Whether the first row of shares (1 + DRAWS, ...), the residual's, is beyond the others, those of noise."""
+    return np.asarray(shares[0] > shares[1:].mean(axis=0) + deviations * shares[1:].std(axis=0, ddof=1))
+
+
+def _thinned(train_mask: Mask) -> Stamps:
+    """Numbers of the samples to look at, evenly spread."""
+    rows = np.flatnonzero(train_mask)
+    return rows[::max(-(-len(rows) // MOST_SAMPLES), 1)]
+
+
+def _standard_errors(gains: Array) -> Array:
+    """(n,) mean gain of the blocks (BLOCKS, n) over its standard error."""
+    error = gains.std(axis=0, ddof=1) / np.sqrt(len(gains))
+    return np.divide(gains.mean(axis=0), error, out=np.zeros(gains.shape[1]), where=error > 0.0)

@@ -1,0 +1,1 @@
+"""The stepwise search for effects: candidates, their scores, ambiguity, refits and elimination."""

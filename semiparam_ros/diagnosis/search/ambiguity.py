@@ -1,0 +1,63 @@
+"""Effects that explain the same about as well: which of them is taken, and which are reported as its rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.residual.noise import correlation_times
+from semiparam_ros.diagnosis.search.scoring import Trial, overlap
+
+RIVAL_NATS = 6.0
+RIVAL_SHARE = 0.02
+MOST_RIVAL_SHARE = 0.2
+RIVAL_OVERLAP = 0.7
+
+
+class Rival(NamedTuple):
+    """An effect that explains the same about as well; ``odds`` are against the one chosen."""
+
+    kind: str
+    where: str | None
+    odds: float
+
+
+def simplest(fit: Fit, ranking: list[Trial], order: Sequence[str]) -> Trial:
+    """Of the trials that explain what the best does about as well, the one that spends the fewest parameters.
+
+    Of several that spend as few and differ by no more than chance, the kind that comes first in ``order``.
+    """
+    alike = [ranking[0], *as_good(fit, ranking[0], ranking)]
+    fewest = min(trial.n_parameters for trial in alike)
+    cheap = [trial for trial in alike if trial.n_parameters == fewest]
+    most = max(trial.evidence for trial in cheap)
+    return min((trial for trial in cheap if trial.evidence > most - RIVAL_NATS),
+               key=lambda trial: (order.index(trial.effect.kind), -trial.evidence))
+
+
+def tolerance(fit: Fit, chosen: Trial, same_form: bool = False) -> float:
+    """Difference of evidence [nat] below which two trials are not told apart.
+
+    What stays correlated after the chosen effect shows that no trial is the whole truth, and widens it; where nothing
+    does, trials of the ``same_form`` (one is a special case of the other) may differ by chance alone.
+    """
+    correlation = float(correlation_times(chosen.residual[fit.train_mask]).mean()) - (1.0 if same_form else 0.0)
+    return max(RIVAL_NATS, min(RIVAL_SHARE * correlation, MOST_RIVAL_SHARE) * chosen.evidence)
+
+
+def as_good(fit: Fit, chosen: Trial, ranking: Sequence[Trial]) -> list[Trial]:
+    """The other trials that explain the same thing about as well as the chosen one."""
+    within = tolerance(fit, chosen)
+    return [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < within
+            and overlap(fit, chosen, trial) > RIVAL_OVERLAP]
+
+
+def rivals_of(fit: Fit, chosen: Trial, ranking: Sequence[Trial]) -> tuple[Rival, ...]:
+    """Those as good as the chosen one; odds from the evidence, tempered so that the tolerance is RIVAL_NATS."""
+    temper = RIVAL_NATS / tolerance(fit, chosen)
+    return tuple(Rival(trial.effect.kind, trial.effect.where,
+                       float(np.exp(np.clip(temper * (trial.evidence - chosen.evidence), -RIVAL_NATS, RIVAL_NATS))))
+                 for trial in as_good(fit, chosen, ranking))

@@ -1,0 +1,113 @@
+"""Candidate effects: the columns each would add to the declared model, and where its search begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.effects import Effect
+
+DERIVATIVE_STEP = 1e-5
+START_GRID = 60
+START_MARGIN = 0.1
+START_RIDGE = 1e-6
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at one place, with the coarse values of its nonlinear parameters to try."""
+
+    kind: type[Effect]
+    where: str | None
+    searches: tuple[dict[str, float], ...]
+
+
+def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
+    """Every kind at every place of the robot, without those that are declared already and cannot come twice."""
+    body, samples = fit.body, fit.samples
+    declared = {(effect.kind, effect.where) for effect in fit.effects if not effect.must_start}
+    for name, kind in kinds.items():
+        for where in kind.places(body):
+            if (name, where) not in declared:
+                searches = kind.searches(body, samples, where, fit.residual)
+                yield Candidate(kind, where, tuple(dict(shape) for shape in searches))
+
+
+def added_columns(fit: Fit, effect: Effect) -> Array:
+    """(N, n, c) columns that the effect adds to the declared model: its own, or the derivatives of the prediction."""
+    if effect.is_calibration:
+        return _derivatives(fit, effect)
+    body, inputs, _ = CoupledColumns(fit.body, fit.effects).corrected(fit.samples)
+    return effect.columns(body, inputs, None)[0]
+
+
+def _derivatives(fit: Fit, effect: Effect) -> Array:
+    names = [coefficient.name for coefficient in effect.calibrations]
+    still = type(effect).correct is Effect.correct
+    load = rigid_prediction(fit, [*fit.effects]) if still else None
+    return np.stack([_derivative(fit, effect, name, load) for name in names], axis=2)
+
+
+def _derivative(fit: Fit, effect: Effect, name: str, load: Array | None) -> Array:
+    """(N, n) central difference of the prediction by one calibration, at its present value."""
+    sides = []
+    for step in (DERIVATIVE_STEP, -DERIVATIVE_STEP):
+        moved = effect.with_shape(**{name: effect.value(name) + step})
+        sides.append(moved.transform(fit.body, load) if load is not None
+                     else rigid_prediction(fit, [*others(fit, effect), moved]))
+    return np.asarray((sides[0] - sides[1])[:, :, 0] / (2.0 * DERIVATIVE_STEP))
+
+
+def others(fit: Fit, effect: Effect) -> list[Effect]:
+    """The declared effects without the one of the same kind and place."""
+    return [known for known in fit.effects if (known.kind, known.where) != (effect.kind, effect.where)]
+
+
+def rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
+    """(N, n, 1) outputs of the rigid body alone as the effects correct and shape it."""
+    body, inputs, _ = CoupledColumns(fit.body, effects).corrected(fit.samples)
+    load = (body.regressors(inputs) @ fit.rigid_part)[:, :, None]
+    for effect in effects:
+        load = effect.transform(body, load)
+    return load
+
+
+def best_start(fit: Fit, columns: Array) -> tuple[int, float, float]:
+    """Sample number where columns (N, n, c) should begin, and what they explain from there and from the beginning.
+
+    Sums over time make every start cheap; explained squares are in scaled units. Between two samples that fit nothing
+    tells one start from another: halfway errs least.
+    """
+    used = columns[fit.train_mask] / fit.scale[:, None]
+    declared = fit.columns[fit.train_mask] / fit.scale[:, None]
+    left = (fit.residual[fit.train_mask] / fit.scale)
+    gram = _suffix(np.einsum('tni,tnj->tij', used, used))
+    cross = _suffix(np.einsum('tni,tnj->tij', declared, used))
+    right = _suffix(np.einsum('tni,tn->ti', used, left))
+    count = len(used)
+
+    def gain(start: int) -> float:
+        size = 1.0 / np.sqrt(np.diag(gram[start]) + 1e-300)
+        inner = gram[start] - cross[start].T @ cho_solve(fit.factor, cross[start])
+        scaled = inner * np.outer(size, size) + START_RIDGE * np.eye(len(size))
+        return float(right[start] * size @ np.linalg.solve(scaled, right[start] * size))
+
+    margin = max(int(START_MARGIN * count), 1)
+    coarse = np.unique(np.linspace(margin, count - margin, START_GRID).astype(int))
+    rough = max(coarse, key=gain)
+    step = int(coarse[1] - coarse[0]) if len(coarse) > 1 else 1
+    for finer in (max(step // 8, 1), 1):
+        near = range(max(rough - step, 1), min(rough + step + 1, count), finer)
+        rough, step = max(near, key=gain), 2 * finer
+    fitting = np.flatnonzero(fit.train_mask)
+    return int(fitting[rough - 1] + fitting[rough] + 1) // 2, gain(rough), gain(0)
+
+
+def _suffix(values: Array) -> Array:
+    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])

@@ -1,0 +1,61 @@
+"""Efforts that come late, beside friction: two causes of which each hides the other.
+
+Dry friction turns over when its joint does; in efforts that come late it seems to turn a little way after, as if every
+joint had bristles that bend first. So a delay is tried together with frictions whose shapes are searched anew.
+"""
+
+from __future__ import annotations
+
+from semiparam_ros.diagnosis.data.splits import carries_over
+from semiparam_ros.diagnosis.regression import Fit, fit_model
+from semiparam_ros.diagnosis.residual.noise import correlation_times
+from semiparam_ros.diagnosis.search.candidates import Candidate, others
+from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, nonlinear, refined, score
+from semiparam_ros.effects import Effect
+
+KIND = 'time_delay'
+ROUNDS = 2
+Place = tuple[str, str | None]
+
+
+def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]], declared: set[Place]) -> tuple[Trial, Fit] | None:
+    """A delay and the model with it; None where friction's shape is not at stake, or the delay carries nothing over.
+
+    :param declared: kinds and places that were in the model before the search and stay as they are.
+    """
+    known = any(effect.kind == KIND for effect in fit.effects)
+    if KIND not in kinds or known or not _at_stake(fit, declared):
+        return None
+    after = declare(fit, [kinds[KIND](None, {'delay_s': 0.0})])
+    for _ in range(ROUNDS):
+        after = reshaped(after, declared)
+    delay = next(effect for effect in after.effects if effect.kind == KIND)
+    trial = score(fit, Trial(delay, after.residual, 1), correlation_times(after.residual[after.train_mask]))
+    return (trial, after) if delay.is_noticeable(fit.samples) and carries_over(fit, after) else None
+
+
+def reshaped(fit: Fit, declared: set[Place]) -> Fit:
+    """The model with the shape of each friction that was found searched anew beside all the others."""
+    for effect in _at_stake(fit, declared):
+        without = fit_model(fit.body, fit.samples, others(fit, effect), fit.train_mask, fit.scale)
+        searches = effect.searches(fit.body, fit.samples, effect.where, without.residual)
+        trial = coarse_trial(without, Candidate(type(effect), effect.where, tuple(dict(shape) for shape in searches)))
+        if trial is None:
+            continue
+        other = declare(without, [refined(without, trial).effect])
+        if _left(other, fit) < _left(fit, fit):
+            fit = other
+    return fit
+
+
+def _at_stake(fit: Fit, declared: set[Place]) -> list[Effect]:
+    """Of efforts, effects at single joints whose shape the search has chosen."""
+    if fit.body.outputs != 'effort':
+        return []
+    return [effect for effect in fit.effects if effect.where in fit.body.joints and not effect.is_calibration
+            and nonlinear(effect) and (effect.kind, effect.where) not in declared]
+
+
+def _left(fit: Fit, scale_of: Fit) -> float:
+    return float((fit.squares / scale_of.scale**2).sum())

@@ -1,0 +1,195 @@
+"""How well each candidate explains the residual: coarse search, refinement, and a score that fears flexibility.
+
+The score is a Schwarz (BIC) approximation of the log evidence with each channel's noise profiled out, and with as many
+independent samples as the residual's autocorrelation leaves: a likelihood that takes samples for independent prefers
+the effect with the most columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from semiparam_ros.core.hyperparameters.window import residual_scale
+from semiparam_ros.core.robot.frames import links_beside, nearest_link
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.regression import Fit, reweighted
+from semiparam_ros.diagnosis.residual.noise import correlation_times
+from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
+from semiparam_ros.diagnosis.search.refit import gauss_newton, replace_effect
+from semiparam_ros.effects import Effect
+from semiparam_ros.effects.application_point import POINT
+from semiparam_ros.effects.base import FLAGS, STARTS
+
+REFINE_EVALUATIONS = 14
+START_WORTH = 1.1
+POINT_STEPS, POINT_DIFFERENCE, LONGEST_LEVER = 4, 1e-3, 0.3
+"""Of a point of application: most steps, the difference that stands for a derivative, and the longest step [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """An effect tried on a declared model. ``residual``: (N, n) left; ``n_parameters``: parameters it spends."""
+
+    effect: Effect
+    residual: Array
+    n_parameters: int
+    physical: bool = True  # the cause can have these coefficients
+    evidence: float = 0.0  # [nat] over the declared model
+
+
+def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
+    """The candidate at the best of its coarse shapes and starts; None when none is physical."""
+    best: tuple[float, Trial] | None = None
+    for shape in candidate.searches:
+        trial = _linear_trial(fit, candidate.kind(candidate.where, shape, tuple(fit.rigid_part.tolist())))
+        explained = _explained_share(fit, trial)
+        if trial.physical and (best is None or explained > best[0]):
+            best = (explained, trial)
+    return None if best is None else best[1]
+
+
+def _linear_trial(fit: Fit, effect: Effect) -> Trial:
+    """The effect with its coefficients fitted, starting when it explains most if it can start."""
+    columns = added_columns(fit, effect)
+    if not effect.is_calibration:
+        start, late, always = best_start(fit, columns) if effect.must_start or effect.may_start else (0, 0.0, 1.0)
+        if effect.must_start or (effect.may_start and late > START_WORTH * always):
+            effect = effect.with_shape(start_s=float(fit.samples.time[start]))
+            columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
+    explained = fit.explain(columns)
+    if effect.is_calibration:
+        names = [coefficient.name for coefficient in effect.calibrations]
+        effect = effect.with_shape(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
+    physical = effect.is_calibration or effect.physical(explained.coefficients)
+    return Trial(effect, explained.residual, explained.rank + nonlinear(effect), physical)
+
+
+def nonlinear(effect: Effect) -> int:
+    """Number of values that an effect's search chose."""
+    calibrated = {coefficient.name for coefficient in effect.calibrations}
+    return len(set(effect.shape) - calibrated - set(FLAGS))
+
+
+def _explained_share(fit: Fit, trial: Trial) -> float:
+    left = trial.residual[fit.train_mask] / fit.scale
+    return -float(np.sum(left**2))
+
+
+def score(fit: Fit, trial: Trial, correlation: Array) -> Trial:
+    """The trial with its evidence over the declared model; channel k is correlated over correlation[k] samples."""
+    counts = fit.train_mask.sum() / correlation
+    after = (trial.residual[fit.train_mask] ** 2).sum(axis=0)
+    gain = 0.5 * float(counts @ np.log(fit.squares / after))
+    return replace(trial, evidence=gain - 0.5 * trial.n_parameters * float(np.log(counts.sum())))
+
+
+def refined(fit: Fit, trial: Trial) -> Trial:
+    """The trial with its nonlinear parameters at their best and the weights those of its own residual."""
+    near = _weighed(fit, trial)
+    if trial.effect.is_calibration:
+        return _calibrated(near, trial)
+    effect = trial.effect
+    for name in effect.shape:
+        if name not in (*FLAGS, *STARTS):
+            effect = _line_search(near, effect, name)
+    best = _at_best_link(near, _linear_trial(near, effect.without_start()))
+    return _at_best_point(fit, best) if best.physical else trial
+
+
+def _weighed(fit: Fit, trial: Trial) -> Fit:
+    """The declared model with the weights of what the trial leaves."""
+    return reweighted(fit, residual_scale(trial.residual[fit.train_mask], fit.samples.outputs[fit.train_mask]))
+
+
+def _at_best_link(fit: Fit, trial: Trial) -> Trial:
+    """The trial at whichever link of the same body explains most, where the kind moves the outputs there."""
+    where = trial.effect.where
+    if where is None or where in fit.body.joints or not trial.effect.refine_link:
+        return trial
+    moved = [_linear_trial(fit, replace(trial.effect, where=link)) for link in links_beside(fit.body, where)[1:]]
+    return max([trial, *moved], key=lambda tried: _explained_share(fit, tried))
+
+
+def _at_best_point(fit: Fit, trial: Trial) -> Trial:
+    """The trial at the point of its body that explains most, by Gauss-Newton, if that is worth the parameters."""
+    if not POINT.keys() <= trial.effect.shape_units.keys() or trial.effect.where in fit.body.joints:
+        return trial
+    best = trial
+    for _ in range(POINT_STEPS):
+        near = _weighed(fit, best)
+        moved = _linear_trial(near, _towards_best_point(near, best.effect))
+        if not moved.physical or _explained_share(near, moved) <= _explained_share(near, best):
+            break
+        best = moved
+    correlation = correlation_of(fit, [best])
+    return max([trial, best], key=lambda tried: score(fit, tried, correlation).evidence)
+
+
+def _towards_best_point(fit: Fit, effect: Effect) -> Effect:
+    """One step of the point of application, which is then given in the frame of the link nearest to it."""
+    here = added_columns(fit, effect)
+    coefficients = fit.explain(here).coefficients
+    place = {axis: effect.value(axis) for axis in POINT}
+    moved = [effect.with_shape(**{axis: value + POINT_DIFFERENCE}) for axis, value in place.items()]
+    slopes = [(added_columns(fit, there) - here) @ (coefficients / POINT_DIFFERENCE) for there in moved]
+    step = fit.explain(np.concatenate([here, np.stack(slopes, axis=2)], axis=2)).coefficients[-len(POINT):]
+    step *= min(1.0, LONGEST_LEVER / (float(np.linalg.norm(step)) + 1e-300))
+    link, inside = nearest_link(fit.body, str(effect.where), np.array(list(place.values())) + step)
+    return replace(effect, where=link).with_shape(**dict(zip(POINT, inside.tolist(), strict=True)))
+
+
+def retried(fit: Fit, trial: Trial) -> Trial:
+    """The trial's effect, its shape kept, tried and scored on another declared model."""
+    again = _linear_trial(fit, trial.effect)
+    return score(fit, again, correlation_of(fit, [again]))
+
+
+def _line_search(fit: Fit, effect: Effect, name: str) -> Effect:
+    """One nonlinear parameter at its best near its present value."""
+    low, high = _bracket(fit, effect, name)
+
+    def cost(value: float) -> float:
+        moved = effect.with_shape(**{name: value})
+        return -_explained_share(fit, Trial(moved, fit.explain(added_columns(fit, moved)).residual, 0))
+
+    best = minimize_scalar(cost, bounds=(low, high), method='bounded', options={'maxiter': REFINE_EVALUATIONS})
+    return effect.with_shape(**{name: float(best.x)}) if best.fun < cost(effect.value(name)) else effect
+
+
+def _bracket(fit: Fit, effect: Effect, name: str) -> tuple[float, float]:
+    value = effect.value(name)
+    if name == 'frequency_hz':
+        width = 0.5 / float(fit.samples.time[-1] - fit.samples.time[0])
+        return value - width, value + width
+    if name == 'order':
+        return value - 0.15, value + 0.15
+    if value == 0.0:  # nothing to take a share of: as far as the next value that the search tried
+        tried = (abs(shape.get(name, 0.0)) for shape in
+                 effect.searches(fit.body, fit.samples, effect.where, fit.residual))
+        reach = min(filter(None, tried), default=0.0)
+        return -reach, reach
+    return min(value / 2.5, value * 2.5), max(value / 2.5, value * 2.5)
+
+
+def _calibrated(fit: Fit, trial: Trial) -> Trial:
+    settled = gauss_newton(replace_effect(fit, trial.effect), [trial.effect])
+    effect = next(known for known in settled.effects if (known.kind, known.where) ==
+                  (trial.effect.kind, trial.effect.where))
+    return replace(trial, effect=effect, residual=settled.residual)
+
+
+def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:
+    """(n,) correlation time [samples] of each channel in what the trial that explains it best leaves of it."""
+    left = np.array([(trial.residual[fit.train_mask] ** 2).sum(axis=0) for trial in trials])
+    best = [trials[index].residual[fit.train_mask][:, channel] for channel, index in enumerate(left.argmin(axis=0))]
+    return correlation_times(np.column_stack(best))
+
+
+def overlap(fit: Fit, one: Trial, other: Trial) -> float:
+    """Cosine between what two trials explain: 1 when they explain the same, 0 when different things."""
+    first, second = (((fit.residual - trial.residual)[fit.train_mask] / fit.scale).ravel() for trial in (one, other))
+    return float(first @ second / (np.linalg.norm(first) * np.linalg.norm(second) + 1e-300))

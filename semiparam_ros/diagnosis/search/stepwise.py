@@ -1,0 +1,193 @@
+"""Find what the model lacks: rank the candidates, add the best, refit, repeat until nothing significant is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from semiparam_ros.core.hyperparameters.window import residual_scale
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Mask
+from semiparam_ros.diagnosis.data.splits import carries_over
+from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
+from semiparam_ros.diagnosis.residual.noise import correlation_times
+from semiparam_ros.diagnosis.search.ambiguity import Rival, rivals_of, simplest, tolerance
+from semiparam_ros.diagnosis.search.candidates import candidates, others
+from semiparam_ros.diagnosis.search.delay_with_friction import KIND as DELAY
+from semiparam_ros.diagnosis.search.delay_with_friction import delay_with_friction, reshaped
+from semiparam_ros.diagnosis.search.elimination import without_needless
+from semiparam_ros.diagnosis.search.joint_offsets import joint_offsets
+from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, refined, retried, score
+from semiparam_ros.effects import Effect
+
+REFINED = 8
+REFINED_AT_JOINT = 3
+LEAST_EVIDENCE = 12.0
+KEPT_SHARE = 0.5
+MOST_ROUNDS = 12
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One round: the effects added, the rivals of each, the trials by evidence, and effects that it made needless."""
+
+    added: tuple[Trial, ...]
+    rivals: tuple[tuple[Rival, ...], ...]
+    ranking: tuple[Trial, ...]
+    before: Fit
+    after: Fit
+    dropped: tuple[Effect, ...] = ()
+
+
+def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask) -> Fit:
+    """The declared model, each channel weighed by its own residual."""
+    outputs = samples.outputs[train_mask]
+    fit = fit_model(body, samples, effects, train_mask, residual_scale(outputs - outputs.mean(axis=0), outputs))
+    return refit_weights(refit_weights(fit))
+
+
+def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda words, share: None,
+           hopeless: Callable[[Fit], bool] = lambda fit: False) -> list[Step]:
+    """Add effects to the declared model until none is significant, then drop those that others made needless.
+
+    :param hopeless: of a model with one more effect, whether to stop there.
+    """
+    declared = {(effect.kind, effect.where) for effect in fit.effects}
+    steps: list[Step] = []
+    while len(steps) < MOST_ROUNDS:
+        report = _in_round(progress, len(steps) + 1)
+        step = next_step(fit, kinds, report)
+        if step is None:
+            report('delay beside friction', 1.0)
+            step = _delay_step(fit, kinds, declared)
+        elif any(trial.effect.kind == DELAY for trial in step.added):
+            step = replace(step, after=reshaped(step.after, declared))
+        if step is None:
+            break
+        steps.append(step)
+        fit = step.after
+        if hopeless(fit):
+            break
+    if steps:
+        after, dropped = without_needless(fit, declared, LEAST_EVIDENCE)
+        steps[-1] = replace(steps[-1], after=after, dropped=dropped)
+    return steps
+
+
+def _delay_step(fit: Fit, kinds: dict[str, type[Effect]], declared: set[tuple[str, str | None]]) -> Step | None:
+    found = delay_with_friction(fit, kinds, declared)
+    if found is None or found[0].evidence < LEAST_EVIDENCE:
+        return None
+    trial, after = found
+    return Step((trial,), ((),), (trial,), fit, after)
+
+
+def _in_round(progress: Progress, number: int) -> Progress:
+    def report(words: str, share: float) -> None:
+        progress(f'round {number}: {words}', share)
+    return report
+
+
+def ranked(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> list[Trial]:
+    """Every candidate's best trial by evidence, the foremost refined."""
+    trials = []
+    pool = list(candidates(fit, kinds))
+    for number, candidate in enumerate(pool):
+        progress(candidate.kind.kind, number / len(pool))
+        trial = coarse_trial(fit, candidate)
+        if trial is not None and trial.n_parameters:
+            trials.append(trial)
+    if not trials:
+        return []
+    trials = _by_evidence(fit, trials)
+    chosen = worth_refining(fit, trials)
+    rest = [trial for trial in trials if trial not in chosen]
+    best = [refined(fit, trial) for trial in chosen] + rest
+    noticeable = [trial for trial in best if trial.effect.is_noticeable(fit.samples)]
+    return _by_evidence(fit, noticeable) if noticeable else []
+
+
+def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """Those worth refining: the best, calibrations (which are linear only while small), and of efforts each joint's."""
+    chosen = trials[:REFINED]
+    chosen += [trial for trial in trials[REFINED:] if trial.effect.is_calibration and trial.evidence > LEAST_EVIDENCE]
+    for joint in fit.body.joints if fit.body.outputs == 'effort' else ():
+        at_joint = [trial for trial in trials if trial.effect.where == joint]
+        chosen += [trial for trial in at_joint[:REFINED_AT_JOINT] if trial not in chosen and trial.evidence > 0.0]
+    return chosen
+
+
+def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """The best of each kind at each place; refinement may have led several to one place."""
+    correlation = correlation_of(fit, trials)
+    scored = sorted((score(fit, trial, correlation) for trial in trials), key=lambda trial: trial.evidence)
+    best = {(trial.effect.kind, trial.effect.where): trial for trial in scored}
+    return sorted(best.values(), key=lambda trial: -trial.evidence)
+
+
+def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> Step | None:
+    """The most credible effect (of efforts: the most credible of each joint), or None when nothing is left."""
+    ranking = ranked(fit, kinds, progress)
+    if not ranking or ranking[0].evidence < LEAST_EVIDENCE:
+        return None
+    zeros = joint_offsets(fit, kinds, ranking, LEAST_EVIDENCE)
+    if zeros is not None and len(zeros[0]) > 1 and carries_over(fit, zeros[1]) \
+            and zeros[0][0].evidence > ranking[0].evidence + tolerance(fit, zeros[0][0]):
+        return Step(tuple(zeros[0]), ((),) * len(zeros[0]), tuple(ranking), fit, zeros[1])
+    chosen = [simplest(fit, ranking, list(kinds))]
+    first_tried = list(chosen)
+    after = declare(fit, [chosen[0].effect])
+    if not carries_over(fit, after):
+        return None
+    for trial in _other_joints(fit, chosen[0], ranking):
+        again = retried(after, trial)
+        if again.physical and again.evidence > max(LEAST_EVIDENCE, KEPT_SHARE * trial.evidence):
+            further = declare(after, [again.effect])
+            if carries_over(after, further):
+                chosen, after = [*chosen, again], further
+                first_tried.append(trial)
+    rivals = [rivals_of(fit, trial, ranking) for trial in first_tried]
+    for trial, those in list(zip(chosen, rivals, strict=True)):
+        parts, simpler = in_parts(after, trial)
+        if parts:
+            at = chosen.index(trial)
+            names = {(part.effect.kind, part.effect.where) for part in parts}
+            those = tuple(rival for rival in those if (rival.kind, rival.where) not in names)
+            chosen[at:at + 1], rivals[at:at + 1], after = parts, [those] * len(parts), simpler
+    return Step(tuple(chosen), tuple(rivals), tuple(ranking), fit, after)
+
+
+def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
+    """Plainer effects in place of one that the model holds, where they explain about as much; else none."""
+    effect = trial.effect
+    plainer = list(effect.plainer())
+    if not plainer or any((part.kind, part.where) in {(e.kind, e.where) for e in fit.effects} for part in plainer):
+        return [], fit
+    without = fit_model(fit.body, fit.samples, others(fit, effect), fit.train_mask, fit.scale)
+    simpler = declare(without, plainer)
+    saved = trial.n_parameters - len(plainer) - 1
+    whole, parts = (score(without, Trial(effect, known.residual, n_parameters),
+                          correlation_times(fit.residual[fit.train_mask]))
+                    for known, n_parameters in ((fit, trial.n_parameters), (simpler, trial.n_parameters - saved)))
+    if whole.evidence - parts.evidence > tolerance(without, whole, same_form=True):
+        return [], fit
+    return [replace(trial, effect=part, residual=simpler.residual) for part in plainer], simpler
+
+
+def _other_joints(fit: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]:
+    """The best trial of every joint but the first one's, where all act on the efforts of single joints.
+
+    Each has a channel of its own, so one round can take them all; but what one joint lacks also bends the rigid
+    body's fit of the others, so each must show again what it is worth once the first is declared.
+    """
+    joints = fit.body.joints
+    if fit.body.outputs != 'effort' or first.effect.where not in joints:
+        return []
+    best: dict[str | None, Trial] = {}
+    for trial in ranking:
+        best.setdefault(trial.effect.where, trial)
+    return [trial for where, trial in best.items() if where in joints and where != first.effect.where
+            and not trial.effect.is_calibration]

@@ -1,0 +1,87 @@
+"""The diagnosis in sentences."""
+
+from __future__ import annotations
+
+from semiparam_ros.diagnosis.diagnose import Diagnosis, patched
+from semiparam_ros.diagnosis.findings import Finding, Quantity
+from semiparam_ros.effects import kinds
+
+MOST_PARAMETERS = 4
+
+
+def text_report(diagnosis: Diagnosis) -> list[str]:
+    """A few sentences: is anything missing, what, where, since when, how large, how sure, and what it brings."""
+    lines = [problem.sentence for problem in diagnosis.setup]
+    lines += [_opening(diagnosis)] if not lines else []
+    for finding in diagnosis.findings:
+        lines.append(_finding(finding))
+        lines += _rivals(finding)
+    lines += _dropped(diagnosis)
+    if diagnosis.findings:
+        lines.append(_gain(diagnosis))
+    if diagnosis.structure is not None and diagnosis.structure.significant:
+        lines.append(diagnosis.structure.sentence)
+    return lines + diagnosis.notes
+
+
+def _opening(diagnosis: Diagnosis) -> str:
+    if diagnosis.verdict == 'nothing_missing':
+        return 'Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
+    if diagnosis.verdict == 'unexplained' and not diagnosis.findings:
+        return 'Something is missing that none of the known effects explains.'
+    if patched(diagnosis.steps, diagnosis.structure):
+        return ('Something is missing that the effects below only resemble: one after the other was added, and still '
+                'much of what is left is more than noise. A cause of another kind may be behind them all.')
+    if diagnosis.verdict == 'unexplained':
+        return 'Something is missing, and the effects below explain only the smaller part of it.'
+    count = len(diagnosis.findings)
+    return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'
+
+
+def place(kind: str, where: str | None) -> str:
+    """An effect with its place: ``joint_offset at r_elbow``."""
+    return f'{kind} at {where}' if where else kind
+
+
+def _finding(finding: Finding) -> str:
+    effect = finding.effect
+    since = f', since {effect.start_s:.1f} s' if effect.start_s is not None else ''
+    values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding))
+    return (f'{place(effect.kind, effect.where)}: {effect.sentence}{since} ({values}; log evidence '
+            f'+{finding.log_evidence_gain:.0f}).')
+
+
+def _largest(finding: Finding) -> list[tuple[str, Quantity]]:
+    """The parameters that stand out most from their uncertainty, in their own order."""
+    def weight(item: tuple[str, Quantity]) -> float:
+        std = item[1].std
+        return float('inf') if not std else abs(item[1].value) / std
+    chosen = sorted(finding.parameters.items(), key=weight, reverse=True)[:MOST_PARAMETERS]
+    return [item for item in finding.parameters.items() if item in chosen]
+
+
+def quantity_text(quantity: Quantity) -> str:
+    """A value with its standard deviation and unit."""
+    std = '' if quantity.std is None else f' +- {quantity.std:.2g}'
+    return f'{quantity.value:.4g}{std} {quantity.unit}'.rstrip()
+
+
+def _rivals(finding: Finding) -> list[str]:
+    if not finding.rivals:
+        return []
+    names = ', '.join(f'{place(rival.kind, rival.where)} (odds {rival.odds:.2g})' for rival in finding.rivals)
+    return [f'  On this motion it cannot be told for certain from {names}. What would separate them: '
+            f'{kinds()[finding.effect.kind].separated_by}.']
+
+
+def _dropped(diagnosis: Diagnosis) -> list[str]:
+    names = [place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped]
+    return [f'Tried first and dropped, because the effects above explain it better: {", ".join(names)}.'] \
+        if names else []
+
+
+def _gain(diagnosis: Diagnosis) -> str:
+    before, after = diagnosis.before, diagnosis.after
+    low, high = after.interval()
+    return (f'On held-out data the normalised error falls from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
+            f'(95 % interval {low:.4f} to {high:.4f}).')

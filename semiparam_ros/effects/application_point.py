@@ -1,0 +1,31 @@
+"""Effects that act on a link at a point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from semiparam_ros.core.robot.frames import FrameMotion, felt_links, frame_motion
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.effects.base import Effect
+
+POINT: Mapping[str, str] = {'x': 'm', 'y': 'm', 'z': 'm'}
+
+
+class AtPoint(Effect):
+    """Something whose point of application matters: the origin of the link's frame, or x, y and z [m] in it."""
+
+    shape_units: ClassVar[Mapping[str, str]] = POINT
+
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return felt_links(body)
+
+    def motion(self, body: RigidBody, samples: Samples) -> FrameMotion:
+        """How the point moves, and what a force there does."""
+        point = np.array([self.value(axis) for axis in POINT])
+        motion = frame_motion(body, samples, str(self.where))
+        return motion.at(point) if point.any() else motion

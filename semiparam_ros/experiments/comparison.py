@@ -1,0 +1,491 @@
+"""The paper's experiment on any pair of recordings: scenario, runs, figures (Romeres et al. 2016, section V)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+
+from semiparam_ros.bags.loading import LoadedBag
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.initial_window import Estimation, fitted_settings
+from semiparam_ros.experiments.parallel import run_all
+from semiparam_ros.settings import Settings
+from semiparam_ros.settings.build import build_estimator
+
+SEEDLESS = 'P'  # it has no random features: one run says all
+
+TRANSIENT_S = 30.0
+EARLY_S = 60.0
+LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
+BAND = 0.95
+
+PARAMETRIC = 'P'
+PAIRS = (('NP-ML', 'NP-VS'), ('SP2-ML', 'SP2-VS'))
+BEST = ('SP-ML', 'SPK-ML')
+TIE = 1.05
+"""Figures within 5 % of each other count as equal: feature draws differ by as much."""
+CLOSE = 1.5
+"""Models are close in steady state when the worst index is at most this many times the best."""
+NAMES = {'eps_force': 'force', 'eps_torque': 'torque', 'eps_effort': 'effort'}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One comparison.
+
+    :param train: the initial window, then what is learnt online. :param test: what is predicted, in ``subsets``.
+    :param subsets: (first, last + 1) rows of ``test``; each starts from the model that ``train`` left.
+    """
+
+    settings: Settings
+    train: Samples
+    test: Samples
+    robot_description: str | None
+    subsets: tuple[tuple[int, int], ...]
+    variants: tuple[str, ...]
+    seeds: tuple[int, ...]
+    estimation: Estimation = field(default_factory=Estimation)
+
+    def draws(self) -> list[tuple[str, int]]:
+        """(variant, feature seed) of every model that is learnt."""
+        return [(variant, seed) for variant in self.variants
+                for seed in (self.seeds[:1] if variant == SEEDLESS else self.seeds)]
+
+
+def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subsets: int = 5,
+                  subset_samples: int | None = None, train_samples: int | None = None,
+                  test_from: int = 0, variants: Sequence[str] = tuple(VARIANTS),
+                  seeds: Sequence[int] = (0, 1, 2), estimation: Estimation | None = None) -> Scenario:
+    """Check that the two recordings fit each other and are long enough.
+
+    :param subset_samples: length of each part of ``test``; by default all of it is divided.
+    :param train_samples: how much of ``train`` to use; by default all. :param test_from: first row of ``test`` to use.
+    """
+    _require_same_robot(train, test)
+    if train_samples is not None and train_samples < 1:
+        raise SemiparamError(f'{train_samples} samples of the first recording were asked for; expected at least 1.')
+    learnt = train.samples[:train_samples]
+    if len(learnt) <= settings.initial_samples:
+        raise SemiparamError(f'the first recording has {len(learnt)} samples to learn from; expected more than the '
+                             f'{settings.initial_samples} of the initial window (parameter initial.samples).')
+    if not seeds:
+        raise SemiparamError('the comparison has no feature seed; expected at least one.')
+    split = _split(len(test.samples), test_from, subsets, subset_samples, settings.horizon_length)
+    if not np.ptp(test.samples.outputs[test_from:split[-1][1]], axis=0).any():
+        raise SemiparamError('every output of the second recording is constant; expected outputs that vary, for errors '
+                             'are measured against their variance.')
+    return Scenario(settings, learnt, test.samples, train.robot_description or test.robot_description, split,
+                    tuple(variants), tuple(seeds), estimation or Estimation())
+
+
+def _require_same_robot(train: LoadedBag, test: LoadedBag) -> None:
+    if train.joints != test.joints:
+        raise SemiparamError(f'the recordings are of different robots: one has the joints {", ".join(train.joints)}, '
+                             f'the other {", ".join(test.joints)}.')
+    if train.frame_id != test.frame_id:
+        raise SemiparamError(f"the wrenches of the recordings are in different frames: '{train.frame_id}' and "
+                             f"'{test.frame_id}'.")
+    described = {bag.robot_description for bag in (train, test) if bag.robot_description}
+    if len(described) > 1:
+        raise SemiparamError('the recordings carry different robot descriptions; expected two of the same robot.')
+
+
+def _split(total: int, begin: int, subsets: int, samples: int | None, horizon: int) -> tuple[tuple[int, int], ...]:
+    if subsets < 1:
+        raise SemiparamError(f'{subsets} subsets were asked for; expected at least 1.')
+    if not 0 <= begin < total:
+        raise SemiparamError(f'the subsets would start at sample {begin} of the {total} of the second recording.')
+    available = total - begin
+    length = available // subsets if samples is None else samples
+    if length <= horizon:
+        raise SemiparamError(f'each of {subsets} subsets of the second recording ({available} samples) has {length} '
+                             f'samples; expected more than the horizon of {horizon}.')
+    if length * subsets > available:
+        raise SemiparamError(f'{subsets} subsets of {length} samples are more than the {available} of the second '
+                             'recording.')
+    return tuple((start, start + length) for start in range(begin, begin + length * subsets, length))
+
+
+class Trace(NamedTuple):
+    """N predicted samples and the horizon errors of K origins, in N and N m; times [s] since the first sample."""
+
+    errors: Array  # (N, n) predicted minus measured
+    outputs: Array  # (N, n)
+    std: Array  # (N, n) predictive
+    log_density: Array  # (N,) [nat]
+    horizon_time: Array  # (K,)
+    eps: Array  # (K, n)
+
+
+class TrainedModel(NamedTuple):
+    """All that it takes to go on from where the first recording left a model."""
+
+    variant: str
+    seed: int
+    settings: Settings
+    state: dict[str, Array]
+
+
+class Learnt(NamedTuple):
+    """A model, its hyperparameters, and how learning the first recording went."""
+
+    model: TrainedModel
+    hyperparameters: Hyperparameters
+    fit_seconds: float
+    trace: Trace
+
+
+class Followed(NamedTuple):
+    """What a learnt model did on one subset of the second recording."""
+
+    variant: str
+    seed: int
+    subset: int
+    adaptive: Trace  # predict, then learn
+    frozen: Trace  # predict only
+
+
+def learn(scenario: Scenario, variant: str, seed: int) -> Learnt:
+    """Hyperparameters from the initial window, then the rest of the first recording, sample by sample."""
+    initial = scenario.settings.initial_samples
+    chosen = replace(scenario.settings, variant=variant, features_seed=seed)
+    start = time.perf_counter()
+    settings, hyperparameters = fitted_settings(chosen, scenario.train[:initial], scenario.robot_description,
+                                                scenario.estimation)
+    seconds = time.perf_counter() - start
+    estimator = build_estimator(settings, scenario.robot_description, scenario.train.origin)
+    run_through(estimator, scenario.train[:initial], learning=True)
+    estimator.clear_pending()
+    trace = run_through(estimator, scenario.train[initial:], learning=True)
+    model = TrainedModel(variant, seed, settings, estimator.model.recursion.state())
+    return Learnt(model, hyperparameters, seconds, trace)
+
+
+def follow(scenario: Scenario, model: TrainedModel, subset: int) -> Followed:
+    """One subset from the trained model, with and without learning it."""
+    first, last = scenario.subsets[subset]
+    samples = scenario.test[first:last]
+    traces = []
+    for learning in (True, False):
+        estimator = build_estimator(model.settings, scenario.robot_description, samples.origin)
+        estimator.model.recursion.restore(model.state)
+        traces.append(run_through(estimator, samples, learning))
+    return Followed(model.variant, model.seed, subset, *traces)
+
+
+def run_through(estimator: Estimator, samples: Samples, learning: bool) -> Trace:
+    """Predict, then perhaps learn, every sample."""
+    mean, std = np.empty_like(samples.outputs), np.empty_like(samples.outputs)
+    density = np.empty(len(samples))
+    horizons = []
+    for row, sample in enumerate(samples):
+        prediction = estimator.step(sample, learning)
+        mean[row], std[row], density[row] = prediction.mean, prediction.std, prediction.log_density
+        if prediction.horizon is not None:
+            horizons.append(prediction.horizon)
+    origins = np.array([horizon.origin for horizon in horizons], dtype=np.int64)
+    eps = np.array([horizon.eps for horizon in horizons]).reshape(-1, samples.outputs.shape[1])
+    return Trace(mean - samples.outputs, samples.outputs, std, density, 1e-9 * (origins - samples.stamps[0]), eps)
+
+
+class Spread(NamedTuple):
+    """A figure over feature seeds; ``std`` is None for a single seed."""
+
+    mean: float
+    std: float | None
+    values: tuple[float, ...]
+
+
+class ModeFigures(NamedTuple):
+    """Errors and bands of one way of predicting (predict, then learn; or frozen), over all subsets."""
+
+    nmse: Spread  # mean over channels of squared error over variance
+    nmse_by_channel: tuple[float | None, ...]  # mean over seeds; None for a constant channel
+    coverage: Spread  # part of the measurements within the 95 % band
+    coverage_by_level: tuple[float, ...]  # mean over seeds, for LEVELS
+    log_density: Spread  # mean per sample [nat]
+
+
+class IndexFigures(NamedTuple):
+    """One horizon index: its course, averaged over subsets, and what the paper reads off it."""
+
+    time: Array  # (K,) [s]
+    series: Array  # (seeds, K)
+    first_30_s: Spread | None  # None where nothing falls into the phase
+    first_60_s: Spread | None
+    steady_state: Spread | None  # after the first 30 s
+    spread: Spread | None  # interquartile range after the first 30 s
+
+
+@dataclass(frozen=True)
+class VariantFigures:
+    """Everything of one variant. ``indices``: 'eps_force' and 'eps_torque', or 'eps_effort'."""
+
+    variant: str
+    seeds: tuple[int, ...]
+    first: ModeFigures  # the rest of the first recording, predicted and learnt
+    adaptive: ModeFigures
+    frozen: ModeFigures
+    indices: dict[str, IndexFigures]
+    hyperparameters: tuple[Hyperparameters, ...]
+    fit_seconds: float
+
+
+def figures_of(outputs: str, learnt: Sequence[Learnt], followed: Sequence[Followed]) -> VariantFigures:
+    """Gather the runs of one variant. :param outputs: 'wrench' or 'effort'."""
+    seeds = tuple(one.model.seed for one in learnt)
+    by_seed = [sorted((run for run in followed if run.seed == seed), key=lambda run: run.subset) for seed in seeds]
+    adaptive = [[run.adaptive for run in runs] for runs in by_seed]
+    frozen = [[run.frozen for run in runs] for runs in by_seed]
+    indices = {name: index_figures(adaptive, channels) for name, channels in channel_groups(outputs).items()}
+    first = mode_figures([[one.trace] for one in learnt])
+    return VariantFigures(learnt[0].model.variant, seeds, first, mode_figures(adaptive), mode_figures(frozen), indices,
+                          tuple(one.hyperparameters for one in learnt),
+                          float(np.mean([one.fit_seconds for one in learnt])))
+
+
+def channel_groups(outputs: str) -> dict[str, slice]:
+    """Horizon indices and the outputs that each is the mean over."""
+    if outputs == 'wrench':
+        return {'eps_force': slice(0, 3), 'eps_torque': slice(3, 6)}
+    return {'eps_effort': slice(None)}
+
+
+def mode_figures(seeds: Sequence[Sequence[Trace]]) -> ModeFigures:
+    """:param seeds: for each seed the traces of all subsets."""
+    pooled = [_pool(traces) for traces in seeds]
+    ratios = np.array([_normalised(trace) for trace in pooled])
+    covered = np.array([[_coverage(trace, level) for level in LEVELS] for trace in pooled])
+    known = ~np.isnan(ratios).any(axis=0)
+    channels = tuple(float(value) if ok else None for value, ok in zip(ratios.mean(axis=0), known, strict=True))
+    return ModeFigures(_spread(ratios[:, known].mean(axis=1)), channels, _spread(covered[:, LEVELS.index(BAND)]),
+                       tuple(covered.mean(axis=0).tolist()),
+                       _spread(np.array([trace.log_density.mean() for trace in pooled])))
+
+
+def index_figures(seeds: Sequence[Sequence[Trace]], channels: slice) -> IndexFigures:
+    """The index of one group of outputs from the traces of all subsets, for each seed."""
+    length = min(len(trace.eps) for traces in seeds for trace in traces)
+    time = seeds[0][0].horizon_time[:length]
+    series = np.array([np.mean([trace.eps[:length, channels].mean(axis=1) for trace in traces], axis=0)
+                       for traces in seeds])
+    late = time >= TRANSIENT_S
+    return IndexFigures(time, series, _phase(series, ~late), _phase(series, time < EARLY_S), _phase(series, late),
+                        _phase(series, late, interquartile_range))
+
+
+def interquartile_range(values: Array) -> float:
+    """Distance of the quartiles."""
+    lower, upper = np.percentile(values, [25, 75])
+    return float(upper - lower)
+
+
+def _phase(series: Array, within: Mask, measure: Callable[[Array], float] | None = None) -> Spread | None:
+    if not within.any():
+        return None
+    return _spread(np.array([(measure or np.mean)(row[within]) for row in series]))
+
+
+def _spread(values: Array) -> Spread:
+    std = float(np.std(values, ddof=1)) if len(values) > 1 else None
+    return Spread(float(np.mean(values)), std, tuple(float(value) for value in values))
+
+
+def _pool(traces: Sequence[Trace]) -> Trace:
+    return Trace(*(np.concatenate(parts) for parts in zip(*traces, strict=True)))
+
+
+def _normalised(trace: Trace) -> Array:
+    """(n,) mean squared error over variance, NaN for a constant channel."""
+    variance = trace.outputs.var(axis=0)
+    square = np.mean(trace.errors**2, axis=0)
+    return np.divide(square, variance, out=np.full_like(square, np.nan), where=variance > 0.0)
+
+
+def _coverage(trace: Trace, level: float) -> float:
+    return float(np.mean(np.abs(trace.errors) <= norm.ppf(0.5 + level / 2.0) * trace.std))
+
+
+class Finding(NamedTuple):
+    """A statement of the paper, whether it holds here (None: cannot be said), and the figures that say so."""
+
+    name: str
+    statement: str
+    holds: bool | None
+    evidence: str
+
+
+def findings_of(figures: Mapping[str, VariantFigures]) -> tuple[Finding, ...]:
+    """Those findings whose variants were compared."""
+    found = []
+    if PARAMETRIC in figures and len(figures) > 1:
+        found.append(parametric_is_worst(figures))
+    if any(ml in figures and vs in figures for ml, vs in PAIRS):
+        found.append(likelihood_beats_validation(figures))
+    others = set(figures) - set(BEST) - {PARAMETRIC}
+    if set(BEST) <= set(figures) and others:
+        found += [semi_parametric_is_best(figures, 'average'), semi_parametric_is_best(figures, 'spread')]
+    if len(set(figures) - {PARAMETRIC}) > 1:
+        found.append(others_are_close(figures))
+    return tuple(found)
+
+
+def parametric_is_worst(figures: Mapping[str, VariantFigures]) -> Finding:
+    """P has the largest index after the first 30 s."""
+    verdicts: list[bool | None] = []
+    texts: list[str] = []
+    for index in _indices(figures):
+        values = _means(figures, index, 'steady_state')
+        worst = max(values, key=lambda variant: values[variant]) if values else None
+        verdicts.append(None if worst is None else worst == PARAMETRIC)
+        if worst is not None:
+            others = {variant: value for variant, value in values.items() if variant != PARAMETRIC}
+            next_worst = max(others, key=lambda variant: others[variant])
+            texts.append(f'{NAMES[index]}: P {values[PARAMETRIC]:.3g}, next worst {next_worst} '
+                         f'{others[next_worst]:.3g}')
+    return Finding('parametric_is_worst', 'The rigid body alone (P) is the poorest model.', _all(verdicts),
+                   _joined(texts))
+
+
+def likelihood_beats_validation(figures: Mapping[str, VariantFigures]) -> Finding:
+    """The ML variants have a smaller index than their VS twins in the first 60 s."""
+    verdicts: list[bool | None] = []
+    texts: list[str] = []
+    for index in _indices(figures):
+        values = _means(figures, index, 'first_60_s')
+        for ml, vs in PAIRS:
+            if ml in values and vs in values:
+                verdicts.append(values[ml] < values[vs])
+                texts.append(f'{NAMES[index]}: {ml} {values[ml]:.3g}, {vs} {values[vs]:.3g}')
+    return Finding('likelihood_beats_validation',
+                   'Marginal likelihood gives better models than a validation set in the first 60 s.',
+                   _all(verdicts), _joined(texts))
+
+
+def semi_parametric_is_best(figures: Mapping[str, VariantFigures], what: str) -> Finding:
+    """SP-ML and SPK-ML have the smallest index, or interquartile range of it, after the first 30 s."""
+    field, word = ('steady_state', 'on average') if what == 'average' else ('spread', 'in spread')
+    verdicts: list[bool | None] = []
+    texts: list[str] = []
+    for index in _indices(figures):
+        values = _means(figures, index, field)
+        others = {variant: value for variant, value in values.items() if variant not in BEST}
+        if not others:
+            verdicts.append(None)
+            continue
+        rival = min(others, key=lambda variant: others[variant])
+        verdicts += [values[variant] <= TIE * others[rival] for variant in BEST]
+        texts.append(f'{NAMES[index]}: ' + ', '.join(f'{variant} {values[variant]:.3g}' for variant in BEST)
+                     + f', best of the others {rival} {others[rival]:.3g}')
+    return Finding(f'semi_parametric_is_best_{what}', f'SP-ML and SPK-ML are the best {word} (ties within 5 %).',
+                   _all(verdicts), _joined(texts))
+
+
+def others_are_close(figures: Mapping[str, VariantFigures]) -> Finding:
+    """All but P are within a factor of 1.5 after the first 30 s."""
+    verdicts: list[bool | None] = []
+    texts: list[str] = []
+    for index in _indices(figures):
+        values = {variant: value for variant, value in _means(figures, index, 'steady_state').items()
+                  if variant != PARAMETRIC}
+        if not values:
+            verdicts.append(None)
+            continue
+        least, most = (pick(values, key=lambda variant: values[variant]) for pick in (min, max))
+        verdicts.append(values[most] <= CLOSE * values[least])
+        texts.append(f'{NAMES[index]}: {least} {values[least]:.3g} to {most} {values[most]:.3g}, a factor of '
+                     f'{values[most] / values[least]:.2f}')
+    return Finding('others_are_close', f'All but P are close in steady state (within a factor of {CLOSE:g}).',
+                   _all(verdicts), _joined(texts))
+
+
+def verdict(figures: Mapping[str, VariantFigures], findings: tuple[Finding, ...]) -> str:
+    """Which variant to use here and how many of the paper's findings hold, in a few sentences."""
+    best = min(figures.values(), key=lambda one: one.adaptive.nmse.mean)
+    frozen = min(figures.values(), key=lambda one: one.frozen.nmse.mean)
+    sentences = [f'{best.variant} predicts best while it learns (normalised error {_with_spread(best.adaptive.nmse)})']
+    if frozen.variant == best.variant:
+        sentences[0] += f' and also without learning the second recording ({_with_spread(frozen.frozen.nmse)}).'
+    else:
+        sentences[0] += (f'; without learning the second recording {frozen.variant} does '
+                         f'({_with_spread(frozen.frozen.nmse)}).')
+    judged = [finding for finding in findings if finding.holds is not None]
+    if judged:
+        held = sum(bool(finding.holds) for finding in judged)
+        sentences.append(f"{held} of {len(judged)} findings of the paper hold on these recordings.")
+    sentences.append(_bands(best))
+    return ' '.join(sentences)
+
+
+def _bands(best: VariantFigures) -> str:
+    share = best.adaptive.coverage.mean
+    honest = 'honest' if 0.93 <= share <= 0.97 else 'too narrow' if share < 0.93 else 'too wide'
+    return f'Its 95 % bands hold {100 * share:.1f} % of the measurements: {honest}.'
+
+
+def _with_spread(figure: Spread) -> str:
+    return f'{figure.mean:.3g}' if figure.std is None else f'{figure.mean:.3g} ± {figure.std:.1g}'
+
+
+def _indices(figures: Mapping[str, VariantFigures]) -> Iterator[str]:
+    return iter(next(iter(figures.values())).indices)
+
+
+def _means(figures: Mapping[str, VariantFigures], index: str, field: str) -> dict[str, float]:
+    """Variant to mean over seeds; empty where the recording is too short for the phase."""
+    values: dict[str, float] = {}
+    for variant, one in figures.items():
+        spread = _spread_in(one.indices[index], field)
+        if spread is not None:
+            values[variant] = spread.mean
+    return values
+
+
+def _spread_in(index: IndexFigures, field: str) -> Spread | None:
+    spread: Spread | None = getattr(index, field)
+    return spread
+
+
+def _all(verdicts: Sequence[bool | None]) -> bool | None:
+    """None when nothing could be judged."""
+    known = [one for one in verdicts if one is not None]
+    return all(known) if known else None
+
+
+def _joined(texts: list[str]) -> str:
+    return '; '.join(texts) + '.' if texts else 'The second recording is too short to tell.'
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Everything a report shows."""
+
+    scenario: Scenario
+    figures: dict[str, VariantFigures]
+    findings: tuple[Finding, ...]
+
+
+def steps(scenario: Scenario) -> int:
+    """How many pieces of work there are, for a progress bar."""
+    return len(scenario.draws()) * (1 + len(scenario.subsets))
+
+
+def compare(scenario: Scenario, done: Callable[[], None] = lambda: None) -> Comparison:
+    """Run the scenario, as many pieces at a time as the surrounding :func:`parallel.workers` has."""
+    learnt = run_all(learn, [(scenario, *draw) for draw in scenario.draws()], done)
+    pieces = [(scenario, one.model, subset) for one in learnt for subset in range(len(scenario.subsets))]
+    followed = run_all(follow, pieces, done)
+    figures = {variant: figures_of(scenario.settings.outputs, [one for one in learnt if one.model.variant == variant],
+                                   [one for one in followed if one.variant == variant])
+               for variant in scenario.variants}
+    return Comparison(scenario, figures, findings_of(figures))

@@ -1,0 +1,176 @@
+"""The node's estimator on recordings, sample by sample, and how well it predicted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.bags.loading import LoadedBag
+from semiparam_ros.core.estimator import Prediction
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import worker
+from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
+from semiparam_ros.online.model_switcher import completes_window, sentence_of
+from semiparam_ros.settings import Settings
+from semiparam_ros.settings.build import build_estimator
+
+TRANSIENT_S = 30.0
+"""The first part of learning, reported apart from the steady state as in the paper."""
+
+INDICES = ('eps_force', 'eps_torque', 'eps_centred_force', 'eps_centred_torque')
+EFFORT_INDICES = ('eps_effort', 'eps_centred_effort')
+
+
+class Scores:
+    """Figures of one variant over the samples that it predicted, from its first own prediction on.
+
+    :param outputs: `wrench` (three forces, three torques) or `effort`.
+    """
+
+    def __init__(self, outputs: str) -> None:
+        self.outputs = outputs
+        self._measured: list[Array] = []
+        self._errors: list[Array] = []
+        self._seconds: list[float] = []
+        self._times: list[float] = []
+        self._indices: list[tuple[float, ...]] = []
+        self._origin, self._offset = 0, 0.0
+
+    def start_recording(self, origin: int) -> None:
+        """Stamps [ns] from now on belong to another recording, which starts at ``origin`` and continues the last."""
+        self._offset = self._times[-1] if self._times else 0.0
+        self._origin = origin
+
+    def add(self, measured: Array, predicted: Array, seconds: float | None = None) -> None:
+        """One sample's outputs (n,), the prediction of them, and the time that prediction and update took [s]."""
+        self._measured.append(measured)
+        self._errors.append(predicted - measured)
+        if seconds is not None:
+            self._seconds.append(seconds)
+
+    def add_horizon(self, horizon: HorizonErrors) -> None:
+        """The horizon errors of one origin."""
+        self._times.append(self._offset + 1e-9 * (horizon.origin - self._origin))
+        self._indices.append(means(horizon.eps, self.outputs) + means(horizon.eps_centred, self.outputs))
+
+    def __len__(self) -> int:
+        return len(self._errors)
+
+    @property
+    def index_names(self) -> tuple[str, ...]:
+        """The indices in the order of :meth:`index_series`."""
+        return INDICES if self.outputs == 'wrench' else EFFORT_INDICES
+
+    def index_series(self) -> tuple[Array, Array]:
+        """(N,) times of the origins since the start of the first recording [s], and (N, n_indices) values."""
+        return np.array(self._times), np.array(self._indices).reshape(-1, len(self.index_names))
+
+    def result(self, series: bool = False) -> dict[str, Any]:
+        """All figures by name, in SI units; None where there is nothing to take the mean of."""
+        nmse, rmse = normalised_errors(np.array(self._errors), np.array(self._measured))
+        known = [value for value in nmse if value is not None]
+        figures: dict[str, Any] = {'samples': len(self), 'nmse': nmse, 'nmse_mean': _mean(known), 'rmse': rmse}
+        figures |= dict.fromkeys(('eps_force', 'eps_torque'))
+        times, values = self.index_series()
+        figures |= {name: by_phase(times, column) for name, column in zip(self.index_names, values.T, strict=True)}
+        figures['update_ms'] = update_times(self._seconds)
+        if series:
+            columns = {name: column.tolist() for name, column in zip(self.index_names, values.T, strict=True)}
+            figures['series'] = {'time_s': times.tolist(), **columns}
+        return figures
+
+
+def means(eps: Array, outputs: str) -> tuple[float, ...]:
+    """eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
+    if outputs == 'wrench':
+        return float(np.mean(eps[:3])), float(np.mean(eps[3:]))
+    return (float(np.mean(eps)),)
+
+
+def normalised_errors(errors: Array, measured: Array) -> tuple[list[float | None], list[float]]:
+    """Mean squared error over the channel's variance (None for a constant channel), and its root, for (N, n)."""
+    square = np.mean(errors**2, axis=0)
+    variance = np.var(measured, axis=0)
+    ratios = [float(a / b) if b > 0.0 else None for a, b in zip(square, variance, strict=True)]
+    return ratios, np.sqrt(square).tolist()
+
+
+def by_phase(times: Array, values: Array) -> dict[str, float | None]:
+    """Means over everything, the transient (the first 30 s after learning starts) and the steady state after it."""
+    early = times - times[:1] < TRANSIENT_S if len(times) else np.zeros(0, dtype=bool)
+    return {'mean': _mean(values), 'first_30_s': _mean(values[early]), 'steady_state': _mean(values[~early])}
+
+
+def update_times(seconds: Iterable[float]) -> dict[str, float] | None:
+    """Median and 99th percentile [ms]."""
+    milliseconds = 1e3 * np.array(list(seconds))
+    if not milliseconds.size:
+        return None
+    median, p99 = np.percentile(milliseconds, [50, 99]).tolist()
+    return {'median': median, 'p99': p99}
+
+
+def _mean(values: Array | list[float]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
+
+
+class OfflineLearner:
+    """The estimator of the settings behind the contact gate, as in the node.
+
+    An initial window that gives no hyperparameters, as of a robot that stood still, is followed by another one;
+    ``failed_windows`` holds a sentence for each.
+
+    :param bags: the first one that carries a robot description gives it, where the settings do not.
+    :param tick: called after each sample.
+    """
+
+    def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None]) -> None:
+        description = next((bag.robot_description for bag in bags if bag.robot_description), None)
+        self.settings, self.gate, self._tick = settings, ContactGate(), tick
+        self.estimator = build_estimator(settings, description)
+        self.failed_windows: list[str] = []
+
+    def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
+        """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
+        scores.start_recording(bag.samples.origin)
+        self.estimator.begin_recording(bag.samples.origin)
+        for sample in bag.samples:
+            start = time.perf_counter()
+            prediction = self.step(sample, learning)
+            elapsed = time.perf_counter() - start
+            self._tick()
+            if not prediction.ready:
+                continue
+            scores.add(sample.outputs, prediction.mean, elapsed)
+            if prediction.horizon is not None:
+                scores.add_horizon(prediction.horizon)
+        self.gate.reset()
+        self.estimator.clear_pending()
+
+    def step(self, sample: Sample, learning: bool) -> Prediction:
+        """One sample: a contact is predicted but not learnt."""
+        prediction = self.estimator.predict(sample)
+        contact = self.gate.judge(sample.stamp, standardised_innovation(prediction), self.settings)
+        learn = learning and not contact
+        if learn and completes_window(self.estimator):
+            return prediction._replace(horizon=self._finish_window(prediction))
+        return prediction._replace(horizon=self.estimator.observe(prediction, learn))
+
+    def _finish_window(self, prediction: Prediction) -> HorizonErrors | None:
+        window = worker.finish_window(self.estimator, prediction)
+        if window.failure is not None:
+            self.failed_windows.append(sentence_of(window.failure))
+        return window.errors
+
+    def finish(self, training: Sequence[LoadedBag], frozen: bool) -> None:
+        """After training: a model must stand if nothing more is learnt, from however short a window."""
+        if training and not self.estimator.ready and self.estimator.window:
+            self.estimator.finish_window()
+        if not self.estimator.ready and (frozen or not self.settings.learning):
+            raise SemiparamError('with the parameter learning off there is no model to evaluate; expected --train BAG.')

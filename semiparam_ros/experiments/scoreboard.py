@@ -1,0 +1,147 @@
+"""The scoreboard: simulated recordings with known hidden effects, diagnosed as if nothing were known."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.table import Table
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.diagnose import Diagnosis, diagnose
+from semiparam_ros.diagnosis.evaluation import evaluate_here
+from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.effects import kinds
+from semiparam_ros.simulation.causes import CAUSES
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario, SimulatedRecording
+from semiparam_ros.simulation.simulate import simulate
+
+NOTHING = 'nothing'
+MOTION = 'circle_xy'
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which recordings to simulate: every kind at every size with every seed, and as many with nothing missing."""
+
+    outputs: str
+    kinds: tuple[str, ...]
+    sizes: tuple[float, ...]
+    seeds: int
+    samples: int
+
+    @property
+    def cases(self) -> list[tuple[str, float, int]]:
+        """(kind, size, seed); the kind ``nothing`` has no hidden effect."""
+        names = self.kinds or tuple(name for name in kinds(self.outputs) if name in CAUSES)
+        hidden = [(name, size, seed) for name in names for size in self.sizes for seed in range(self.seeds)]
+        return hidden + [(NOTHING, 0.0, seed) for seed in range(self.seeds * len(self.sizes))]
+
+    @property
+    def count(self) -> int:
+        """Number of recordings."""
+        return len(self.cases)
+
+
+def scoreboard(plan: Plan, jobs: int, progress: Callable[[int], None]) -> dict[str, Any]:
+    """Diagnose every case of the plan; rows and a summary."""
+    rows = []
+    results = Parallel(n_jobs=jobs, return_as='generator')(delayed(case)(plan, *entry) for entry in plan.cases)
+    for number, row in enumerate(results, start=1):
+        rows.append(row)
+        progress(number)
+    return {'outputs': plan.outputs, 'samples': plan.samples, 'rows': rows, 'summary': summary(rows)}
+
+
+def case(plan: Plan, kind: str, size: float, seed: int) -> dict[str, Any]:
+    """One recording: what was hidden, what was found, and the share of the removable error that was removed."""
+    hidden = () if kind == NOTHING else (EffectRequest(kind, size=size),)
+    clean = Scenario(motion=MOTION, samples=plan.samples, seed=seed, outputs=plan.outputs)
+    recording = simulate(replace(clean, effects=hidden))
+    found = diagnose(body_of(recording), samples_of(recording))
+    truth = recording.truth[0] if recording.truth else {}
+    return {'kind': kind, 'size': size, 'seed': seed, 'where': truth.get('where'), 'verdict': found.verdict,
+            'visible_share': truth.get('unexplained_share'),
+            'found': [finding.effect.kind for finding in found.findings],
+            'found_where': [finding.effect.where for finding in found.findings],
+            'group': [rival.kind for rival in found.findings[0].rivals] if found.findings else [],
+            'removed': removed_share(found, samples_of(simulate(clean))) if hidden else None}
+
+
+def body_of(recording: SimulatedRecording) -> RigidBody:
+    """The rigid body that a user would declare: the description, not the true inertias."""
+    return RigidBody.from_urdf(recording.urdf, recording.joint_names, recording.outputs_kind,
+                               recording.frame_id or None, recording.convention)
+
+
+def samples_of(recording: SimulatedRecording) -> Samples:
+    """The recording as the estimator sees it."""
+    acceleration = np.zeros_like(recording.velocity) if recording.acceleration is None else recording.acceleration
+    return Samples(recording.stamps, recording.position, recording.velocity, acceleration, recording.outputs,
+                   int(recording.stamps[0]))
+
+
+def removed_share(found: Diagnosis, twin: Samples) -> float:
+    """Share of the removable error that the effects found removed, over channels relative to their variance.
+
+    :param twin: the same recording, noise included, without the hidden effect. What the declared model leaves of it
+        no diagnosis can remove.
+    """
+    first = found.first
+    floor = evaluate_here(fit_model(first.body, found.inputs.prepare(twin), first.effects, first.train_mask,
+                                    first.scale),
+                          found.held_out)
+    variance = found.before.outputs.var(axis=0)
+    before, after, least = (float(np.sum(evaluation.rmse**2 / variance))
+                            for evaluation in (found.before, found.after, floor))
+    return (before - after) / max(before - least, 1e-12)
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Right kinds, false alarms, removed shares, and the confusion matrix."""
+    hidden = [row for row in rows if row['kind'] != NOTHING]
+    clean = [row for row in rows if row['kind'] == NOTHING]
+    names = list(dict.fromkeys(row['kind'] for row in hidden))
+    confusion = {name: dict(Counter(_first(row) or row['verdict'] for row in hidden if row['kind'] == name))
+                 for name in names}
+    return {'right_first': _share([_first(row) == row['kind'] for row in hidden]),
+            'right_or_in_group': _share([named(row) for row in hidden]),
+            'false_alarms': _share([row['verdict'] != 'nothing_missing' for row in clean]),
+            'removed_median': float(np.median([row['removed'] for row in hidden])) if hidden else None,
+            'by_kind': {name: _share([named(row) for row in hidden if row['kind'] == name]) for name in names},
+            'confusion': confusion}
+
+
+def named(row: dict[str, Any]) -> bool:
+    """The hidden kind was found first, or stands in the group that the first one cannot be told from."""
+    return row['kind'] == _first(row) or (_first(row) is not None and row['kind'] in row['group'])
+
+
+def _first(row: dict[str, Any]) -> str | None:
+    """The kind that the report names, None where it says that nothing is missing, or that no kind explains it."""
+    return row['found'][0] if row['found'] and row['verdict'] == 'effect_found' else None
+
+
+def _share(values: list[bool]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def print_scoreboard(console: Console, result: dict[str, Any]) -> None:
+    """The confusion matrix, a line for each hidden kind, and the summary."""
+    rows, totals = result['rows'], result['summary']
+    table = Table('hidden', 'named', 'removed (median)', 'found first')
+    for name, counts in totals['confusion'].items():
+        removed = np.median([row['removed'] for row in rows if row['kind'] == name])
+        found = ', '.join(f'{kind} {count}' for kind, count in sorted(counts.items(), key=lambda item: -item[1]))
+        table.add_row(name, f'{100 * totals["by_kind"][name]:.0f} %', f'{100 * removed:.0f} %', found)
+    console.print(table)
+    for label, key in (('right kind first', 'right_first'), ('right kind first or in its group', 'right_or_in_group'),
+                       ('false alarms', 'false_alarms'), ('removable error removed, median', 'removed_median')):
+        if totals[key] is not None:
+            console.print(f'{label}: {100 * totals[key]:.1f} %', highlight=False)

@@ -1,0 +1,261 @@
+"""The models beside the active one: its successor while that is being built, and the shadow variants.
+
+Each is in one of four states:
+
+    building     the background builds it from the samples so far; those that come meanwhile wait
+    catching up  it is built, and the background lets it learn those that waited
+    live         it has seen every sample: a shadow goes on learning, a successor takes over
+    retired      nobody needs it any more, or it failed; what the background still returns is dropped
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from enum import Enum
+from typing import Protocol
+
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import worker
+from semiparam_ros.online.history import History, SampleBatch, batch_of
+from semiparam_ros.online.worker import Background, Job
+from semiparam_ros.settings.snapshot import Settings
+
+MODEL_PARAMETERS = ('variant', 'effects', 'noise', 'forgetting', 'horizon_length')
+"""Fields whose change needs another model."""
+
+HYPERPARAMETERS_DEPEND_ON = ('variant', 'effects', 'noise')
+
+INLINE_AT_MOST = 50
+"""So many samples are caught up within one callback; more go to the background once again."""
+
+
+class State(Enum):
+    """Of a model beside the active one; see the module."""
+
+    BUILDING = 'building'
+    CATCHING_UP = 'catching up'
+    LIVE = 'live'
+    RETIRED = 'retired'
+
+
+class SwitcherListener(Protocol):
+    """The owner of the active model."""
+
+    def successor_live(self, settings: Settings, estimator: Estimator) -> None:
+        """The successor has seen every sample and takes over now."""
+
+    def successor_failed(self, settings: Settings, sentence: str) -> None:
+        """The successor could not be built."""
+
+    def shadow_failed(self, settings: Settings, sentence: str) -> None:
+        """A shadow could not be built, or broke."""
+
+    def shadow_horizon(self, variant: str, errors: HorizonErrors) -> None:
+        """A shadow completed these horizon errors."""
+
+    def failed(self, place: str, error: BaseException) -> None:
+        """Something unexpected went wrong."""
+
+
+def same_model(one: Settings, other: Settings) -> bool:
+    """Whether both settings describe the same model."""
+    return all(getattr(one, name) == getattr(other, name) for name in MODEL_PARAMETERS)
+
+
+class StandbyModel:
+    """A model that learns beside the active one, built in the background from the samples so far."""
+
+    def __init__(self, settings: Settings, body: RigidBody, background: Background, switcher: ModelSwitcher) -> None:
+        self.settings, self.body = settings, body
+        self.state = State.BUILDING
+        self.estimator: Estimator | None = None
+        self._background, self._switcher = background, switcher
+        self._waiting: deque[tuple[Sample, bool]] = deque()
+        self._job: Job | None = None
+        self._must_clear = False
+
+    def start(self, batch: SampleBatch, known: worker.Known | None) -> None:
+        """Begin to build it."""
+        self._submit(worker.build, self.settings, self.body, batch, known)
+
+    def offer(self, sample: Sample, learnt: bool) -> None:
+        """Let it see the sample that the active model has just answered."""
+        self._waiting.append((sample, learnt))
+        if self.state is State.LIVE:
+            self._catch_up()
+
+    def clear_pending(self) -> None:
+        """Forget half-finished horizons, as after a jump of the clock."""
+        self._must_clear = True
+        self._clear()
+
+    def retire(self) -> None:
+        """Nobody needs it any more; what the background still does for it is dropped."""
+        self.state, self.estimator = State.RETIRED, None
+        self._waiting.clear()
+        if self._job is not None:
+            self._job.cancel()
+
+    def _submit(self, function: worker.EstimatorJob, *arguments: object) -> None:
+        self._job = self._background.submit(function, *arguments, done=self._done)
+
+    def _done(self, estimator: Estimator | None, error: BaseException | None) -> None:
+        self._job = None
+        if self.state is State.RETIRED:
+            return
+        if estimator is None:
+            self._switcher.on_failed(self, error)
+            return
+        self.estimator, self.state = estimator, State.LIVE
+        self._clear()
+        self._catch_up()
+        if self.state is State.LIVE:
+            self._switcher.on_live(self)
+
+    def _catch_up(self) -> None:
+        estimator = self.estimator
+        assert estimator is not None
+        if len(self._waiting) > INLINE_AT_MOST or completes_window(estimator, len(self._waiting)):
+            batch = batch_of(list(self._waiting))
+            self._waiting.clear()
+            self.state = State.CATCHING_UP
+            self._submit(worker.absorb, estimator, batch)
+            return
+        while self._waiting:
+            sample, learnt = self._waiting.popleft()
+            try:
+                errors = estimator.step(sample, learnt).horizon
+            except Exception as error:  # a model that breaks beside the active one must not keep that from answering
+                self._switcher.on_failed(self, error)
+                return
+            if errors is not None:
+                self._switcher.on_horizon(self, errors)
+
+    def _clear(self) -> None:
+        if self._must_clear and self.state is State.LIVE and self.estimator is not None:
+            self.estimator.clear_pending()
+            self._must_clear = False
+
+
+class ModelSwitcher:
+    """Builds, feeds and retires the models beside the active one; there is never more than one successor."""
+
+    def __init__(self, body: RigidBody, background: Background, listener: SwitcherListener) -> None:
+        self.successor: StandbyModel | None = None
+        self.shadows: dict[str, StandbyModel] = {}
+        self._failed_shadows: set[str] = set()
+        self._known: dict[tuple[object, ...], worker.Known] = {}
+        self._body, self._background, self._listener = body, background, listener
+
+    @property
+    def models(self) -> list[StandbyModel]:
+        """Shadows and successor."""
+        return [*self.shadows.values(), *([self.successor] if self.successor else [])]
+
+    def offer(self, sample: Sample, learnt: bool) -> None:
+        """Let all of them see a sample."""
+        for model in self.models:
+            model.offer(sample, learnt)
+
+    def clear_pending(self) -> None:
+        """Forget half-finished horizons, as after a jump of the clock."""
+        for model in self.models:
+            model.clear_pending()
+
+    def remember(self, settings: Settings, estimator: Estimator) -> None:
+        """Keep hyperparameters for the next time the same model is wanted."""
+        known = worker.known_of(estimator)
+        if known is not None and not settings.hyperparameters_sigma:
+            self._known[_key(settings)] = known
+
+    def appoint(self, settings: Settings, history: History) -> bool:
+        """Let a shadow that learns this very model succeed, or build a successor; True when it took over at once."""
+        self.retire_successor()
+        shadow = self.shadows.get(settings.variant)
+        if shadow is not None and same_model(shadow.settings, settings):
+            self.successor = self.shadows.pop(settings.variant)
+            if shadow.state is State.LIVE:
+                self.on_live(shadow)
+                return True
+        else:
+            self.successor = StandbyModel(settings, self._body, self._background, self)
+            self._start(self.successor, history)
+        return False
+
+    def set_shadows(self, settings: Settings, history: History, retry: bool = False) -> None:
+        """Start the shadow variants that are wanted (``retry``: also those that failed), and retire the others."""
+        self._failed_shadows = set() if retry else self._failed_shadows
+        wanted = {name: replace(settings, variant=name)
+                  for name in settings.shadow_variants if name != settings.variant}
+        for name in list(self.shadows):
+            if name not in wanted or not same_model(self.shadows[name].settings, wanted[name]):
+                self.shadows.pop(name).retire()
+        for name in [name for name in wanted if name not in self.shadows and name not in self._failed_shadows]:
+            self.shadows[name] = StandbyModel(wanted[name], self._body, self._background, self)
+            self._start(self.shadows[name], history)
+
+    def retire_successor(self) -> None:
+        """It is no longer wanted."""
+        if self.successor is not None:
+            self.successor.retire()
+            self.successor = None
+
+    def retire_all(self, forget_hyperparameters: bool = False) -> None:
+        """End them all."""
+        for model in self.models:
+            model.retire()
+        self.successor = None
+        self.shadows.clear()
+        if forget_hyperparameters:
+            self._known.clear()
+
+    def on_live(self, model: StandbyModel) -> None:
+        """A model has seen every sample."""
+        assert model.estimator is not None
+        self.remember(model.settings, model.estimator)
+        if model is self.successor:
+            self.successor = None
+            self._listener.successor_live(model.settings, model.estimator)
+
+    def on_failed(self, model: StandbyModel, error: BaseException | None) -> None:
+        """A model could not be built, or broke: it retires."""
+        model.retire()
+        sentence = sentence_of(error)
+        if error is not None and not isinstance(error, SemiparamError):
+            self._listener.failed(f'the model {model.settings.variant} beside the active one', error)
+        if model is self.successor:
+            self.successor = None
+            self._listener.successor_failed(model.settings, sentence)
+        elif self.shadows.get(model.settings.variant) is model:
+            del self.shadows[model.settings.variant]
+            self._failed_shadows.add(model.settings.variant)
+            self._listener.shadow_failed(model.settings, sentence)
+
+    def on_horizon(self, model: StandbyModel, errors: HorizonErrors) -> None:
+        """A model completed horizon errors; those of a successor are of no interest yet."""
+        if model is not self.successor:
+            self._listener.shadow_horizon(model.settings.variant, errors)
+
+    def _start(self, model: StandbyModel, history: History) -> None:
+        model.start(history.batch(), self._known.get(_key(model.settings)))
+
+
+def completes_window(estimator: Estimator, further: int = 1) -> bool:
+    """Whether so many further samples would end the initial window, which takes seconds."""
+    return not estimator.ready and len(estimator.window) + further >= estimator.options.initial_samples
+
+
+def sentence_of(error: BaseException | None) -> str:
+    """What to tell of a failed job: our own sentences as they are, others by their type."""
+    if isinstance(error, SemiparamError):
+        return str(error).rstrip('.')
+    return f'{type(error).__name__}: {error}' if error else 'no result'
+
+
+def _key(settings: Settings) -> tuple[object, ...]:
+    return tuple(getattr(settings, name) for name in HYPERPARAMETERS_DEPEND_ON)

@@ -1,0 +1,283 @@
+"""What a node has learnt, in a file: numbers and JSON in an .npz archive, so that loading one cannot run code."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from semiparam_ros.atomic_write import remove_leftovers, replacing
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.estimator import Estimator, EstimatorState, Remembered
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.contact_gate import GateState
+from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
+from semiparam_ros.online.worker import Known, known_of, new_estimator
+from semiparam_ros.settings.snapshot import Settings
+
+FORMAT, VERSION = 'semiparam_ros state', 2
+"""The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
+
+ADOPTED = ('variant', 'effects', 'noise', 'forgetting', 'horizon.length')
+"""Parameters that the file brings along."""
+
+FIXED = ('outputs', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')
+"""Parameters that cannot change while a node runs, and so must agree."""
+
+
+Snapshot: TypeAlias = dict[str, Array | Stamps]
+
+
+class SavedState(NamedTuple):
+    """A learner's model, the settings it was built with, the samples it keeps, the bias (n,) of the tare, the gate."""
+
+    settings: Settings
+    estimator: Estimator
+    batch: SampleBatch
+    bias: Array
+    gate: GateState
+
+
+def folder_of(settings: Settings) -> Path:
+    """Where states lie: ``state_folder``, or else ``semiparam`` in ROS's own folder for what programs keep.
+
+    Raises SemiparamError for the home of a user who does not exist.
+    """
+    named = settings.state_folder or Path(os.environ.get('ROS_HOME') or '~/.ros', 'semiparam')
+    try:
+        return Path(named).expanduser().absolute()
+    except RuntimeError as error:
+        raise SemiparamError(f'state_folder is {named}: {error}') from error
+
+
+def path_of(settings: Settings) -> Path:
+    """The file of ``~/save_state`` and ``~/load_state``."""
+    return folder_of(settings) / settings.state_file
+
+
+def save(path: Path, state: SavedState) -> None:
+    """Write the whole file or nothing. Raises SemiparamError when it cannot be written; see :func:`write`."""
+    write(path, snapshot(state))
+
+
+def snapshot(state: SavedState) -> Snapshot:
+    """Copies of everything that a state is made of, for :func:`write` in another thread."""
+    learnt = state.estimator.state()
+    memory: dict[str, Array] = {}
+    meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'memory': _as_json(learnt.memory, memory)}
+    groups: dict[str, Mapping[str, Array | Stamps]] = {
+        'history': arrays_of(state.batch), 'recursion': learnt.recursion, 'horizon': learnt.horizon,
+        'memory': memory, 'window': _stacked(learnt.window)}
+    return {'meta': np.array(json.dumps(meta)), 'bias': state.bias, 'probe': probe(state.estimator.body),
+            **{f'{group}.{name}': values for group, arrays in groups.items() for name, values in arrays.items()}}
+
+
+def write(path: Path, arrays: Snapshot, before_it_replaces: Callable[[], None] = lambda: None) -> None:
+    """Write a :func:`snapshot`, and make its folder where there is none.
+
+    :param before_it_replaces: called when the disk has it all, before it takes the name.
+
+    Raises SemiparamError when it cannot be written, when a value is not finite, and when something else than a state
+    has the name.
+    """
+    _require_finite('the model', arrays)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SemiparamError(f'cannot write {path}: there is no folder {path.parent} and none can be made: '
+                             f'{error.strerror}.') from error
+    require_replaceable(path)
+    remove_leftovers(path)
+    with replacing(path, durable=True) as stream:
+        _write_archive(stream, arrays)
+        stream.flush()
+        os.fsync(stream.fileno())
+        before_it_replaces()
+
+
+def require_replaceable(path: Path) -> None:
+    """Raise SemiparamError when a state must not take the place of what has this name."""
+    if path.is_symlink():
+        raise SemiparamError(f'{path} is a link, which is not followed; expected a saved state or no file.')
+    if not path.exists():
+        return
+    try:
+        _require_file(path)
+        with np.load(path, allow_pickle=False) as archive:
+            ours = json.loads(str(archive['meta'])).get('format') == FORMAT
+    except Exception:  # zipfile, numpy and json each have exceptions of their own for what is none of theirs
+        ours = False
+    if not ours:
+        raise SemiparamError(f'{path} is no saved state, so it is not replaced; move it away, or choose another name.')
+
+
+def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
+    """Read a state for this robot and these settings; ``settings`` of the result hold what the file brings along.
+
+    Raises SemiparamError when the file cannot be read, is of another kind or version, or of another robot.
+    """
+    arrays = _read(path)
+    try:
+        meta = _meta_of(path, arrays)
+        _check_robot(path, arrays, meta, settings, body)
+        settings = settings.changed({name: meta['settings'][name] for name in ADOPTED}, where=str(path))
+        _require_finite(str(path), arrays)
+        batch = batch_from(_group(arrays, 'history'), body.n_joints, body.n_outputs)
+        bias = arrays['bias']
+        if bias.shape != (body.n_outputs,):
+            raise SemiparamError(f"{path} holds a 'bias' of shape {bias.shape}; expected ({body.n_outputs},).")
+        gate = GateState(**meta['gate'])
+        return SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate)
+    except SemiparamError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+        raise SemiparamError(f'{path} is damaged ({error}); expected a file that save_state wrote.') from error
+
+
+def probe(body: RigidBody) -> Array:
+    """(1 + 3 n, p) base parameters, and regressors at three fixed states: equal for the same robot, outputs and
+    convention, whatever the text of its description."""
+    rng = np.random.default_rng(1)
+    regressors = [body.regressor(*rng.uniform(-1.0, 1.0, (3, body.n_joints))) for _ in range(3)]
+    return np.vstack([body.base_parameters[None], *regressors])
+
+
+def _meta(state: SavedState) -> dict[str, Any]:
+    values = state.settings.mapping()
+    known = known_of(state.estimator)
+    return {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
+            'settings': {name: values[name] for name in (*ADOPTED, *FIXED)}, 'gate': state.gate._asdict(),
+            'known': None if known is None else [asdict(known.hyperparameters), known.input_mean, known.input_scale]}
+
+
+def _write_archive(stream: IO[bytes], arrays: Snapshot) -> None:
+    """As numpy.savez, which however copies every array while it holds the interpreter's lock."""
+    with zipfile.ZipFile(stream, 'w') as archive:
+        for name, given in arrays.items():
+            values = given if given.flags.f_contiguous else np.ascontiguousarray(given)
+            with archive.open(f'{name}.npy', 'w', force_zip64=True) as member:
+                header = np.lib.format.header_data_from_array_1_0(values)
+                np.lib.format.write_array_header_1_0(member, header)
+                member.write(values.ravel(order='K').view(np.uint8).data)
+
+
+def _read(path: Path) -> dict[str, Array]:
+    try:
+        _require_file(path)
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError as error:
+        raise SemiparamError(f'there is no file {path}; save_state writes it.') from error
+    except Exception as error:  # zipfile and numpy have many for what is no archive of theirs
+        raise SemiparamError(f'{path} cannot be read ({error}); expected a file that save_state wrote.') from error
+
+
+def _require_file(path: Path) -> None:
+    """Opening a pipe would wait for somebody to write into it."""
+    if path.exists() and not path.is_file():
+        raise OSError('it is a folder, a device or a pipe')
+
+
+def _require_finite(what: str, arrays: Mapping[str, Array | Stamps]) -> None:
+    for name, values in arrays.items():
+        if name != 'meta' and not np.isfinite(values).all():
+            raise SemiparamError(f"{what} holds a value in '{name}' that is not finite.")
+
+
+def _meta_of(path: Path, arrays: Mapping[str, Array]) -> dict[str, Any]:
+    meta = json.loads(str(arrays['meta'])) if 'meta' in arrays else {}
+    if not isinstance(meta, dict) or meta.get('format') != FORMAT:
+        raise SemiparamError(f'{path} is no saved state; expected a file that save_state wrote.')
+    if meta.get('version') != VERSION:
+        raise SemiparamError(f'{path} is of version {meta.get("version")}; this node reads version {VERSION}.')
+    return meta
+
+
+def _check_robot(path: Path, arrays: Mapping[str, Array], meta: Mapping[str, Any], settings: Settings,
+                 body: RigidBody) -> None:
+    """A model means nothing on another robot, and nothing with other features."""
+    if list(meta['joints']) != list(body.joints):
+        raise SemiparamError(f'{path} is of another robot, with the joints {", ".join(meta["joints"])}; expected '
+                             f'{", ".join(body.joints)}.')
+    for name in FIXED:
+        if meta['settings'][name] != settings.mapping()[name]:
+            raise SemiparamError(f'{path} was learnt with {name} {meta["settings"][name]}; this node has '
+                                 f'{settings.mapping()[name]}.')
+    ours = probe(body)
+    if arrays['probe'].shape != ours.shape or not np.allclose(arrays['probe'], ours, rtol=1e-9, atol=1e-9):
+        raise SemiparamError(f'{path} is of another robot: its description, sensor frame or wrench convention differs.')
+
+
+def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> Estimator:
+    """The estimator as it was."""
+    known = None
+    if meta['known'] is not None:
+        hyperparameters, mean, scale = meta['known']
+        for name in ('tau', 'output_scale', 'pi'):
+            hyperparameters[name] = None if hyperparameters[name] is None else tuple(hyperparameters[name])
+        known = Known(Hyperparameters(**hyperparameters), tuple(mean), tuple(scale))
+    estimator = new_estimator(settings, body, known)
+    estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
+                                     _unstacked(_group(arrays, 'window'), body.n_joints, estimator.columns.n_columns),
+                                     meta['origin'], meta['newest'],
+                                     _from_json(meta['memory'], _group(arrays, 'memory'))))
+    return estimator
+
+
+def _stacked(window: tuple[Remembered, ...]) -> Snapshot:
+    if not window:
+        return {}
+    samples = Samples.from_list(sample for sample, _ in window)
+    return {'stamps': samples.stamps, 'inputs': samples.inputs, 'outputs': samples.outputs,
+            'columns': np.array([columns for _, columns in window])}
+
+
+def _unstacked(arrays: Mapping[str, Array], n_joints: int, n_columns: int) -> tuple[Remembered, ...]:
+    if not arrays:
+        return ()
+    position, velocity, acceleration = np.split(arrays['inputs'], [n_joints, 2 * n_joints], axis=1)
+    columns = arrays['columns'].reshape(len(arrays['stamps']), -1, n_columns)
+    samples = Samples(arrays['stamps'].astype(np.int64), position, velocity, acceleration, arrays['outputs'], 0)
+    return tuple(Remembered(*pair) for pair in zip(samples, columns, strict=True))
+
+
+def _as_json(memory: Memory, arrays: dict[str, Array]) -> Any:
+    """What effects remember, as JSON that refers to ``arrays`` by number. Raises SemiparamError for other objects."""
+    if memory is None or isinstance(memory, bool | int | float | str):
+        return memory
+    if isinstance(memory, np.ndarray | np.generic) and memory.dtype.kind in 'biuf':
+        name = str(len(arrays))
+        arrays[name] = np.array(memory)
+        return {'array': name}
+    if isinstance(memory, tuple | list):
+        return {'tuple' if isinstance(memory, tuple) else 'list': [_as_json(part, arrays) for part in memory]}
+    if isinstance(memory, dict) and all(isinstance(name, str) for name in memory):
+        return {'dict': {name: _as_json(part, arrays) for name, part in memory.items()}}
+    raise SemiparamError(f'an effect remembers a {type(memory).__name__}, which no state file holds; expected None, '
+                         'numbers, texts, arrays, and tuples, lists and dicts of them.')
+
+
+def _from_json(value: Any, arrays: Mapping[str, Array]) -> Memory:
+    if not isinstance(value, dict):
+        return value
+    ((kind, parts),) = value.items()
+    if kind == 'array':
+        return arrays[parts]
+    if kind == 'dict':
+        return {name: _from_json(part, arrays) for name, part in parts.items()}
+    return {'tuple': tuple, 'list': list}[kind](_from_json(part, arrays) for part in parts)
+
+
+def _group(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:
+    return {name.removeprefix(f'{prefix}.'): values for name, values in arrays.items()
+            if name.startswith(f'{prefix}.')}

@@ -1,0 +1,48 @@
+"""The bias of the outputs, set anew on demand without hiding what the arm carries."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+WINDOW_NS = NANOSECONDS
+
+
+class Tare:
+    """Taken off every measured output before the model sees it, and put back on what is published.
+
+    A plain tare makes the sensor read zero, weight and all. This one makes it read what the model expects, so weight
+    and payload stay: the bias grows by the mean residual of the last second.
+    """
+
+    def __init__(self, n_outputs: int, bias: Array | None = None) -> None:
+        self.bias: Array = np.zeros(n_outputs) if bias is None else bias
+        self._residuals: deque[tuple[int, Array]] = deque()
+
+    @property
+    def active(self) -> bool:
+        """Whether there is a bias."""
+        return bool(self.bias.any())
+
+    def add(self, stamp: int, residual: Array, ready: bool) -> None:
+        """Keep the residual of one answer for a second, unless the model is provisional."""
+        if not ready:
+            return
+        self._residuals.append((stamp, residual))
+        while not 0 <= stamp - self._residuals[0][0] <= WINDOW_NS:
+            self._residuals.popleft()
+
+    def take(self) -> int:
+        """Move the bias; returns from how many samples. Raises SemiparamError when there is nothing to go by."""
+        if not self._residuals:
+            raise SemiparamError('there is no prediction of the last second to tare by; the initial window must be '
+                                 'over and samples must come.')
+        count = len(self._residuals)
+        self.bias = self.bias + np.mean([residual for _, residual in self._residuals], axis=0)
+        self._residuals.clear()
+        return count

@@ -1,0 +1,283 @@
+"""A process beside the node, for what takes seconds: the node goes on receiving, predicting and learning. It builds
+estimators from samples, and diagnoses.
+
+A thread would not do: it would share the interpreter's lock with the callbacks, and samples would be late.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from semiparam_ros.core.estimator import Estimator, Prediction
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.history import SampleBatch
+from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
+from semiparam_ros.settings.snapshot import Settings
+
+if TYPE_CHECKING:
+    from semiparam_ros.diagnosis.diagnose import Diagnosis
+
+Done = Callable[[Any, BaseException | None], None]
+NICENESS = 5
+MOST_DEATHS = 2
+"""A job whose process dies so many times is given up: it is the job that kills it, by its memory for instance."""
+
+EstimatorJob = Callable[..., Estimator]
+"""Gives an estimator, in the background."""
+
+SAMPLES_AT_MOST = 6000
+
+
+class Job(Protocol):
+    """Work that was handed to a background."""
+
+    def cancel(self) -> None:
+        """Its result is of no interest any more; it need not begin."""
+
+
+class Background(Protocol):
+    """Runs functions elsewhere and hands their results back to the caller's own thread, in order."""
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
+        """Run ``function(*arguments)``, then ``done(result, None)`` or ``done(None, error)``."""
+
+    def later(self, function: Callable[[], None]) -> None:
+        """Run ``function`` in the caller's thread as soon as what already waits there is done."""
+
+
+class ProcessBackground:
+    """One process, started at once so that it is warm when it is needed, and replaced should it die.
+
+    It is given one job at a time: when it dies, just the job that it worked on is to blame, and is tried once more.
+
+    :param later: hands a function over to the executor's thread, where all of this but the jobs themselves runs.
+    """
+
+    def __init__(self, later: Callable[[Callable[[], None]], object]) -> None:
+        self._later = later
+        self._pool = _new_pool()
+        self._queue: deque[_ProcessJob] = deque()
+        self._running: _ProcessJob | None = None
+        self._closed = False
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
+        """See :class:`Background`."""
+        job = _ProcessJob(function, arguments, done)
+        self._queue.append(job)
+        self._start_next()
+        return job
+
+    def later(self, function: Callable[[], None]) -> None:
+        """See :class:`Background`."""
+        self._later(function)
+
+    def close(self) -> None:
+        """End the process, whatever it is doing."""
+        self._closed = True
+        self._queue.clear()
+        for process in list((self._pool._processes or {}).values()):
+            process.terminate()
+        # Waiting costs nothing now, and spares the interpreter's end a pool that is half closed.
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _start_next(self) -> None:
+        while self._running is None and self._queue and not self._closed:
+            job = self._queue.popleft()
+            if not job.cancelled:
+                self._running = job
+                future = self._submitted(job)
+                future.add_done_callback(lambda finished: self._later(lambda: self._finish(finished)))
+
+    def _submitted(self, job: _ProcessJob) -> Future[Any]:
+        """The process may have died while it had nothing to do."""
+        try:
+            return self._pool.submit(job.function, *job.arguments)
+        except BrokenProcessPool:
+            self._pool = _new_pool()
+            return self._pool.submit(job.function, *job.arguments)
+
+    def _finish(self, future: Future[Any]) -> None:
+        job, self._running = self._running, None
+        if job is None or self._closed or future.cancelled():
+            return
+        error = future.exception()
+        try:
+            if isinstance(error, BrokenProcessPool):
+                self._died(job)
+            elif not job.cancelled:
+                if isinstance(error, MemoryError):
+                    error = SemiparamError('the background process had not memory enough for it.')
+                job.done(None if error else future.result(), error)
+        finally:
+            self._start_next()
+
+    def _died(self, job: _ProcessJob) -> None:
+        job.deaths += 1
+        if job.cancelled:
+            return
+        if job.deaths < MOST_DEATHS:
+            self._queue.appendleft(job)
+        else:
+            job.done(None, SemiparamError(f'the background process died {job.deaths} times over it; it was killed, or '
+                                          'memory ran out.'))
+
+
+@dataclass
+class _ProcessJob:
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    done: Done
+    deaths: int = 0
+    cancelled: bool = False
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+
+class InlineBackground:
+    """The same interface without a process: everything happens at once. For tests and for offline use."""
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
+        """See :class:`Background`."""
+        try:
+            result = function(*arguments)
+        except Exception as error:
+            done(None, error)
+        else:
+            done(result, None)
+        return _ProcessJob(function, arguments, done)
+
+    def later(self, function: Callable[[], None]) -> None:
+        """See :class:`Background`."""
+        function()
+
+
+def _new_pool() -> ProcessPoolExecutor:
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context('spawn'), initializer=_prepare)
+    # The process inherits this: a Ctrl-C while it is still importing is not for it.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        pool.submit(_warm)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return pool
+
+
+def _prepare() -> None:
+    """In the process: leave Ctrl-C to the node, yield to it, and end when it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(NICENESS)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(0)
+
+
+def _warm() -> None:
+    """Nothing: this module's imports, which unpickling this function needs, bring the numerics."""
+
+
+class Known(NamedTuple):
+    """Hyperparameters that an earlier estimate gave for the same model, with the scaling of its inputs."""
+
+    hyperparameters: Hyperparameters
+    input_mean: tuple[float, ...]
+    input_scale: tuple[float, ...]
+
+
+class Window(NamedTuple):
+    """An estimator after its initial window: ready, or with ``failure`` to say why it is not, and the window empty."""
+
+    estimator: Estimator
+    errors: HorizonErrors | None = None
+    failure: SemiparamError | None = None
+
+
+def finish_window(estimator: Estimator, prediction: Prediction) -> Window:
+    """Learn the sample that completes the initial window: the hyperparameters are estimated here."""
+    try:
+        return Window(estimator, estimator.observe(prediction))
+    except SemiparamError as error:  # the provisional model has learnt the sample all the same
+        estimator.window = []
+        return Window(estimator, failure=error)
+
+
+def build(settings: Settings, body: RigidBody, batch: SampleBatch, known: Known | None) -> Estimator:
+    """A new estimator that has seen all samples of a batch."""
+    origin = None if batch.samples is None else batch.samples.origin
+    return absorb(new_estimator(settings, body, known, origin), batch)
+
+
+def new_estimator(settings: Settings, body: RigidBody, known: Known | None = None,
+                  origin: int | None = None) -> Estimator:
+    """An estimator that has learnt nothing yet; time counts from ``origin`` [ns]."""
+    if known is not None:
+        settings = settings.changed(hyperparameter_values(*known))
+    return Estimator(body, model_options(settings), declared_effects(settings, body), origin)
+
+
+def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
+    """Predict and learn further samples, as the node did when they came."""
+    for sample, learnt in batch.pairs():
+        estimator.step(sample, learnt)
+    return estimator
+
+
+def known_of(estimator: Estimator) -> Known | None:
+    """The hyperparameters of an estimator whose initial window is over."""
+    if not estimator.ready or estimator.input_scaling is None:
+        return None
+    mean, scale = estimator.input_scaling
+    return Known(estimator.model.hyperparameters, tuple(mean.tolist()), tuple(scale.tolist()))
+
+
+class Outcome(NamedTuple):
+    """A diagnosis in words and as the machine-readable report; ``effects`` are all that the model then declares."""
+
+    verdict: str
+    words: list[str]
+    report: dict[str, Any]
+    effects: tuple[str, ...]
+
+
+def diagnose(body: RigidBody, samples: Samples, effects: tuple[str, ...]) -> Outcome:
+    """Diagnose samples with the effects declared so far, given as text; raises SemiparamError as the command does."""
+    from semiparam_ros.diagnosis.diagnose import diagnose
+    from semiparam_ros.diagnosis.text_report import text_report
+    from semiparam_ros.effects import effect_from_text
+
+    found = diagnose(body, samples, [effect_from_text(text) for text in effects])
+    return Outcome(found.verdict, text_report(found), found.as_dict(), declared(found))
+
+
+def declared(found: Diagnosis) -> tuple[str, ...]:
+    """The effects of the final model, starts as stamps: a node counts time from its own start, which a reset moves."""
+    from semiparam_ros.effects import effect_to_text
+
+    origin = found.recorded.samples.origin
+    return tuple(effect_to_text(effect.at_stamp(origin)) for effect in found.final.effects)
+
+
+def thinned(samples: Samples) -> Samples:
+    """Evenly fewer of them, where a fast sensor gave more than a diagnosis can look at in half a minute."""
+    step = -(-len(samples) // SAMPLES_AT_MOST)
+    return samples[np.arange(0, len(samples), step)] if step > 1 else samples

@@ -1,0 +1,161 @@
+"""A bag as a timeline: cut to the wanted part, chosen topics only, under the names that they are published with."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter
+
+from semiparam_ros.bags.base import BagReader, Message
+from semiparam_ros.bags.qos import Qos
+from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.playback.player import Item
+
+_TIME = attrgetter('time')
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which topics: those named or matched (all when neither is given), less those excluded."""
+
+    topics: tuple[str, ...] = ()
+    regex: str | None = None
+    exclude: tuple[str, ...] = ()
+    exclude_regex: str | None = None
+
+    def __post_init__(self) -> None:
+        for pattern in (self.regex, self.exclude_regex):
+            try:
+                re.compile(pattern or '')
+            except re.error as error:
+                raise SemiparamError(f"'{pattern}' is not a regular expression: {error}.") from None
+
+    def of(self, available: Sequence[str]) -> list[str]:
+        """The chosen ones of ``available``; a named topic that is not there raises SemiparamError."""
+        missing = [topic for topic in self.topics if topic not in available]
+        if missing:
+            raise SemiparamError(f'the bag has no topic {", ".join(missing)}: it has {", ".join(available) or "none"}.')
+        return [topic for topic in available if self._wanted(topic)]
+
+    def _wanted(self, topic: str) -> bool:
+        if topic in self.exclude or (self.exclude_regex is not None and re.search(self.exclude_regex, topic)):
+            return False
+        if not self.topics and self.regex is None:
+            return True
+        return topic in self.topics or (self.regex is not None and re.search(self.regex, topic) is not None)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Which part: seconds after the start of the bag, ``until_stamp_s`` in seconds since the epoch."""
+
+    start_offset_s: float = 0.0
+    duration_s: float | None = None
+    until_s: float | None = None
+    until_stamp_s: float | None = None
+
+    def bounds(self, start_ns: int, end_ns: int) -> tuple[int, int]:
+        """First and last bag time [ns] of the part; raises SemiparamError when nothing is left."""
+        first = start_ns + _nanoseconds(self.start_offset_s)
+        ends = [end_ns]
+        if self.duration_s is not None:
+            ends.append(first + _nanoseconds(self.duration_s))
+        if self.until_s is not None:
+            ends.append(start_ns + _nanoseconds(self.until_s))
+        if self.until_stamp_s is not None:
+            ends.append(_nanoseconds(self.until_stamp_s))
+        if first > min(ends):
+            raise SemiparamError(f'nothing is left to play: the part would begin {self.start_offset_s:g} s after the '
+                                 f'start and end {(min(ends) - start_ns) * 1e-9:g} s after it.')
+        return first, min(ends)
+
+
+@dataclass(frozen=True)
+class PlayedTopic:
+    """A topic as it is published: its type, and what to offer."""
+
+    name: str
+    type: str
+    qos: Qos
+
+
+@dataclass
+class BagTimeline:
+    """The messages of a bag between two times, playable from anywhere (see ``player.Timeline``).
+
+    :param topics: topic in the bag -> how it is published
+    :param order: 'log', 'publish' or 'header': which time a message is due at. The last two are sorted in memory.
+    """
+
+    bag: BagReader
+    topics: Mapping[str, PlayedTopic]
+    order: str = 'log'
+    cut: Cut = field(default_factory=Cut)
+
+    def __post_init__(self) -> None:
+        self._names = {topic: played.name for topic, played in self.topics.items()}
+        self._latched = {topic for topic, played in self.topics.items() if played.qos.latched}
+        self._sorted = None if self.order == 'log' else sorted(self._stream(self.topics), key=_TIME)
+        first, last = self._extent()
+        self.start_ns, self.end_ns = self.cut.bounds(first, last)
+
+    def _extent(self) -> tuple[int, int]:
+        """Times [ns] of the first and last message of the bag."""
+        if self._sorted:
+            return self._sorted[0].time, self._sorted[-1].time
+        if not any(self.bag.topics[topic].count for topic in self.topics):
+            raise SemiparamError('there is nothing to play: the chosen topics hold no message.')
+        return self.bag.start_ns, self.bag.end_ns
+
+    def play(self, from_ns: int) -> Generator[Item, None, None]:
+        """Every message due from ``from_ns`` to the end, after the last latched ones before it."""
+        yield from self._latched_before(from_ns)
+        for item in self._items(from_ns):
+            if item.time > self.end_ns:
+                return
+            yield item
+
+    def _items(self, from_ns: int) -> Iterator[Item]:
+        if self._sorted is None:
+            return self._stream(self.topics, start_ns=from_ns)
+        return iter(self._sorted[bisect_left(self._sorted, from_ns, key=_TIME):])
+
+    def _latched_before(self, from_ns: int) -> list[Item]:
+        """What a subscriber would have received on connecting at ``from_ns``: a robot's description comes only once."""
+        last: dict[str, Item] = {}
+        if self._sorted is not None:
+            earlier = (item for item in self._sorted[:bisect_left(self._sorted, from_ns, key=_TIME)])
+            last = {item.topic: item for item in earlier if item.topic in self._latched_names()}
+        elif self._latched:
+            last = {item.topic: item for item in self._stream(self._latched, end_ns=from_ns)}
+        return [item._replace(time=from_ns) for item in last.values()]
+
+    def announcements(self) -> list[Item]:
+        """The first message on each latched topic, which a node may need before it can do anything."""
+        first = {item.topic: item for item in self._latched_before(self.start_ns)}
+        for item in self._stream(self._latched):
+            if item.time >= self.start_ns:
+                first.setdefault(item.topic, item)
+            if len(first) == len(self._latched):
+                break
+        return list(first.values())
+
+    def _latched_names(self) -> set[str]:
+        return {self._names[topic] for topic in self._latched}
+
+    def _stream(self, topics: Collection[str], start_ns: int | None = None, end_ns: int | None = None
+                ) -> Iterator[Item]:
+        for message in self.bag.messages(topics, self.order, start_ns, end_ns, decode=False):
+            yield Item(self._time(message), self._names[message.topic], message.raw)
+
+    def _time(self, message: Message) -> int:
+        if self.order == 'log':
+            return message.log_time
+        return message.publish_time if self.order == 'publish' else self.bag.header_time(message)
+
+
+def _nanoseconds(seconds: float) -> int:
+    return round(seconds * NANOSECONDS)

@@ -1,0 +1,190 @@
+"""Messages read from and written to their bytes (CDR), where decoding them would take too long.
+
+Header stamps read and written in place in serialised messages, so that nothing has to be decoded. A message whose first
+field is a std_msgs/Header serialises (XCDR1) as a 4-byte encapsulation, whose second byte names the byte order, then
+``int32 sec`` and ``uint32 nanosec``.
+
+Messages read from and written to their bytes, where a robot sends a thousand of them a second. rclpy makes objects of
+every message, which takes nearly as long as predicting from it. Here the layout of a message (XCDR1) is worked out
+once, and holds for all messages with the same texts and lengths: of each of them only the stamp and the numbers are
+read, in one call.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Callable, Sequence
+from functools import cache
+from struct import Struct, error
+from typing import Any, NamedTuple
+
+from rclpy.serialization import deserialize_message
+
+from semiparam_ros.bags.readings import Reading
+from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.message_types import message_class
+
+_OFFSET = 4
+_FORMAT = {0: '>iI', 1: '<iI'}
+
+ENCAPSULATION = bytes((0, sys.byteorder == 'little', 0, 0))
+"""XCDR1 in the machine's byte order."""
+MOST_LAYOUTS = 64
+MOST_BYTES = 100_000
+"""Of a message that is read: a joint state of a thousand joints. A longer one is refused before it is decoded."""
+
+
+@cache
+def begins_with_header(type_name: str) -> bool:
+    """Whether the messages of this type carry a stamp that the functions below find."""
+    try:
+        fields = message_class(type_name).get_fields_and_field_types()
+    except SemiparamError:
+        return False
+    return next(iter(fields.values()), '') == 'std_msgs/Header'
+
+
+def read_stamp(raw: bytes) -> int:
+    """The header stamp [ns] of a serialised message that begins with a header.
+
+    Raises SemiparamError for bytes too short to hold one.
+    """
+    try:
+        seconds, nanoseconds = struct.unpack_from(_format(raw), raw, _OFFSET)
+    except struct.error:
+        raise SemiparamError(f'a message of {len(raw)} bytes is too short for a header stamp.') from None
+    return int(seconds) * NANOSECONDS + int(nanoseconds)
+
+
+def with_stamp(raw: bytes, stamp: int) -> bytes:
+    """The same serialised message with its header stamp set to ``stamp`` [ns]."""
+    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+    try:
+        field = struct.pack(_format(raw), seconds, nanoseconds)
+    except struct.error:
+        raise SemiparamError(f'a header stamp cannot hold {seconds} s: expected 32-bit seconds.') from None
+    return raw[:_OFFSET] + field + raw[_OFFSET + len(field):]
+
+
+def _format(raw: bytes) -> str:
+    return _FORMAT[raw[1] & 1] if len(raw) > 1 else '<iI'
+
+
+class Floats(NamedTuple):
+    """Doubles of a sequence, which writes how many there are, or the members of a structure."""
+
+    length: int
+    in_sequence: bool = True
+
+
+Part = str | list[str] | Floats
+"""What follows the stamp of a header: a text, a sequence of texts, doubles."""
+
+
+class Layout:
+    """Where the parts of a message stand that begins with a header's stamp."""
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self._values: list[Any] = [0, 0]
+        self._numbers: list[slice] = []
+        code = ''.join(self._floats(part) if isinstance(part, Floats) else self._texts(part) for part in parts)
+        # The machine's own alignment is that of XCDR1, counted from behind the encapsulation.
+        self._struct = Struct(f'@iI{code}')
+        self._filled = [place for place in self._numbers if place.start < place.stop]
+        numbers = {index for place in self._numbers for index in range(place.start, place.stop)}
+        self._fixed = [index for index in range(2, len(self._values)) if index not in numbers]
+        self._expected = [self._values[index] for index in self._fixed]
+
+    def read(self, raw: bytes) -> tuple[int, list[tuple[float, ...]]] | None:
+        """Stamp [ns] and the doubles of each :class:`Floats`; None for bytes that are laid out otherwise."""
+        try:
+            values = self._struct.unpack_from(raw, len(ENCAPSULATION))
+        except error:
+            return None
+        if [values[index] for index in self._fixed] != self._expected or not raw.startswith(ENCAPSULATION):
+            return None
+        return values[0] * NANOSECONDS + values[1], [values[place] for place in self._numbers]
+
+    def write(self, stamp: int, *numbers: Sequence[float]) -> bytes:
+        """The message with a stamp [ns] and the doubles of each :class:`Floats` that is not empty."""
+        values = self._values
+        values[:2] = divmod(stamp, NANOSECONDS)
+        for place, given in zip(self._filled, numbers, strict=True):
+            values[place] = given
+        return ENCAPSULATION + self._struct.pack(*values)
+
+    def _texts(self, part: str | list[str]) -> str:
+        texts = [part] if isinstance(part, str) else part
+        encoded = [text.encode() + b'\0' for text in texts]
+        in_sequence = texts is part
+        self._values += [len(encoded)] * in_sequence
+        for text in encoded:
+            self._values += [len(text), text]
+        return 'I' * in_sequence + ''.join(f'I{len(text)}s' for text in encoded)
+
+    def _floats(self, part: Floats) -> str:
+        self._values += [part.length] * part.in_sequence + [0.0] * part.length
+        self._numbers.append(slice(len(self._values) - part.length, len(self._values)))
+        return 'I' * part.in_sequence + f'{part.length}d' * (part.length > 0)
+
+
+def joint_state_layout(frame_id: str, names: Sequence[str], *counts: int) -> Layout:
+    """Of a sensor_msgs/JointState with so many positions, velocities and efforts."""
+    return Layout([frame_id, list(names), *map(Floats, counts)])
+
+
+def wrench_layout(frame_id: str) -> Layout:
+    """Of a geometry_msgs/WrenchStamped."""
+    return Layout([frame_id, Floats(6, in_sequence=False)])
+
+
+class Reader:
+    """Reads the messages of one topic.
+
+    :param message_class: of rclpy, which decodes the first message of a layout, and what is laid out in no usual way.
+    :param read: what of such a message is needed.
+    :param layout: that of a message with the same texts and lengths; None where rclpy decodes every one.
+    """
+
+    def __init__(self, message_class: type, read: Callable[[Any], Reading],
+                 layout: Callable[[Reading], Layout] | None) -> None:
+        self._message_class, self._read, self._layout = message_class, read, layout
+        self._known: dict[int, tuple[Layout, Reading]] = {}
+
+    def __call__(self, raw: bytes) -> Reading:
+        """Raises SemiparamError for bytes that are no such message, or too many."""
+        if len(raw) > MOST_BYTES:
+            raise SemiparamError(f'a {self._message_class.__name__} of {len(raw)} bytes is too long; expected at most '
+                                 f'{MOST_BYTES}.')
+        known = self._known.get(len(raw))
+        found = known[0].read(raw) if known else None
+        if known is None or found is None:
+            return self._decoded(raw)
+        stamp, numbers = found
+        _, frame_id, (texts, *_) = known[1]
+        return Reading(stamp, frame_id, (texts, *numbers))
+
+    def _decoded(self, raw: bytes) -> Reading:
+        try:
+            reading = self._read(deserialize_message(raw, self._message_class))
+        except Exception as failure:  # of several kinds, from rmw and from the conversion of texts
+            raise SemiparamError(f'a message of {len(raw)} bytes is no {self._message_class.__name__} '
+                                 f'({type(failure).__name__}).') from None
+        if self._layout is not None:
+            if len(self._known) >= MOST_LAYOUTS:
+                self._known.clear()
+            self._known[len(raw)] = (self._layout(reading), reading)
+        return reading
+
+
+def joint_state_layout_of(reading: Reading) -> Layout:
+    """Of the joint state that was read."""
+    names, *columns = reading.fields
+    return joint_state_layout(reading.frame_id, names, *map(len, columns))
+
+
+def wrench_layout_of(reading: Reading) -> Layout:
+    """Of the wrench that was read."""
+    return wrench_layout(reading.frame_id)

@@ -1,0 +1,181 @@
+"""rclpy started, spun and shut down cleanly on signals, the same way for every process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import termios
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rclpy.executors import Executor
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import ok, try_shutdown
+
+from semiparam_ros.errors import SemiparamError
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+ONE_KEY_S = 0.5
+"""Signals within this time are one wish: a terminal and a launcher both pass on the same Ctrl-C."""
+
+SPIN_S = 0.2
+
+
+class StopSignals:
+    """While it is open, ``stop`` is called once, in a thread, by the first SIGINT or SIGTERM.
+
+    Python calls a signal's handler in the main thread between two instructions, whatever that thread holds: a handler
+    that sets the very Event which the main thread is polling can wait for ever for the Event's lock. So the handler
+    does nothing, and the signal's number goes through a pipe to a thread, which may wait.
+
+    A signal that comes more than half a second after the first one ends the process with 128 plus its number, whatever
+    the main thread is doing. That stays so once a signal has come, until the process has ended.
+    """
+
+    def __init__(self, stop: Callable[[], None] = lambda: None) -> None:
+        self.signal: int | None = None
+        self._stop = stop
+        self._first = 0.0
+        self._thread = threading.Thread(target=self._listen, name='signals', daemon=True)
+        self._usual: dict[int, Any] = {}
+        self._terminal = _terminal()
+
+    @property
+    def asked(self) -> bool:
+        """Whether a signal has come."""
+        return self.signal is not None
+
+    def __enter__(self) -> StopSignals:
+        if threading.current_thread() is threading.main_thread():  # only there may handlers be set
+            self._read, self._write = os.pipe()
+            os.set_blocking(self._write, False)
+            self._usual_wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+            self._usual = {number: signal.signal(number, lambda *_: None) for number in SIGNALS}
+            self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        if self.asked or not self._usual:
+            return
+        for number, handler in self._usual.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(self._usual_wakeup)
+        os.write(self._write, b'\0')
+        self._thread.join()
+        for descriptor in (self._read, self._write):
+            os.close(descriptor)
+
+    def _listen(self) -> None:
+        while number := os.read(self._read, 1)[0]:
+            if number in SIGNALS:
+                self._take(number)
+
+    def _take(self, number: int) -> None:
+        if self.signal is None:
+            self.signal, self._first = number, time.monotonic()
+            self._stop()
+        elif time.monotonic() - self._first > ONE_KEY_S:
+            self._restore_terminal()
+            os._exit(128 + number)
+
+    def _restore_terminal(self) -> None:
+        """As it was found: keys are shown again, and the cursor."""
+        if self._terminal is not None:
+            with suppress(OSError, termios.error):
+                if os.tcgetpgrp(0) == os.getpgrp():  # from the background it would stop this process
+                    termios.tcsetattr(0, termios.TCSANOW, self._terminal)
+        with suppress(OSError):
+            if os.isatty(2):
+                os.write(2, b'\x1b[?25h')
+
+
+def _terminal() -> list[Any] | None:
+    try:
+        return termios.tcgetattr(0)
+    except (OSError, termios.error):
+        return None
+
+
+def spin_for(executor: Executor, seconds: float) -> None:
+    """Handle whatever comes within so many seconds.
+
+    The EventsExecutor's spin() never sleeps without a timeout, and spin_once() returns after each message, which costs
+    a fifth of taking it; waiting for a future that nobody completes does neither.
+    """
+    executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+
+def start_rclpy(ros_arguments: Sequence[str]) -> None:
+    """Start rclpy with the user's ``--ros-args ...``; raises SemiparamError with rcl's reason where it refuses them."""
+    try:
+        # Our own handlers: rclpy's would end the context before the node has left the graph or told its account.
+        rclpy.init(args=[sys.argv[0], *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rcl complains about arguments in exceptions of several kinds
+        raise SemiparamError(f'the ROS arguments are refused: {rcl_reason(error)}') from None
+
+
+def rcl_reason(error: Exception) -> str:
+    """rcl's message without the places in its own sources."""
+    text = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return text.split(', at /')[0].rstrip('.') + '.'
+
+
+class RosProcess:
+    """Context manager around one node's life.
+
+    :param ros_arguments: ``--ros-args ...`` as given by the user
+    :param stop: called by the first SIGINT or SIGTERM (see :class:`StopSignals`), and when a callback failed, which
+        ``error`` then holds; always in a thread other than the main one
+    """
+
+    def __init__(self, ros_arguments: Sequence[str], stop: Callable[[], None]) -> None:
+        self._arguments = list(ros_arguments)
+        self._stop = stop
+        self._node: Node | None = None
+        self._thread: threading.Thread | None = None
+        self._closing = False
+        self._signals = StopSignals(stop)
+        self.error: Exception | None = None
+
+    def __enter__(self) -> RosProcess:
+        start_rclpy(self._arguments)
+        self._signals.__enter__()
+        return self
+
+    def spin(self, node: Node) -> None:
+        """Serve the node's callbacks in a thread of their own from now on; the node is destroyed at the end."""
+        self._node = node
+        self._thread = threading.Thread(target=self._spin, args=(node,), name='executor', daemon=True)
+        self._thread.start()
+
+    def _spin(self, node: Node) -> None:
+        executor = EventsExecutor()
+        executor.add_node(node)
+        try:
+            while ok() and not self._closing:
+                spin_for(executor, SPIN_S)
+        except Exception as error:  # raised by a callback: told by whoever runs the tool, not by this thread
+            self.error = error
+            self._stop()
+        finally:
+            executor.shutdown()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._closing = True
+        if self._thread is not None:
+            self._thread.join()
+        if self._node is not None:
+            self._node.destroy_node()
+        try_shutdown()
+        self._signals.__exit__(kind, error, trace)

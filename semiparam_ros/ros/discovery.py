@@ -1,0 +1,72 @@
+"""Other nodes: waiting for them, their names, and the proof that they know our endpoints."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+
+POLL_S = 0.02
+_PARTICIPANT_BYTES = 12
+_UNKNOWN = '_NODE_NAME_UNKNOWN_'
+
+HANDSHAKE_S = 3.0
+
+
+class Stopped(Exception):
+    """The user ended the program while it waited."""
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float, stopping: threading.Event) -> bool:
+    """Poll ``condition``; False after ``timeout_s`` seconds. Raises Stopped as soon as ``stopping`` is set."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        if stopping.wait(POLL_S):
+            raise Stopped
+        if time.monotonic() > deadline:
+            return False
+    return True
+
+
+def owner(info: Any) -> str:
+    """The full node name behind an endpoint; the participant's number for one that is not of ROS."""
+    if not is_named(info):
+        return 'participant ' + bytes(info.endpoint_gid[:_PARTICIPANT_BYTES]).hex()
+    return f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+
+
+def is_named(info: Any) -> bool:
+    """Whether the node behind an endpoint is known by name."""
+    return bool(info.node_name != _UNKNOWN)
+
+
+def handshake(node: Node, other: str, stopping: threading.Event, parameter: str = '') -> int | None:
+    """Ask the node ``other`` for a parameter; its value when it is an integer, else None.
+
+    Discovery is not symmetric: that we see its endpoints does not mean that it sees ours, and until it does what either
+    side sends is lost to the other (with Fast DDS for up to 3 s, the period of its heartbeat). It learns of our
+    publishers and of our subscriptions in the order of their creation, and it cannot answer this call before it knows
+    the client, which is younger than all of them. Who has no parameter services, because it is not of ROS, is trusted.
+    """
+    if not other.startswith('/'):
+        return None
+    client = node.create_client(GetParameters, f'{other}/get_parameters')
+    try:
+        if wait_until(client.service_is_ready, HANDSHAKE_S, stopping):
+            reply = client.call_async(GetParameters.Request(names=[parameter] if parameter else []))
+            if wait_until(reply.done, HANDSHAKE_S, stopping):
+                return _integer(reply.result().values)
+        return None
+    finally:
+        node.destroy_client(client)
+
+
+def _integer(values: Sequence[ParameterValue]) -> int | None:
+    """The first value, None when it is not set or no integer."""
+    is_one = len(values) > 0 and values[0].type == ParameterType.PARAMETER_INTEGER
+    return int(values[0].integer_value) if is_one else None

@@ -1,0 +1,1 @@
+"""The node `estimator`: topics, parameters, services, diagnostics."""

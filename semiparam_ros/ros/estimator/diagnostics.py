@@ -1,0 +1,320 @@
+"""What the node says of itself: every status once a second on /diagnostics (REP 107), and the payload."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Mapping
+from itertools import cycle
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import InertiaStamped
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.errors import shortened
+from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
+from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.model_switcher import State
+from semiparam_ros.ros.estimator.inputs import Inputs
+from semiparam_ros.ros.estimator.outputs import inertia_message
+
+DESCRIPTION, TRAJECTORY, PARAMETERS = 'robot_description', 'desired_trajectory', 'parameters'
+CHECKPOINTS = 'checkpoints'
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+SILENCE_S = 1.0
+IMPLAUSIBLE = 3.0
+"""Root mean square of standardised innovations above which the model does not describe the robot."""
+
+PERIOD_S = 1.0
+
+
+class Rejections:
+    """Counts by where they came in, and the last sentence of a topic; callers of services have theirs in the reply."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.last = ''
+
+    def add(self, where: str, sentence: str) -> None:
+        """One more."""
+        self.counts[where] += 1
+        if where != PARAMETERS:
+            self.last = shortened(sentence)
+
+    @property
+    def on_topics(self) -> int:
+        """How many messages."""
+        return self.counts.total() - self.counts[PARAMETERS]
+
+
+class InternalErrors:
+    """Counts for /diagnostics, and the log.
+
+    :param log: receives a text that must be seen. :param again: receives the sentence of an error seen before.
+    """
+
+    def __init__(self, log: Callable[[str], object], again: Callable[[str], object]) -> None:
+        self.counts: Counter[str] = Counter()
+        self.last = ''
+        self._log, self._again = log, again
+        self._seen: set[str] = set()
+
+    def add(self, place: str, error: BaseException) -> str:
+        """One more; returns its sentence. The first of its kind goes into the log with its traceback."""
+        sentence = f'internal error at {place}, {type(error).__name__}: {error!s:.300}'
+        self.counts[place] += 1
+        self.last = sentence
+        text = ''.join(traceback.format_exception(type(error), error, error.__traceback__))
+        kind = f'{place} {type(error).__name__} {_innermost(error)}'
+        if kind in self._seen:
+            self._again(sentence)
+        else:
+            self._seen.add(kind)
+            self._log(f'{sentence}\n{text}')
+        return sentence
+
+
+def _innermost(error: BaseException) -> str:
+    """File and line where it was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return f'{frames[-1].filename}:{frames[-1].lineno}' if frames else ''
+
+
+class Report(NamedTuple):
+    """One status: how serious, in words, and its figures."""
+
+    level: bytes
+    message: str
+    values: Mapping[str, Any]
+
+
+class Tally:
+    """What is counted between two reports."""
+
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        self.excitation = Excitation(joints)
+        self.errors: HorizonErrors | None = None
+        self.answers = 0
+        self._squares = 0.0
+
+    def add(self, answer: Answer) -> None:
+        """One answer has gone out."""
+        prediction = answer.prediction
+        self.excitation.add(prediction.sample)
+        if prediction.ready:
+            self.answers += 1
+            self._squares += answer.innovation**2
+
+    def innovation(self) -> float | None:
+        """Root mean square of the standardised innovations since the last call."""
+        result = (self._squares / self.answers) ** 0.5 if self.answers else None
+        self.answers, self._squares = 0, 0.0
+        return result
+
+
+class InputReport:
+    """Rates, silence, and what was refused."""
+
+    def __init__(self, inputs: Inputs, rejections: Rejections) -> None:
+        self._inputs, self._rejections = inputs, rejections
+        self._since = time.monotonic()
+        self._before: Counter[str] = Counter()
+        self._refused = self._elsewhere = 0
+        self._last = ''
+
+    def make(self) -> Report:
+        """Since the last report."""
+        now, counts = time.monotonic(), self._inputs.counts
+        span, self._since = max(now - self._since, 1e-9), now
+        values: dict[str, Any] = {}
+        for topic in self._inputs.topics:
+            values[f'{topic} rate [Hz]'] = round((counts[topic] - self._before[topic]) / span, 1)
+            values[f'{topic} received'] = counts[topic]
+            values[f'{topic} publishers'] = self._inputs.publishers(topic)
+        self._before = Counter(counts)
+        stream = self._inputs.stream
+        faults: Counter[str] = stream.faults if stream else Counter()
+        values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._rejections.counts).items())}
+        self._last, self._elsewhere = self._latest(sum(faults.values())), self._rejections.on_topics
+        values['last refusal'] = self._last
+        values['ignored: other_joints'] = stream.strangers if stream else 0
+        values['waiting for their counterpart'] = stream.pending if stream else 0
+        values['lost before the robot was known'] = counts['given up']
+        return self._judged(now, sum(faults.values()) + self._rejections.on_topics, values)
+
+    def _latest(self, in_stream: int) -> str:
+        if self._rejections.on_topics > self._elsewhere:
+            return self._rejections.last
+        stream = self._inputs.stream
+        return stream.last_fault if stream and in_stream > self._refused - self._elsewhere else self._last
+
+    def _judged(self, now: float, refused: int, values: Mapping[str, Any]) -> Report:
+        news, self._refused = refused - self._refused, refused
+        silent = [topic for topic in self._inputs.needed if topic in self._inputs.arrived
+                  and now - self._inputs.arrived[topic] > SILENCE_S]
+        absent = [topic for topic in self._inputs.needed if topic not in self._inputs.arrived]
+        if absent:
+            stream = self._inputs.stream
+            others = f' Ignored: {stream.last_stranger}' if stream and stream.last_stranger else ''
+            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{others}', values)
+        if silent:
+            return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.', values)
+        if news > 0:
+            return Report(WARN, f'{news} messages refused in the last second: {values["last refusal"]}', values)
+        return Report(OK, 'receiving.', values)
+
+
+def timing_report(inputs: Inputs) -> Report:
+    """From the arrival of the message that completes a sample to its answer."""
+    latency = inputs.stopwatch.quantiles_ms()
+    if latency is None:
+        return Report(OK, 'no answer yet.', {})
+    names = ('latency median [ms]', 'latency p99 [ms]', 'latency max [ms]')
+    return Report(OK, 'answering.', {name: round(value, 3) for name, value in zip(names, latency, strict=True)})
+
+
+def learning_report(learner: Learner, news: str) -> Report:
+    """Which model answers, and whether it learns."""
+    level, message = _learning_state(learner)
+    values = {
+        'variant': learner.built.variant, 'effects': ', '.join(learner.built.effects),
+        'shadow variants': ', '.join(name for name, shadow in learner.switcher.shadows.items()
+                                     if shadow.state is State.LIVE),
+        'samples answered': learner.answered, 'samples learnt': learner.learnt, 'samples waiting': len(learner.waiting),
+        'samples lost': learner.lost, 'samples not learnt for contact': learner.gate.refused,
+        'in contact': learner.gate.closed, 'last news': news}
+    return Report(level, message, values)
+
+
+def _learning_state(learner: Learner) -> tuple[bytes, str]:
+    successor, estimator = learner.switcher.successor, learner.estimator
+    if learner.lost:
+        return ERROR, f'{learner.lost} samples lost: the machine is too slow for their rate.'
+    if learner.busy:
+        return OK, f'estimating hyperparameters; {len(learner.waiting)} samples wait.'
+    if not learner.settings.learning:
+        return WARN, 'paused: predicting without learning.'
+    if learner.gate.closed:
+        return OK, 'in contact: predicting without learning.'
+    if successor is not None:
+        return OK, f'learning with {learner.built.variant}; {successor.settings.variant} is being built.'
+    if not estimator.ready:
+        return OK, (f'gathering the initial window: {len(estimator.window)} of {learner.built.initial_samples} '
+                    'samples.')
+    return OK, f'learning with {learner.built.variant}.'
+
+
+def model_report(learner: Learner, tally: Tally) -> Report:
+    """Health of the model, horizon errors, excitation and conditioning."""
+    innovation, sentences = tally.innovation(), tally.excitation.sentences()
+    values: dict[str, Any] = {'standardised innovation (rms)': '' if innovation is None else round(innovation, 3)}
+    if tally.errors is not None:
+        values |= {f'horizon error {name}': f'{error:.3g}' for name, error in
+                   zip(learner.body.output_names, tally.errors.eps, strict=True)}
+    condition = conditioning(learner.estimator.model, learner.estimator.columns.prior_scale)
+    if condition is not None:
+        values |= {'condition number': f'{condition.number:.3g}',
+                   'undetermined directions': f'{condition.undetermined} of {condition.columns}'}
+    values |= {f'excitation {index}': sentence for index, sentence in enumerate(sentences)}
+    if innovation is not None and innovation > IMPLAUSIBLE:
+        return Report(WARN, f'the outputs lie {innovation:.1f} predicted standard deviations off: the robot has '
+                            'changed, or is touched.', values)
+    if sentences:
+        return Report(WARN, f'{sentences[0]}.', values)
+    return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction yet.', values)
+
+
+def errors_report(errors: InternalErrors) -> Report:
+    """What went wrong in the node itself, by its place."""
+    values: dict[str, Any] = {f'internal errors: {place}': count for place, count in sorted(errors.counts.items())}
+    values |= {'internal errors': errors.counts.total(), 'last internal error': errors.last}
+    return Report(ERROR if errors.counts else OK, errors.last or 'no internal error.', values)
+
+
+def parameters_report(learner: Learner) -> Report:
+    """Every coefficient with its standard deviation."""
+    found = quantities(learner.estimator)
+    values = {entry.name: f'{entry.value:.6g} +- {entry.std:.2g} {entry.unit}' for entry in found}
+    return Report(OK, f'{len(found)} coefficients.', values)
+
+
+def status(name: str, hardware_id: str, report: Report) -> DiagnosticStatus:
+    """The message of one report."""
+    values = [KeyValue(key=key, value=str(value)) for key, value in report.values.items()]
+    return DiagnosticStatus(level=report.level, name=name, message=report.message, hardware_id=hardware_id,
+                            values=values)
+
+
+class Reports:
+    """One status after another, evenly over the second: a sample that comes meanwhile waits for one of them only.
+
+    :param learner: gives the learner, None before the robot is known.
+    """
+
+    def __init__(self, node: Node, inputs: Inputs, rejections: Rejections, errors: InternalErrors,
+                 learner: Callable[[], Learner | None]) -> None:
+        self.tally = Tally(())
+        self._news = self._robot_name = ''
+        self._errors = errors
+        self._node, self._inputs, self._learner = node, inputs, learner
+        self._name = node.get_fully_qualified_name().lstrip('/')
+        self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
+        turns = {'inputs': InputReport(inputs, rejections).make,
+                 'timing': lambda: timing_report(inputs), 'learning': self._learning,
+                 'model': self._model, 'parameters': self._parameters,
+                 'errors': lambda: errors_report(errors)}
+        turn = cycle(turns.items())
+        # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
+        node.create_timer(PERIOD_S / len(turns), lambda: self._publish(*next(turn)),
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def open(self, robot_name: str, joints: tuple[str, ...]) -> None:
+        """The robot is known: count its answers."""
+        self._robot_name, self.tally = robot_name, Tally(joints)
+        self.say(f'{robot_name or "the robot"} is known by its description and moves {", ".join(joints)}.')
+
+    def say(self, sentence: str) -> None:
+        """Into the log, and into the status of learning as the last news."""
+        self._news = sentence
+        self._node.get_logger().info(sentence)
+
+    def _publish(self, title: str, make: Callable[[], Report | None]) -> None:
+        try:
+            report = make()
+        except Exception as error:  # a status that cannot be told must not keep the others back
+            self._errors.add(f'the status of {title}', error)
+            return
+        if report is None:
+            return
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [status(f'{self._name}: {title}', self._robot_name, report)]
+        self._statuses.publish(message)
+
+    def _learning(self) -> Report:
+        for topic in self._inputs.follow_reliability():
+            self.say(f'{topic} is offered as best_effort only, and received so.')
+        learner = self._learner()
+        if learner is None:
+            return Report(WARN, 'waiting for a robot description.', {})
+        return learning_report(learner, self._news)
+
+    def _model(self) -> Report | None:
+        learner = self._learner()
+        return None if learner is None else model_report(learner, self.tally)
+
+    def _parameters(self) -> Report | None:
+        learner = self._learner()
+        if learner is None:
+            return None
+        carried = payload(learner.estimator) if self._payload.get_subscription_count() else None
+        if carried is not None:
+            self._payload.publish(inertia_message(self._node.get_clock().now().to_msg(), carried))
+        return parameters_report(learner)

@@ -1,0 +1,297 @@
+"""The topics that the node listens to, from messages to samples."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from semiparam_ros.bags import readings
+from semiparam_ros.bags.alignment import CAPACITY, SampleStream
+from semiparam_ros.bags.loading import measured_accelerations, sample_stream
+from semiparam_ros.bags.readings import Kind, Reading
+from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout_of
+from semiparam_ros.settings.snapshot import Settings
+
+NEEDED = 5
+
+ROBOT_DESCRIPTION = 'robot_description'
+JOINT_STATES, WRENCH, ACCELERATIONS = 'joint_states', 'wrench', 'joint_accelerations'
+
+
+class Stopwatch:
+    """Between the arrival of the message that completes a sample and the publishing of its answer."""
+
+    SIZE = 1000
+
+    def __init__(self) -> None:
+        self._spans = np.zeros(self.SIZE)
+        self._count = 0
+        self._start = 0.0
+
+    def start(self) -> None:
+        """A message has come in."""
+        self._start = time.perf_counter()
+
+    def stop(self) -> None:
+        """An answer has gone out."""
+        self._spans[self._count % self.SIZE] = time.perf_counter() - self._start
+        self._count += 1
+
+    def quantiles_ms(self) -> tuple[float, float, float] | None:
+        """(median, p99, maximum) in ms, None before the first answer."""
+        spans = self._spans[:self._count]
+        if not len(spans):
+            return None
+        median, late, last = np.quantile(spans, (0.5, 0.99, 1.0)) * 1e3
+        return float(median), float(late), float(last)
+
+
+class Held(NamedTuple):
+    """A message that came with a stamp before the last one."""
+
+    topic: str
+    reading: Reading
+
+
+class ClockWatch:
+    """Holds back refused messages until ``needed`` of one topic in a row agree with each other."""
+
+    def __init__(self, needed: int = NEEDED) -> None:
+        self._needed = needed
+        self._held: list[Held] = []
+
+    def accepted(self, topic: str) -> None:
+        """The topic goes on as before: its messages that went back were wrong."""
+        if self._held:
+            self._held = [held for held in self._held if held.topic != topic]
+
+    def refused(self, topic: str, reading: Reading) -> list[Held]:
+        """A message went back in time; once the clock must have jumped, all that were held, in order of arrival."""
+        own = [held for held in self._held if held.topic == topic]
+        if own and reading.stamp <= own[-1].reading.stamp:
+            self.accepted(topic)
+            own = []
+        self._held.append(Held(topic, reading))
+        if len(own) + 1 < self._needed:
+            return []
+        jumped, self._held = self._held, []
+        return jumped
+
+    def clear(self) -> None:
+        """Start afresh."""
+        self._held.clear()
+
+
+class Feed(NamedTuple):
+    """Type of a topic's messages, what a stream does with one, and how it is laid out in bytes (None: looked up)."""
+
+    message_class: type
+    kind: Kind
+    layout: Callable[[Reading], Layout] | None
+
+
+FEEDS = {JOINT_STATES: Feed(JointState, readings.JOINT_STATE, joint_state_layout_of),
+         WRENCH: Feed(WrenchStamped, readings.WRENCH, wrench_layout_of),
+         ACCELERATIONS: Feed(JointTrajectory, readings.ACCELERATIONS, None)}
+
+
+class InputsListener(Protocol):
+    """Receives what comes in on the topics."""
+
+    def sample_completed(self, sample: Sample) -> None:
+        """The next sample, in order of time."""
+
+    def frame_changed(self, frame_id: str) -> None:
+        """The frame of the measured outputs."""
+
+    def described(self, urdf: str) -> None:
+        """A robot description."""
+
+    def clock_jumped(self) -> None:
+        """What waited for its counterpart is dropped."""
+
+    def message_failed(self, topic: str, error: Exception) -> None:
+        """A message was refused, or could not be handled."""
+
+
+class Inputs:
+    """Subscriptions, and the stream they feed once the robot's joints are known; until then messages are kept."""
+
+    def __init__(self, node: Node, settings: Settings, listener: InputsListener) -> None:
+        self._node, self._settings, self._listener = node, settings, listener
+        self.counts: Counter[str] = Counter()
+        self.stopwatch = Stopwatch()
+        self.arrived: dict[str, float] = {}
+        self.stream: SampleStream | None = None
+        self.best_effort: set[str] = set()
+        self._joints: tuple[str, ...] | None = None
+        self._early: list[tuple[str, Reading]] = []
+        self._watch = ClockWatch()
+        self._frame_topic = WRENCH if settings.outputs == 'wrench' else JOINT_STATES
+        self.topics = [JOINT_STATES, *([WRENCH] if settings.outputs == 'wrench' else []),
+                       *([ACCELERATIONS] if settings.acceleration_source != 'filter' else [])]
+        self._subscriptions = {topic: self._subscribe(topic, settings.reliability == 'best_effort')
+                               for topic in self.topics}
+        self._oversized = 0
+        self._descriptions = [self._listen_to_description(durability) for durability in (
+            QoSDurabilityPolicy.TRANSIENT_LOCAL, QoSDurabilityPolicy.VOLATILE)]
+
+    @property
+    def needed(self) -> list[str]:
+        """Topics without which there are no samples; measured accelerations only where the samples wait for them."""
+        waits = self._settings.acceleration_source == 'measured' or (
+            self.stream is not None and self.stream.takes_accelerations)
+        return [topic for topic in self.topics if topic != ACCELERATIONS or waits]
+
+    def open(self, joints: tuple[str, ...]) -> None:
+        """The joints are known: messages that came before are handed on first."""
+        self._joints = joints
+        early, self._early = self._early, []
+        for topic, reading in early:
+            self._receive(topic, reading)
+
+    def clock_jumped(self) -> None:
+        """Forget what waits for its counterpart."""
+        self._watch.clear()
+        if self.stream is not None:
+            self.stream.reset()
+        self._listener.clock_jumped()
+
+    def publishers(self, topic: str) -> int:
+        """How many publishers a topic has that are heard."""
+        return int(self._subscriptions[topic].get_publisher_count())
+
+    def follow_reliability(self) -> list[str]:
+        """Topics that only best_effort publishers serve, which a reliable subscription does not hear: asked anew."""
+        silent = [topic for topic in self.topics if topic not in self.best_effort and not self.publishers(topic)
+                  and self._settings.reliability == 'auto' and self._is_offered_best_effort(topic)]
+        for topic in silent:
+            self._node.destroy_subscription(self._subscriptions[topic])
+            self._subscriptions[topic] = self._subscribe(topic, best_effort=True)
+        return silent
+
+    def _is_offered_best_effort(self, topic: str) -> bool:
+        name = self._node.resolve_topic_name(topic)
+        offers = [info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(name)]
+        return bool(offers) and all(offer == QoSReliabilityPolicy.BEST_EFFORT for offer in offers)
+
+    def _subscribe(self, topic: str, best_effort: bool) -> Subscription:
+        depth = self._settings.queue_depth
+        profile = QoSProfile(
+            history=QoSHistoryPolicy.KEEP_LAST if depth else QoSHistoryPolicy.KEEP_ALL, depth=depth,
+            reliability=QoSReliabilityPolicy.BEST_EFFORT if best_effort else QoSReliabilityPolicy.RELIABLE)
+        again = best_effort and self._settings.reliability == 'auto'
+        if best_effort:
+            self.best_effort.add(topic)
+        feed = FEEDS[topic]
+        read = Reader(feed.message_class, feed.kind.read, feed.layout)
+
+        def receive(raw: Any) -> None:
+            try:
+                self._receive(topic, read(raw))
+            except Exception as error:
+                self._listener.message_failed(topic, error)
+
+        return self._node.create_subscription(
+            feed.message_class, topic, receive, profile, raw=True,
+            qos_overriding_options=None if again else QoSOverridingOptions.with_default_policies())
+
+    def _listen_to_description(self, durability: QoSDurabilityPolicy) -> Subscription:
+        """Latched, as robot_state_publisher offers it; and plain, as a tool may play it."""
+        def receive(raw: Any) -> None:
+            try:
+                self._describe(raw)
+            except Exception as error:
+                self._listener.message_failed(ROBOT_DESCRIPTION, error)
+
+        return self._node.create_subscription(String, ROBOT_DESCRIPTION, receive,
+                                              QoSProfile(depth=1, durability=durability), raw=True)
+
+    def _describe(self, raw: bytes) -> None:
+        """Refuse what is too long before it is decoded; once, for both subscriptions hear a latched one."""
+        if len(raw) > 4 * MOST_CHARACTERS:
+            if len(raw) == self._oversized:
+                return
+            self._oversized = len(raw)
+            raise SemiparamError(f'a robot description of {len(raw)} bytes is too long; expected at most '
+                                 f'{MOST_CHARACTERS} characters.')
+        try:
+            text = deserialize_message(raw, String).data
+        except Exception as failure:  # of several kinds, from rmw and from the conversion of texts
+            raise SemiparamError(f'a robot description of {len(raw)} bytes cannot be read ({type(failure).__name__}).'
+                                 ) from None
+        if text:
+            self._listener.described(text)
+
+    def _receive(self, topic: str, reading: Reading) -> None:
+        self.stopwatch.start()
+        if self.stream is None and not self._can_open(topic):
+            self.arrived[topic] = time.monotonic()
+            self._keep(topic, reading)
+        elif self._feed(topic, reading):
+            self.counts[topic] += 1
+            self.arrived[topic] = time.monotonic()
+
+    def _keep(self, topic: str, reading: Reading) -> None:
+        self._early.append((topic, reading))
+        if len(self._early) > CAPACITY:
+            del self._early[0]
+            self.counts['given up'] += 1
+
+    def _can_open(self, topic: str) -> bool:
+        """Open the stream with the first joint state: whoever measures accelerations publishes them by then."""
+        if self._joints is None or topic != JOINT_STATES:
+            return False
+        published = ACCELERATIONS in self.topics and (
+            self.publishers(ACCELERATIONS) > 0 or any(early == ACCELERATIONS for early, _ in self._early))
+        self.stream = sample_stream(self._settings, self._joints, measured_accelerations(self._settings, published),
+                                    CAPACITY)
+        early, self._early = self._early, []
+        for kept, reading in early:
+            self._receive(kept, reading)
+        return True
+
+    def _feed(self, topic: str, reading: Reading) -> bool:
+        """False for a message of other joints than ours, which is no sign of life of the robot."""
+        stream = self.stream
+        assert stream is not None
+        strangers = stream.strangers
+        backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
+        samples = FEEDS[topic].kind.feed(stream, reading.stamp, *reading.fields)
+        if stream.faults['backward_stamp'] > backward:
+            self._went_back(topic, reading)
+            return True
+        if stream.strangers > strangers:
+            return False
+        self._watch.accepted(topic)
+        if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:
+            self._listener.frame_changed(reading.frame_id)
+        for sample in samples:
+            self._listener.sample_completed(sample)
+        return True
+
+    def _went_back(self, topic: str, reading: Reading) -> None:
+        held = self._watch.refused(topic, reading)
+        if not held:
+            return
+        self.clock_jumped()
+        assert self.stream is not None
+        self.stream.faults['backward_stamp'] -= len(held)
+        for again in held:
+            self._feed(again.topic, again.reading)

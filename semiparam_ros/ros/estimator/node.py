@@ -1,0 +1,258 @@
+"""The node `estimator`: it owns topics, parameters, services and the background process; the rest it delegates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.errors import SemiparamError, shortened
+from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.state_file import SavedState
+from semiparam_ros.online.worker import ProcessBackground
+from semiparam_ros.ros.estimator.autosave import Autosave
+from semiparam_ros.ros.estimator.desired_trajectory import DesiredTrajectory
+from semiparam_ros.ros.estimator.diagnostics import (
+    CHECKPOINTS,
+    DESCRIPTION,
+    PARAMETERS,
+    TRAJECTORY,
+    InternalErrors,
+    Rejections,
+    Reports,
+)
+from semiparam_ros.ros.estimator.inputs import Inputs
+from semiparam_ros.ros.estimator.outputs import Outputs
+from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters
+from semiparam_ros.ros.estimator.robot import Robot
+from semiparam_ros.ros.estimator.services import Diagnosing, Services
+from semiparam_ros.settings.snapshot import Settings, unknown_name
+from semiparam_ros.settings.table import BY_NAME
+
+NAME = 'estimator'
+
+
+class EstimatorNode(Node):
+    """Learns, predicts and publishes.
+
+    :param later: hands a function over to the executor's thread.
+    Raises SemiparamError when the parameters do not describe an estimator.
+    """
+
+    def __init__(self, later: Callable[[Callable[[], None]], object]) -> None:
+        super().__init__(NAME)
+        self.learner: Learner | None = None
+        self.errors = InternalErrors(self.get_logger().error, self._complain)
+        self._rejections = Rejections()
+        self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
+                                      self._accept, self._change)
+        settings = self._live.settings
+        self._outputs = Outputs(self, settings.outputs)
+
+        def in_executor(function: Callable[[], None]) -> None:
+            later(lambda: self._guarded(function, 'the background'))
+
+        self._background = ProcessBackground(in_executor)
+        self._robot = Robot(settings, self._begin, lambda sentence: self._refuse(DESCRIPTION, sentence))
+        self._inputs = Inputs(self, settings, self)
+        self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner)
+        self._held_replies = HeldReplies(self, self._announcement)
+        Services(self, self._live, self._the_learner, self.errors)
+        self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor, self.errors)
+        DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
+                          lambda answer: self._guarded(answer, TRAJECTORY), later)
+        self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
+                                  in_executor, self._reports.say, lambda sentence: self._refuse(CHECKPOINTS, sentence))
+        self._watch_clock()
+        self._robot.from_parameters()
+
+    @property
+    def settings(self) -> Settings:
+        """The parameters as they stand."""
+        return self._live.settings
+
+    def close(self) -> None:
+        """End the background processes and leave the graph."""
+        self._autosave.close()
+        self._diagnosing.close()
+        self._background.close()
+        self.destroy_node()
+
+    # The robot and its learner
+
+    def _begin(self, body: RigidBody) -> None:
+        """The robot is known: what was received so far is answered first."""
+        self._outputs.open(body)
+        self._reports.open(self._robot.name, body.joints)
+        self.learner = Learner(self._live.settings, body, self._background, self, self._newest_checkpoint)
+        saved = self._autosave.resume(self._live.settings, body)
+        if saved is not None:
+            self.learner.restore(saved)
+            self._live.write(saved.settings)
+        self._inputs.open(body.joints)
+
+    def _newest_checkpoint(self) -> SavedState | None:
+        """What a model that broke is replaced by."""
+        return None if self.learner is None else self._autosave.newest(self._live.settings, self.learner.body)
+
+    def _the_learner(self) -> Learner:
+        if self.learner is None:
+            raise SemiparamError('there is no model yet: the robot description has not come.')
+        return self.learner
+
+    # What the inputs tell (InputsListener)
+
+    def sample_completed(self, sample: Sample) -> None:
+        """Answer it, and learn it; whatever happens there, the samples after it come here too."""
+        try:
+            if self.learner is not None:
+                self.learner.offer(sample)
+        except Exception as error:
+            self._report(error, 'a sample')
+
+    def frame_changed(self, frame_id: str) -> None:
+        """Answers have the frame of the measured outputs."""
+        self._outputs.frame_id = frame_id
+
+    def described(self, urdf: str) -> None:
+        """A description on its topic."""
+        self._robot.from_topic(urdf)
+
+    def clock_jumped(self) -> None:
+        """Half-finished samples are dropped already."""
+        self._reports.say('the clock jumped: half-finished samples and horizons are dropped, the model stays.')
+        if self.learner is not None:
+            self.learner.clear_pending()
+
+    def message_failed(self, topic: str, error: Exception) -> None:
+        """A message was refused, or could not be handled."""
+        self._report(error, topic, refused=True)
+
+    # What the learner tells (LearnerListener)
+
+    def answered(self, answer: Answer) -> None:
+        """Publish it at once; a sample is learnt even where its answer cannot be sent."""
+        try:
+            self._outputs.publish(answer)
+            self._inputs.stopwatch.stop()
+            self._reports.tally.add(answer)
+        except Exception as error:
+            self._report(error, 'publishing')
+
+    def horizon_completed(self, errors: HorizonErrors) -> None:
+        """Those of the active model."""
+        self._outputs.publish_errors(errors)
+        self._reports.tally.errors = errors
+
+    def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
+        """Those of a shadow, on a topic of its own."""
+        self._outputs.publish_shadow(variant, errors)
+
+    def told(self, sentence: str) -> None:
+        """News for the log."""
+        self._reports.say(sentence)
+
+    def model_switched(self, success: bool, sentence: str) -> None:
+        """Replies to parameter changes wait for it."""
+        self._reports.say(sentence)
+        self._held_replies.settle(success, sentence)
+
+    def settings_reverted(self, settings: Settings) -> None:
+        """The parameters show what holds."""
+        self._live.write(settings)
+
+    def failed(self, place: str, error: BaseException) -> None:
+        """An internal error; the node goes on."""
+        self.errors.add(place, error)
+
+    def _watch_clock(self) -> None:
+        """A simulated clock that jumps back, as when a recording starts again."""
+        threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        self._jumps = self.get_clock().create_jump_callback(
+            threshold, post_callback=lambda jump: self._guarded(self._inputs.clock_jumped, 'the clock'))
+
+    # Parameters
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """As every node does, but a refusal names the nearest parameter, success tells what happens now, and whatever
+        goes wrong is an answer too."""
+        try:
+            result = self._set_together(parameter_list)
+        except Exception as error:
+            return SetParametersResult(successful=False, reason=self.errors.add('the parameters', error))
+        if not result.successful:
+            result.reason = shortened(result.reason)
+            self._rejections.add(PARAMETERS, result.reason)
+        return result
+
+    def _set_together(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        for parameter in parameter_list:
+            if parameter.name not in BY_NAME and not self.has_parameter(parameter.name):
+                return SetParametersResult(successful=False, reason=unknown_name(parameter.name))
+        sentence = self._live.refusal({item.name: item.value for item in parameter_list})
+        if sentence is not None:
+            return SetParametersResult(successful=False, reason=sentence)
+        self._live.news = ''
+        result = super().set_parameters_atomically(parameter_list)
+        if result.successful:
+            result.reason = self._live.news
+        return result
+
+    def _accept(self, settings: Settings) -> str | None:
+        """Why a change that the table allows does not fit this robot."""
+        if self.learner is None:
+            return None
+        try:
+            self.learner.check(settings)
+        except SemiparamError as error:
+            return str(error)
+        return None
+
+    def _change(self, settings: Settings) -> str:
+        if self.learner is None:
+            return ''
+        before = self.learner.settings
+        try:
+            return self.learner.change(settings)
+        except Exception:
+            self.learner.settings = before
+            raise
+
+    def _announcement(self) -> str:
+        """What the parameters said last, while a model is being built."""
+        building = self.learner is not None and self.learner.switcher.successor is not None
+        return self._live.news if building else ''
+
+    # What is wrong
+
+    def _refuse(self, where: str, sentence: str) -> None:
+        self._rejections.add(where, sentence)
+        self._reports.say(sentence)
+
+    def _guarded(self, function: Callable[[], Any], place: str) -> None:
+        """Call a function; nothing that goes wrong there may end the node."""
+        try:
+            function()
+        except Exception as error:
+            self._report(error, place, refused=place == TRAJECTORY)
+
+    def _report(self, error: Exception, place: str, refused: bool = False) -> None:
+        """Our own sentences into the log as they are, counted where a message is refused; anything else is an internal
+        error."""
+        if not isinstance(error, SemiparamError):
+            self.errors.add(place, error)
+            return
+        if refused:
+            self._rejections.add(place, str(error))
+        self._complain(str(error))
+
+    def _complain(self, sentence: str) -> None:
+        self.get_logger().error(sentence, throttle_duration_sec=1.0)

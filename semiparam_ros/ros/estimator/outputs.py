@@ -1,0 +1,130 @@
+"""The topics that carry the answers of the active model, and the horizon errors of all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+
+from semiparam_ros.core.estimator import Prediction
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.types import Array
+from semiparam_ros.online.identified_parameters import Payload
+from semiparam_ros.online.learner import Answer
+from semiparam_ros.ros.cdr import Layout, joint_state_layout, wrench_layout
+
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+DEPTH = 1000
+
+
+def inertia_message(stamp: Any, payload: Payload) -> InertiaStamped:
+    """A payload as geometry_msgs/InertiaStamped: centre of mass in the link's frame, inertia about it."""
+    message = InertiaStamped()
+    message.header.stamp, message.header.frame_id = stamp, payload.link
+    inertia = message.inertia
+    inertia.m = payload.mass
+    inertia.com.x, inertia.com.y, inertia.com.z = payload.centre.tolist()
+    (inertia.ixx, inertia.ixy, inertia.ixz), (_, inertia.iyy, inertia.iyz), (_, _, inertia.izz) = (
+        payload.inertia.tolist())
+    return message
+
+
+class ValueMessage:
+    """Wrenches or efforts as serialised messages."""
+
+    def __init__(self, joints: Sequence[str] | None = None) -> None:
+        """:param joints: whose efforts sensor_msgs/JointState holds; None for geometry_msgs/WrenchStamped."""
+        self._joints = joints
+        self._frame_id: str | None = None
+
+    def filled(self, stamp: int, frame_id: str, values: Array) -> bytes:
+        """With a stamp [ns], and a wrench (6,) in N and N m or efforts (n_joints,) in N m."""
+        if frame_id != self._frame_id:
+            self._frame_id, self._layout = frame_id, self._laid_out(frame_id)
+        return self._layout.write(stamp, values.tolist())
+
+    def _laid_out(self, frame_id: str) -> Layout:
+        if self._joints is None:
+            return wrench_layout(frame_id)
+        return joint_state_layout(frame_id, self._joints, 0, 0, len(self._joints))
+
+
+class HorizonMessage:
+    """Horizon errors as a serialised sensor_msgs/JointState: names label the channels, positions hold the errors.
+
+    Every plotting tool draws a JointState by its names; arrays without labels they can only number. The channels come
+    first, then eps_F and eps_T (for efforts: eps), then the same with the mean of each window removed.
+    """
+
+    def __init__(self, channels: Sequence[str], wrench: bool) -> None:
+        self._wrench = wrench
+        names = [*channels, *(('eps_F', 'eps_T') if wrench else ('eps',))]
+        self.names = [*names, *(f'{name}_centred' for name in names)]
+        self._layout = joint_state_layout('', self.names, len(self.names), 0, 0)
+
+    def filled(self, errors: HorizonErrors) -> bytes:
+        """With the stamp of the origin t of its horizon."""
+        values = [*self._with_means(errors.eps), *self._with_means(errors.eps_centred)]
+        return self._layout.write(errors.origin, values)
+
+    def _with_means(self, eps: Array) -> list[float]:
+        values: list[float] = eps.tolist()
+        if self._wrench:
+            return [*values, sum(values[:3]) / 3, sum(values[3:]) / 3]
+        return [*values, sum(values) / len(values)]
+
+
+class Outputs:
+    """Publishers, there from the start because a replay waits for them; ``frame_id`` is copied from the input."""
+
+    def __init__(self, node: Node, outputs: str) -> None:
+        self.frame_id = ''
+        self._node = node
+        kind, name = (WrenchStamped, 'wrench') if outputs == 'wrench' else (JointState, 'effort')
+        self._mean = node.create_publisher(kind, f'~/predicted_{name}', DEPTH)
+        self._std = node.create_publisher(kind, f'~/predicted_{name}_std', DEPTH)
+        self._residual = node.create_publisher(kind, '~/residual', DEPTH)
+        self._horizon = node.create_publisher(JointState, '~/horizon_error', DEPTH)
+        self._shadows: dict[str, Publisher] = {}
+        self._contact = node.create_publisher(Bool, '~/contact', LATCHED)
+        self._in_contact: bool | None = None
+
+    def open(self, body: RigidBody) -> None:
+        """The robot is known: prepare the messages."""
+        wrench = body.outputs == 'wrench'
+        self._value = ValueMessage(None if wrench else body.joints)
+        self._errors = HorizonMessage(body.output_names, wrench)
+
+    def publish(self, answer: Answer) -> None:
+        """One answer: the residual goes last, for a replay waits for it."""
+        prediction = answer.prediction
+        self._send(self._mean, prediction, prediction.mean)
+        self._send(self._std, prediction, prediction.std)
+        self._send(self._residual, prediction, answer.residual)
+        if answer.contact != self._in_contact:
+            self._in_contact = answer.contact
+            self._contact.publish(Bool(data=answer.contact))
+
+    def publish_errors(self, errors: HorizonErrors) -> None:
+        """The horizon errors of the active model."""
+        if self._horizon.get_subscription_count():
+            self._horizon.publish(self._errors.filled(errors))
+
+    def _send(self, publisher: Publisher, prediction: Prediction, values: Array) -> None:
+        """To those who listen: asking for them costs a twentieth of filling and sending a message."""
+        if publisher.get_subscription_count():
+            publisher.publish(self._value.filled(prediction.sample.stamp, self.frame_id, values))
+
+    def publish_shadow(self, variant: str, errors: HorizonErrors) -> None:
+        """The horizon errors of a shadow variant, on ``~/shadow/sp2_ml/horizon_error``."""
+        if variant not in self._shadows:
+            topic = f'~/shadow/{variant.lower().replace("-", "_")}/horizon_error'
+            self._shadows[variant] = self._node.create_publisher(JointState, topic, DEPTH)
+        self._shadows[variant].publish(self._errors.filled(errors))

@@ -1,0 +1,78 @@
+"""The node's process: realtime priority, the executor's loop, and a clean end on SIGINT and SIGTERM."""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import Callable, Sequence
+
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.utilities import ok, try_shutdown
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.context import SPIN_S, StopSignals, rcl_reason, spin_for, start_rclpy
+from semiparam_ros.ros.estimator.node import EstimatorNode
+
+RCLError = rclpy_implementation.RCLError
+
+
+def take_priority(priority: int) -> str:
+    """Let every thread of this process, but no process it starts, run by SCHED_FIFO; a sentence when that is refused.
+
+    :param priority: 1 to 99, or 0 to leave everything as it is.
+    """
+    if not priority:
+        return ''
+    policy, parameter = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority)
+    try:
+        for thread in os.listdir('/proc/self/task'):
+            os.sched_setscheduler(int(thread), policy, parameter)
+    except OSError as error:
+        return (f'realtime_priority {priority} is refused by the system ({error.strerror}); the node goes on without. '
+                'It needs a line "rtprio" for its user in /etc/security/limits.conf.')
+    return ''
+
+
+def run_estimator(ros_arguments: Sequence[str]) -> int:
+    """Run the node until a signal ends it; raises SemiparamError when it cannot start."""
+    with StopSignals() as stop:
+        return _run(ros_arguments, stop)
+
+
+def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
+    start_rclpy(ros_arguments)
+    try:
+        # This executor takes a third of what rclpy's others take.
+        executor = EventsExecutor()
+        node = _new_node(executor.create_task)
+        try:
+            executor.add_node(node)
+            refused = take_priority(node.settings.realtime_priority)
+            if refused:
+                node.get_logger().warning(refused)
+            _keep_collector_out()
+            while ok() and not stop.asked:
+                try:
+                    spin_for(executor, SPIN_S)
+                except Exception as error:  # of a callback that does not handle its own
+                    node.failed('a callback', error)
+        finally:
+            executor.remove_node(node)
+            node.close()
+    finally:
+        try_shutdown()
+    return 0
+
+
+def _new_node(later: Callable[[Callable[[], None]], object]) -> EstimatorNode:
+    try:
+        return EstimatorNode(later)
+    except RCLError as error:  # such as a security enclave that the middleware refuses
+        raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
+
+
+def _keep_collector_out() -> None:
+    """What is loaded now stays for good: the cyclic garbage collector need not look at it while samples come."""
+    gc.collect()
+    gc.freeze()

@@ -1,0 +1,214 @@
+"""The services of the node; each answers in a sentence, also when it cannot do what it was asked.
+
+A service whose answer comes later, while the executor goes on with other callbacks. rclpy's coroutines would do, but
+the executor of the node does not await those of services.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.service import Service
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import state_file, worker
+from semiparam_ros.online.learner import Learner
+from semiparam_ros.online.model_switcher import sentence_of
+from semiparam_ros.online.worker import Outcome, ProcessBackground
+from semiparam_ros.ros.estimator.diagnostics import InternalErrors
+from semiparam_ros.ros.estimator.outputs import LATCHED
+from semiparam_ros.ros.estimator.parameters import Parameters
+
+
+class Reply:
+    """What a request waits for: call it once, with the sentence and whether it went well, from the same thread."""
+
+    def __init__(self) -> None:
+        self._header: Any = None
+        self._send: Callable[[Any, Any], None] | None = None
+        self._response: Trigger.Response | None = None
+
+    def __call__(self, message: str, success: bool = True) -> None:
+        """Answer the request."""
+        self._response = Trigger.Response(success=success, message=message)
+        self._deliver()
+
+    def expect(self, header: Any, send: Callable[[Any, Any], None]) -> None:
+        """Where the answer goes."""
+        self._header, self._send = header, send
+        self._deliver()
+
+    def _deliver(self) -> None:
+        if self._response is not None and self._send is not None:
+            self._send(self._response, self._header)
+            self._send = None
+
+
+def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], None]) -> Service:
+    """A std_srvs/Trigger service; ``action`` starts the work and sees to it that the reply is called."""
+    def begin(_request: Trigger.Request, _response: Trigger.Response) -> Reply:
+        reply = Reply()
+        action(reply)
+        return reply
+
+    service = node.create_service(Trigger, name, begin)
+    send = service.send_response
+
+    def send_later(reply: Any, header: Any) -> None:
+        reply.expect(header, send)
+
+    service.send_response = send_later  # type: ignore[method-assign, assignment]
+    return service
+
+
+class Services:
+    """``~/reset``, ``~/pause_learning``, ``~/tare``, ``~/save_state`` and ``~/load_state``.
+
+    :param learner: gives the learner, or raises SemiparamError while there is none.
+    :param errors: counts what goes wrong unexpectedly.
+    """
+
+    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
+                 errors: InternalErrors) -> None:
+        self._node, self._parameters, self._learner = node, parameters, learner
+        for name, action in (('reset', self.reset), ('tare', self.tare), ('save_state', self.save_state),
+                             ('load_state', self.load_state)):
+            create_trigger(node, f'~/{name}', action, errors)
+        node.create_service(SetBool, '~/pause_learning', self._pause)
+
+    def reset(self) -> str:
+        """Forget everything learnt."""
+        learner = self._learner()
+        learner.reset()
+        return f'all is forgotten; a new initial window of {learner.built.initial_samples} samples begins.'
+
+    def tare(self) -> str:
+        """Take the present bias off the measured outputs."""
+        learner = self._learner()
+        count = learner.tare.take()
+        values = np.array2string(learner.tare.bias, precision=4, separator=', ')
+        return f'the bias is now {values} ({", ".join(learner.body.output_units)}), from {count} samples.'
+
+    def save_state(self) -> str:
+        """Write what was learnt to ``state_file``."""
+        path = state_file.path_of(self._parameters.settings)
+        state_file.save(path, self._learner().state())
+        return f'{path} is written.'
+
+    def load_state(self) -> str:
+        """Go on from what ``state_file`` holds."""
+        path = state_file.path_of(self._parameters.settings)
+        learner = self._learner()
+        saved = state_file.load(path, self._parameters.settings, learner.body)
+        learner.restore(saved)
+        self._parameters.write(saved.settings)
+        return f'{path} is loaded: {saved.settings.variant} with {len(saved.batch)} samples.'
+
+    def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """``data`` true: predict without learning."""
+        result = self._node.set_parameters_atomically([self._parameters.ros_parameter('learning', not request.data)])
+        response.success = result.successful
+        response.message = result.reason or ('learning is paused.' if request.data else 'learning goes on.')
+        return response
+
+
+def create_trigger(node: Node, name: str, action: Callable[[], str], errors: InternalErrors) -> None:
+    """A std_srvs/Trigger service from a function that returns a sentence or raises; it always answers."""
+    def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message, response.success = action(), True
+        except SemiparamError as error:
+            response.message, response.success = str(error), False
+        except Exception as error:
+            response.message, response.success = errors.add(name, error), False
+        return response
+
+    node.create_service(Trigger, name, callback)
+
+
+class Diagnosing:
+    """The two services, and the report on the latched topic ``~/diagnosis`` (JSON).
+
+    A process of its own does the work, so that a model being built does not wait for it.
+
+    :param later: hands a function over to the executor's thread.
+    :param errors: counts what goes wrong unexpectedly.
+    """
+
+    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
+                 later: Callable[[Callable[[], None]], object], errors: InternalErrors) -> None:
+        self._node, self._parameters, self._learner, self._later = node, parameters, learner, later
+        self._errors = errors
+        self._background: ProcessBackground | None = None
+        self._running = False
+        self._outcome: Outcome | None = None
+        self._examined: tuple[str, ...] = ()
+        self._report = node.create_publisher(String, '~/diagnosis', LATCHED)
+        create_deferred_trigger(node, '~/diagnose', self._diagnose)
+        create_trigger(node, '~/apply_diagnosis', self.apply, errors)
+
+    def close(self) -> None:
+        """End the process, whatever it is doing."""
+        if self._background is not None:
+            self._background.close()
+
+    def apply(self) -> str:
+        """Declare the effects of the last diagnosis."""
+        if self._running:
+            raise SemiparamError('a diagnosis is running; wait for its answer, then apply it.')
+        if self._outcome is None:
+            raise SemiparamError('there is no diagnosis yet; ~/diagnose makes one.')
+        if self._outcome.effects == self._examined:
+            return 'the last diagnosis found nothing to add.'
+        if self._outcome.effects == self._parameters.settings.effects:
+            return f'the effects of the last diagnosis are declared already: {_listed(self._outcome.effects)}.'
+        result = self._node.set_parameters_atomically(
+            [self._parameters.ros_parameter('effects', self._outcome.effects)])
+        if not result.successful:
+            raise SemiparamError(result.reason)
+        return f'effects are now {_listed(self._outcome.effects)}; {result.reason}'
+
+    def _diagnose(self, reply: Reply) -> None:
+        try:
+            self._start(reply)
+        except SemiparamError as error:
+            reply(str(error), success=False)
+        except Exception as error:
+            reply(self._errors.add('~/diagnose', error), success=False)
+
+    def _start(self, reply: Reply) -> None:
+        learner = self._learner()
+        if self._running:
+            raise SemiparamError('a diagnosis is running already; wait for its answer.')
+        samples = learner.history.span(self._parameters.settings.diagnosis_window)
+        if samples is None:
+            raise SemiparamError('there are no samples to diagnose yet.')
+        if self._background is None:
+            self._background = ProcessBackground(self._later)
+        # Those that are wanted now, whether their model answers already or is still being built.
+        effects = self._parameters.settings.effects
+        self._background.submit(worker.diagnose, learner.body, worker.thinned(samples), effects,
+                                done=lambda outcome, error: self._done(reply, effects, outcome, error))
+        self._running = True
+
+    def _done(self, reply: Reply, effects: tuple[str, ...], outcome: Any, error: BaseException | None) -> None:
+        self._running = False
+        if outcome is None:
+            if error is not None and not isinstance(error, SemiparamError):
+                self._errors.add('~/diagnose', error)
+            reply(f'{sentence_of(error)}.', success=False)
+            return
+        self._outcome, self._examined = outcome, effects
+        self._report.publish(String(data=json.dumps({'schema': 1, **outcome.report})))
+        reply(f'With {_listed(effects) or "no effects"} declared: {" ".join(outcome.words)}')
+
+
+def _listed(effects: tuple[str, ...]) -> str:
+    """Kinds and places, without their values."""
+    return ', '.join(text.partition('{')[0] for text in effects)

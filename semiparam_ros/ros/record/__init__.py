@@ -1,0 +1,1 @@
+"""The tool `semiparam record`: ROS topics written into a bag."""

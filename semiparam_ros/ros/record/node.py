@@ -1,0 +1,102 @@
+"""The node of a recording: one raw subscription for each topic, every message written as it came."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from functools import partial
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+from rclpy.subscription import Subscription
+
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.ros.message_types import message_class
+from semiparam_ros.ros.record import topics
+from semiparam_ros.ros.record.options import Limits
+
+NAME = 'bag_record'
+# They come at their own pace for ever and tell nothing about whether the robot's data still flows.
+STEADY = ('/diagnostics', '/diagnostics_agg', '/clock', *topics.HOUSEKEEPING)
+
+
+class RecordNode(Node):
+    """Receives in the executor's thread, as fast as it comes, and writes where :meth:`write_arrived` is called.
+
+    Writing takes longer than receiving, and a publisher's queue is short: so nothing is lost in a burst.
+    """
+
+    def __init__(self, writer: BagWriter, limits: Limits) -> None:
+        super().__init__(NAME)
+        self._writer = writer
+        self._limits = limits
+        self._sim_time = bool(self.get_parameter('use_sim_time').value)
+        self._arrived: deque[tuple[str, bytes, int]] = deque()
+        self._inputs: dict[str, Subscription] = {}
+        self._types: dict[str, str] = {}
+        # A robot description may come long before the data that is waited for.
+        self._latched: set[str] = set()
+        self.counts: dict[str, int] = {}
+        self.last_message = 0.0
+        self.complete = False
+
+    @property
+    def topics(self) -> Mapping[str, str]:
+        """Topic -> type of every subscription."""
+        return self._types
+
+    @property
+    def messages(self) -> int:
+        """Messages written."""
+        return sum(self.counts.values())
+
+    def follow(self, topic: str, type_name: str) -> None:
+        """Subscribe, or subscribe anew where a publisher has come that the subscription does not match."""
+        known = self._inputs.get(topic)
+        if known is not None:
+            if topics.receives_all(known.qos_profile, topics.offers(self, topic)):
+                return
+            self.destroy_subscription(known)
+        self._types[topic] = type_name
+        self.counts.setdefault(topic, 0)
+        profile = topics.best_qos(self, topic)
+        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self._latched.add(topic)
+        self._inputs[topic] = self.create_subscription(message_class(type_name), topic, partial(self._receive, topic),
+                                                       profile, raw=True)
+
+    def connected(self) -> bool:
+        """Whether every subscription has found the publishers that the graph knows."""
+        return all(subscription.get_publisher_count() >= self.count_publishers(topic)
+                   for topic, subscription in self._inputs.items())
+
+    def _receive(self, topic: str, raw: bytes) -> None:
+        # The time of reception, or the simulated time: the events executor cannot hand on when it was published.
+        stamp = self.get_clock().now().nanoseconds if self._sim_time else time.time_ns()
+        self._arrived.append((topic, raw, stamp))
+        if topic not in STEADY and topic not in self._latched:
+            self.last_message = time.monotonic()
+
+    def write_arrived(self) -> None:
+        """Write what has arrived so far; raises SemiparamError when the disk refuses it."""
+        for _ in range(len(self._arrived)):
+            if self.complete:
+                return
+            self._write(*self._arrived.popleft())
+
+    def _write(self, topic: str, raw: bytes, stamp: int) -> None:
+        if not self.counts[topic]:
+            offers = topics.offers(self, topic)
+            self._writer.add_topic(topic, self._types[topic], offers[0] if offers else None)
+        self._writer.write_raw(topic, raw, stamp)
+        self.counts[topic] += 1
+        self.complete = self._is_full(topic)
+
+    def _is_full(self, topic: str) -> bool:
+        limits = self._limits
+        if limits.count is None:
+            return False
+        if limits.count_topic is None:
+            return self.messages >= limits.count
+        return topic == limits.count_topic and self.counts[topic] >= limits.count

@@ -1,0 +1,202 @@
+"""One recording from the first look at the graph to the finished file, and how far it is."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Protocol
+
+from rich.console import Console
+from rich.status import Status
+
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.context import RosProcess
+from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
+from semiparam_ros.ros.record import topics
+from semiparam_ros.ros.record.node import RecordNode
+from semiparam_ros.ros.record.options import RecordOptions
+
+LINE_S = 10.0
+
+LOOK_S = 0.2
+FLUSH_S = 2.0
+POLL_S = 0.05
+QUIET_S, QUIET_AT_MOST_S = 0.2, 1.0
+
+
+class Recording(Protocol):
+    """What is shown."""
+
+    @property
+    def messages(self) -> int:
+        """Messages written."""
+
+
+class RecordProgress:
+    """Context manager; :meth:`update` is to be called every now and then."""
+
+    def __init__(self, recording: Recording, console: Console, shown: bool = True) -> None:
+        self._recording = recording
+        self._console = console
+        self._shown = shown
+        self._status: Status | None = console.status('') if shown and console.is_terminal else None
+        self._began = self._told = time.monotonic()
+
+    def __enter__(self) -> RecordProgress:
+        if self._status is not None:
+            self.update()
+            self._status.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def update(self) -> None:
+        """Show the present figures."""
+        if self._status is not None:
+            self._status.update(f'recording, Ctrl-C ends: {self._line()}')
+        elif self._shown and time.monotonic() - self._told > LINE_S:
+            self._told = time.monotonic()
+            self._console.print(self._line(), highlight=False, soft_wrap=True)
+
+    def _line(self) -> str:
+        return f'{time.monotonic() - self._began:.0f} s, {self._recording.messages} messages'
+
+
+@dataclass(frozen=True)
+class RecordAccount:
+    """What a recording holds."""
+
+    path: str
+    duration_s: float
+    recorded: dict[str, int]
+    skipped: tuple[str, ...] = ()
+
+    @property
+    def messages(self) -> int:
+        """Messages of all topics."""
+        return sum(self.recorded.values())
+
+    @property
+    def sentence(self) -> str:
+        """For the user."""
+        topics = ', '.join(f'{topic} {count}' for topic, count in sorted(self.recorded.items()))
+        return f'recorded {self.messages} messages in {self.duration_s:.1f} s to {self.path}: {topics}.'
+
+    def to_dict(self) -> dict[str, Any]:
+        """For ``--json``."""
+        return {'path': self.path, 'duration_s': self.duration_s, 'messages': self.messages,
+                'recorded': dict(self.recorded), 'skipped': list(self.skipped)}
+
+
+class RecordSession:
+    """Records what the options name. Use :meth:`run` once."""
+
+    def __init__(self, options: RecordOptions, console: Console, ros_arguments: Sequence[str] = ()) -> None:
+        self._options = options
+        self._console = console
+        self._ros_arguments = ros_arguments
+        self._stopping = threading.Event()
+        self._skipped: dict[str, str] = {}
+        self._began = time.monotonic()
+
+    def run(self) -> RecordAccount:
+        """Record until a limit or a signal; raises SemiparamError when nothing was received.
+
+        A file of the name appears only when the recording is whole. What fails later leaves the part so far as
+        ``NAME.partial``, which every command of this package reads.
+        """
+        writer = BagWriter(self._options.path, self._options.compression)
+        try:
+            return self._record(writer)
+        finally:
+            if not writer.message_count:
+                writer.abort()
+
+    def _record(self, writer: BagWriter) -> RecordAccount:
+        with ExitStack() as stack:
+            ros = stack.enter_context(RosProcess(self._ros_arguments, self._stopping.set))
+            node = RecordNode(writer, self._options.limits)
+            ros.spin(node)
+            try:
+                self._find(node)
+                self._wait_for_the_end(node, writer)
+            except Stopped:
+                self._let_the_last_arrive(node)
+            node.write_arrived()
+            _check(ros, node, writer)
+            writer.close()
+            return RecordAccount(str(self._options.path), time.monotonic() - self._began, dict(node.counts),
+                                 tuple(self._skipped.values()))
+
+    def _find(self, node: RecordNode) -> None:
+        """Subscribe to everything named, and say so once it is connected."""
+        missing: tuple[str, ...] = ()
+
+        def ready() -> bool:
+            nonlocal missing
+            missing = self._look(node)
+            return not missing and node.connected()
+
+        if not wait_until(ready, self._options.wait_s, self._stopping):
+            raise SemiparamError(f'{", ".join(missing) or "some publisher"} was not found within '
+                                 f'{self._options.wait_s:g} s.')
+        for name in topics.sources(node, node.topics):
+            handshake(node, name, self._stopping)
+        self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.')
+        self._began = time.monotonic()
+
+    def _look(self, node: RecordNode) -> tuple[str, ...]:
+        """Subscribe to what the graph has now; the names that are still missing."""
+        found = topics.find(node, self._options)
+        for topic, type_name in found.topics.items():
+            obstacle = topics.obstacle(type_name)
+            if not obstacle:
+                node.follow(topic, type_name)
+            elif topic not in self._skipped:
+                self._skipped[topic] = f'{topic} is not recorded: {obstacle}.'
+                self._say(self._skipped[topic])
+        return found.missing
+
+    def _wait_for_the_end(self, node: RecordNode, writer: BagWriter) -> None:
+        """Write until a limit is reached, doing what is due meanwhile; raises Stopped on a signal."""
+        with RecordProgress(node, self._console, self._options.progress) as progress:
+            due = [(LOOK_S, lambda: self._look(node)), (LOOK_S, progress.update), (FLUSH_S, writer.flush)]
+            last = [time.monotonic()] * len(due)
+            while not self._is_over(node):
+                if self._stopping.wait(POLL_S):
+                    raise Stopped
+                node.write_arrived()
+                for index, (period, action) in enumerate(due):
+                    if time.monotonic() - last[index] > period:
+                        last[index] = time.monotonic()
+                        action()
+
+    def _is_over(self, node: RecordNode) -> bool:
+        limits, now = self._options.limits, time.monotonic()
+        idle = limits.idle_s is not None and node.last_message > 0.0 and now - node.last_message > limits.idle_s
+        late = limits.duration_s is not None and now - self._began > limits.duration_s
+        return node.complete or idle or late
+
+    def _let_the_last_arrive(self, node: RecordNode) -> None:
+        """What was published before the signal may still be on its way."""
+        wait_until(lambda: time.monotonic() - node.last_message > QUIET_S, QUIET_AT_MOST_S, threading.Event())
+
+    def _say(self, sentence: str) -> None:
+        self._console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+
+
+def _check(ros: RosProcess, node: RecordNode, writer: BagWriter) -> None:
+    """Raise SemiparamError for a recording that broke off or holds nothing."""
+    if ros.error is not None:
+        reason = str(ros.error).rstrip('.')
+        raise SemiparamError(f'the recording broke off: {reason}; {str(writer.partial_path)!r} holds what came before.')
+    if not node.messages:
+        raise SemiparamError(f'nothing was recorded: no message arrived on {", ".join(node.topics) or "any topic"}.')

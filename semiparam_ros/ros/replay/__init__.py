@@ -1,0 +1,1 @@
+"""The tool `bag_replay`: a playback published on ROS topics."""

@@ -1,0 +1,143 @@
+"""The controls of a playback as ROS offers them: parameters and services of its node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.playback.player import Player, checked_rate
+
+RATE_STEP = 1.1
+
+
+class ReplayControls:
+    """The player's controls as parameters (`rate`, `paused`, `loop`, `seek_to`) and Trigger services.
+
+    Keyboard and services change the parameters, so that there is one way in and every client sees the change.
+    """
+
+    def __init__(self, node: Node, player: Player, start_ns: int) -> None:
+        self._node = node
+        self._player = player
+        self._start_ns = start_ns
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+        for name, value, description in self._table():
+            self._declare(name, value, description)
+        for name, action in self._services().items():
+            node.create_service(Trigger, f'~/{name}', partial(self._serve, action))
+
+    def _declare(self, name: str, value: Any, description: str) -> None:
+        """With the value from ``--ros-args -p`` where there is one; SemiparamError when that is refused."""
+        try:
+            self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
+        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+            raise SemiparamError(f"the parameter '{name}' is refused: {str(error).rstrip('. ')}.") from None
+
+    def _table(self) -> tuple[tuple[str, Any, str], ...]:
+        return (('rate', self._player.rate or 0.0,
+                 'bag seconds in one second, a double above 0 (0.0: as fast as the follower answers)'),
+                ('paused', self._player.paused, 'whether the playback is held'),
+                ('loop', self._player.loop, 'whether it starts again at the end'),
+                ('seek_to', 0.0, 'setting it goes on from there: seconds after the start of the playback'))
+
+    def _services(self) -> dict[str, Callable[[], str]]:
+        return {'pause': partial(self.change, 'paused', True), 'resume': partial(self.change, 'paused', False),
+                'toggle_paused': self.toggle_paused, 'play_next': self.play_next, 'seek': self.seek_again,
+                'is_paused': self._tell_paused, 'stop': self.stop}
+
+    def keys(self) -> dict[str, Callable[[], object]]:
+        """What the keys of ``playback.keyboard`` do; a key that makes no sense at the moment does nothing."""
+        actions = {'pause': self.toggle_paused, 'next': self.play_next, 'faster': self.faster, 'slower': self.slower}
+        return {key: partial(self._quietly, action) for key, action in actions.items()}
+
+    @staticmethod
+    def _quietly(action: Callable[[], object]) -> None:
+        with suppress(SemiparamError):
+            action()
+
+    def change(self, name: str, value: Any) -> str:
+        """Set one parameter; what happened, or SemiparamError with the reason of the refusal."""
+        result = self._node.set_parameters([Parameter(name, value=value)])[0]
+        if not result.successful:
+            raise SemiparamError(result.reason)
+        return f'{name} is {value}'
+
+    def toggle_paused(self) -> str:
+        """Pause when playing, play when paused."""
+        return self.change('paused', not self._player.paused)
+
+    def play_next(self) -> str:
+        """Publish the next message of a paused playback."""
+        self._player.step()
+        return 'the next message is published'
+
+    def seek_again(self) -> str:
+        """Go (again) to where the parameter `seek_to` points."""
+        return self.change('seek_to', self._node.get_parameter('seek_to').value)
+
+    def stop(self) -> str:
+        """End the playback."""
+        self._player.stop()
+        return 'the playback ends'
+
+    def faster(self) -> None:
+        """10 % faster."""
+        self.change('rate', (self._player.rate or 1.0) * RATE_STEP)
+
+    def slower(self) -> None:
+        """10 % slower."""
+        self.change('rate', (self._player.rate or 1.0) / RATE_STEP)
+
+    def _tell_paused(self) -> str:
+        if not self._player.paused:
+            raise SemiparamError('playing')
+        return 'paused'
+
+    def _serve(self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
+               ) -> Trigger.Response:
+        try:
+            response.success, response.message = True, action()
+        except SemiparamError as refusal:
+            response.success, response.message = False, str(refusal)
+        return response
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            for parameter in parameters:
+                self._check(parameter.name, parameter.value)
+        except SemiparamError as refusal:
+            return SetParametersResult(successful=False, reason=str(refusal))
+        return SetParametersResult(successful=True)
+
+    def _check(self, name: str, value: Any) -> None:
+        if name == 'rate' and value != (self._player.rate or 0.0):
+            self._player.check_rate(value)
+        if name == 'seek_to':
+            self._player.check_seek(self._bag_time(value))
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        """Only what differs from the player's state acts, so that declaring the parameters changes nothing."""
+        for parameter in parameters:
+            name, value = parameter.name, parameter.value
+            if name == 'rate' and value != (self._player.rate or 0.0):
+                self._player.set_rate(checked_rate(value))
+            elif name == 'paused' and value != self._player.paused:
+                self._player.set_paused(value)
+            elif name == 'loop':
+                self._player.loop = value
+            elif name == 'seek_to' and (value or self._player.published):
+                self._player.seek(self._bag_time(value))
+
+    def _bag_time(self, seconds: float) -> int:
+        return self._start_ns + round(seconds * NANOSECONDS)

@@ -1,0 +1,227 @@
+"""One playback from the opening of its bags to its account: binds the player, the node and the terminal together."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.console import Console
+
+from semiparam_ros.bags.base import BagReader
+from semiparam_ros.bags.reader import MergedBag, open_bag
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.playback.flow_control import Followers, FollowerSilent
+from semiparam_ros.playback.keyboard import HELP, RATE_HELP, Keyboard
+from semiparam_ros.playback.options import ReplayOptions
+from semiparam_ros.playback.player import Ending, Player
+from semiparam_ros.playback.progress import ReplayProgress
+from semiparam_ros.playback.read_ahead import ReadAhead
+from semiparam_ros.playback.report import Answers, ReplayAccount
+from semiparam_ros.playback.timeline import BagTimeline, PlayedTopic
+from semiparam_ros.ros.context import RosProcess
+from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
+from semiparam_ros.ros.message_types import is_installed
+from semiparam_ros.ros.qos import load_overrides, lossless, overridden
+from semiparam_ros.ros.replay.controls import ReplayControls
+from semiparam_ros.ros.replay.follower import Follower
+from semiparam_ros.ros.replay.node import ReplayNode
+from semiparam_ros.ros.replay.subscribers import subscribers, wait_for_subscribers, warnings
+
+ACKNOWLEDGE_S = 10.0
+# Python's threads take turns of 5 ms by default: a message would be so late while another thread reads ahead.
+SWITCH_S = 2e-4
+
+
+class ReplaySession:
+    """Plays what the options name. Use :meth:`run` once.
+
+    :param ros_arguments: what followed ``--ros-args`` on the command line
+    """
+
+    def __init__(self, options: ReplayOptions, console: Console, ros_arguments: Sequence[str] = ()) -> None:
+        self._options = options
+        self._console = console
+        self._ros_arguments = ros_arguments
+        self._stopping = threading.Event()
+        self._failures: list[str] = []
+        self._followers: list[Follower] = []
+        self._player: Player | None = None
+        self._duration = 0.0
+
+    def run(self) -> ReplayAccount:
+        """Play; raises SemiparamError for what is wrong before the first message."""
+        with ExitStack() as stack:
+            bag = stack.enter_context(_open(self._options.bags))
+            topics, skipped = self._topics(bag)
+            timeline = BagTimeline(bag, topics, self._options.order, self._options.cut)
+            ros = stack.enter_context(RosProcess(self._ros_arguments, self._stop))
+            node = self._node(topics)
+            ros.spin(node)
+            try:
+                self._connect(node, timeline)
+                ending = self._play(node, timeline)
+            except Stopped:
+                ending = 'stopped'
+            if ros.error is not None:
+                self._failures.append(f'a callback failed: {ros.error}')
+            answers = tuple(Answers.of(follower.answer_topic, follower.flow) for follower in self._followers)
+            return ReplayAccount(ending, self._duration, dict(node.counts), answers, tuple(self._failures),
+                                 _losses(bag) if ending == 'finished' else (), skipped,
+                                 lossless=self._options.follow is not None)
+
+    def _node(self, topics: Mapping[str, PlayedTopic]) -> ReplayNode:
+        options = self._options
+        node = ReplayNode({topic.name: (topic.type, topic.qos) for topic in topics.values()},
+                          restamp=options.restamp, clock_before_each=options.clock_before_each,
+                          blocked_s=options.follow.timeout_s if options.follow else 1.0)
+        node.interrupted = self._stopping.is_set
+        return node
+
+    def _stop(self) -> None:
+        """Called when a signal came, in a thread of its own."""
+        self._stopping.set()
+        if self._player is not None:
+            self._player.stop()
+
+    def _topics(self, bag: BagReader) -> tuple[dict[str, PlayedTopic], dict[str, str]]:
+        """What is played, and why other chosen topics are not."""
+        options = self._options
+        overrides = load_overrides(options.qos_overrides) if options.qos_overrides else {}
+        played, skipped = {}, {}
+        for topic in options.selection.of(list(bag.topics)):
+            info = bag.topics[topic]
+            if reason := self._obstacle(topic, info.type):
+                skipped[topic] = f'{topic} is not played: {reason}.'
+                continue
+            qos = lossless(info.qos) if options.follow else info.qos
+            if topic in overrides:
+                qos = overridden(qos, overrides[topic], f'{options.qos_overrides}, {topic}')
+            played[topic] = PlayedTopic(options.remap.get(topic, topic), info.type, qos)
+        self._say(skipped.values())
+        _check_remap(options.remap, bag.topics)
+        if not played:
+            raise SemiparamError('there is nothing to play: no topic of the bag is chosen and installed.')
+        return played, skipped
+
+    def _obstacle(self, topic: str, type_name: str) -> str:
+        """Why a topic is not played, '' when it is."""
+        if not is_installed(type_name):
+            return f'its type {type_name or "(unknown)"} is not installed'
+        answers = self._options.follow.answers if self._options.follow else {}
+        outputs = [answer.rpartition('/')[0] + '/' for answer in answers]
+        if topic in answers or any(len(prefix) > 1 and topic.startswith(prefix) for prefix in outputs):
+            return 'the follower publishes there'
+        return ''
+
+    def _connect(self, node: ReplayNode, timeline: BagTimeline) -> None:
+        """Find the followers and wait for subscribers."""
+        options = self._options
+        if options.follow is not None:
+            # Before it knows its robot, the estimator has nothing to answer with and offers no answers.
+            node.announce(timeline.announcements())
+            for answer, request in options.follow.answers.items():
+                self._followers.append(Follower(node, answer, request, options.follow, options.wait_s, self._stopping,
+                                                self._wake))
+            self._say(follower.remark for follower in self._followers if follower.remark)
+        count = max(options.wait_for_subscribers, 1 if self._followers else 0)
+        if count:
+            wait_for_subscribers(node, count, options.wait_s, self._stopping)
+            known = {follower.name for follower in self._followers}
+            for name in {each.owner for each in subscribers(node)} - known:
+                handshake(node, name, self._stopping)
+        self._say(warnings(subscribers(node), bool(self._followers)))
+        if options.delay_s:
+            wait_until(lambda: False, options.delay_s, self._stopping)
+
+    def _wake(self) -> None:
+        if self._player is not None:
+            self._player.wake()
+
+    def _play(self, node: ReplayNode, timeline: BagTimeline) -> str:
+        """Play to the end; 'finished', 'stopped' or 'failed'."""
+        options = self._options
+        gate = Followers([follower.flow for follower in self._followers])
+        sys.setswitchinterval(SWITCH_S)
+        player = Player(ReadAhead(timeline), node.publish, rate=options.rate, loop=options.loop, paused=options.paused,
+                        gate=gate if self._followers else None)
+        self._player = player
+        controls = ReplayControls(node, player, timeline.start_ns)
+        if options.clock_hz is not None:
+            node.start_clock(options.clock_hz, player.now)
+        if self._stopping.is_set():
+            raise Stopped
+        with Keyboard(controls.keys(), options.keyboard) as keyboard:
+            if keyboard.active:
+                self._say([HELP + (RATE_HELP if player.rate else '')])
+            with ReplayProgress(player, timeline.start_ns, timeline.end_ns, self._console, gate.answers,
+                                quiet=not options.progress):
+                return self._play_out(node, player, gate)
+
+    def _play_out(self, node: ReplayNode, player: Player, gate: Followers) -> str:
+        """Run the player and see the last messages off."""
+        ending = 'failed'
+        began = time.monotonic()
+        try:
+            if player.run() is Ending.STOPPED:
+                raise Stopped
+            if self._followers:
+                wait_until(gate.settled, float('inf'), self._stopping)
+            ending = 'finished'
+        except Stopped:
+            ending = 'stopped'
+        except (FollowerSilent, SemiparamError) as error:
+            self._failures.append(str(error))
+        self._duration = time.monotonic() - began
+        if ending == 'finished':
+            self._settle(node)
+        for follower in self._followers:
+            follower.flow.give_up()
+        self._judge(ending)
+        return ending
+
+    def _settle(self, node: ReplayNode) -> None:
+        """Wait for the acknowledgements of the transport."""
+        patience = max(self._options.wait_for_all_acked_s, ACKNOWLEDGE_S if self._followers else 0.0)
+        # A follower that has answered has received: only others are asked, for their answer may take 3 s (the period
+        # of Fast DDS's heartbeat).
+        followers = {follower.name for follower in self._followers}
+        topics = {each.topic for each in subscribers(node) if each.owner not in followers}
+        if patience:
+            self._failures += [f'not every subscriber of {topic} acknowledged everything within {patience:g} s.'
+                               for topic in node.wait_for_all_acked(topics, patience)]
+
+    def _judge(self, ending: str) -> None:
+        """An unanswered request is a failure of a playback that promised to lose none."""
+        if ending != 'finished':
+            return
+        missing = [follower.flow for follower in self._followers if follower.flow.unanswered_stamps]
+        self._failures += [f'{len(flow.unanswered_stamps)} of {flow.requests} messages on {flow.request_topic} '
+                           'were not answered.' for flow in missing]
+
+    def _say(self, sentences: Iterable[str]) -> None:
+        for sentence in sentences:
+            self._console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+
+
+def _check_remap(remap: Mapping[str, str], found: Mapping[str, object]) -> None:
+    unknown = [topic for topic in remap if topic not in found]
+    if unknown:
+        raise SemiparamError(f'cannot remap {", ".join(unknown)}: the bag has {", ".join(found)}.')
+
+
+def _open(paths: Sequence[Path]) -> BagReader:
+    """One bag, or several merged by time."""
+    with ExitStack() as opened:
+        readers = [opened.enter_context(open_bag(path)) for path in paths]
+        opened.pop_all()
+    return readers[0] if len(readers) == 1 else MergedBag(', '.join(map(str, paths)), readers)
+
+
+def _losses(bag: BagReader) -> tuple[str, ...]:
+    """One sentence for each damaged file."""
+    return tuple(str(losses) for each in getattr(bag, 'readers', (bag,)) if (losses := each.losses))
+

@@ -1,0 +1,377 @@
+"""Bags written and read back: messages, times, orders, quality of service, formats, refusals."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer as McapWriter
+from rosbags.interfaces import Qos as RosbagsQos
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Rosbag2Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.typesys import Stores, get_typestore
+
+from semiparam_ros.bags.loading import Topics, load_samples
+from semiparam_ros.bags.qos import LATCHED, Qos, agreed, dump_profiles, parse_profiles
+from semiparam_ros.bags.reader import MergedBag, open_bag
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.snapshot import Settings
+
+STRING, STATE, WRENCH = 'std_msgs/msg/String', 'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped'
+SECOND = 10**9
+
+
+def header(stamp: int, frame: str = '') -> dict:
+    return {'stamp': {'sec': stamp // SECOND, 'nanosec': stamp % SECOND}, 'frame_id': frame}
+
+
+def write_strings(path: Path, times, topic: str = '/chatter', **options) -> Path:
+    with BagWriter(path, **options) as bag:
+        for time in times:
+            bag.write(topic, STRING, {'data': str(time)}, time)
+    return path
+
+
+def texts(path, **options) -> list[str]:
+    with open_bag(path) as bag:
+        return [message.data.data for message in bag.messages(**options)]
+
+
+def test_what_is_written_is_read(tmp_path):
+    path = tmp_path / 'bag.mcap'
+    with BagWriter(path) as bag:
+        bag.write('/state', STATE, {'header': header(5 * SECOND + 7, 'base'), 'name': ['a'], 'position': [0.1]},
+                  6 * SECOND, publish_ns=4 * SECOND)
+        bag.write('/robot_description', 'std_msgs/String', {'data': '<robot/>'}, 7 * SECOND)
+    with open_bag(path) as bag:
+        state, description = bag.messages()
+        assert (state.topic, state.type) == ('/state', STATE)
+        assert (state.log_time, state.publish_time) == (6 * SECOND, 4 * SECOND)
+        assert state.data.header.stamp.nanosec == 7 and state.data.header.frame_id == 'base'
+        assert state.data.name == ['a'] and state.data.position == [0.1] and state.data.effort == []
+        assert description.data.data == '<robot/>'
+        assert (bag.start_ns, bag.duration_ns, bag.message_count) == (6 * SECOND, SECOND, 2)
+        assert bag.topics['/state'].count == 1 and bag.topics['/robot_description'].type == STRING
+        assert not bag.losses and bag.losses.sentence == '' and bag.losses.saved == 2
+
+
+def test_messages_of_rclpy_are_written_so_that_rclpy_reads_them(tmp_path):
+    serialization = pytest.importorskip('rclpy.serialization')
+    from sensor_msgs.msg import JointState
+    message = JointState(name=['a', 'bb'], position=[1.0, 2.0], effort=[3.0, 4.0])
+    message.header.frame_id = 'base'
+    message.header.stamp.sec = 9
+    with BagWriter(tmp_path / 'bag.mcap') as bag:
+        bag.write('/state', STATE, message, 1)
+    with open_bag(tmp_path / 'bag.mcap') as bag:
+        assert serialization.deserialize_message(next(bag.messages()).raw, JointState) == message
+
+
+def test_equal_calls_give_equal_bytes(tmp_path):
+    for name in ('one', 'two'):
+        write_strings(tmp_path / name, range(5000))
+    assert (tmp_path / 'one').read_bytes() == (tmp_path / 'two').read_bytes()
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4', 'none'])
+def test_messages_come_in_order_of_time_even_across_chunks(compression, tmp_path):
+    times = list(range(3000))
+    random.Random(0).shuffle(times)
+    path = write_strings(tmp_path / 'bag.mcap', times, compression=compression, chunk_bytes=2000)
+    assert texts(path) == [str(time) for time in range(3000)]
+    assert texts(path, start_ns=100, end_ns=200) == [str(time) for time in range(100, 200)]
+
+
+def test_equal_times_keep_the_order_of_recording(tmp_path):
+    path = tmp_path / 'bag.mcap'
+    with BagWriter(path, chunk_bytes=500) as bag:
+        for number in range(100):
+            bag.write(f'/{number % 3}', STRING, {'data': str(number)}, 5)
+    assert texts(path) == [str(number) for number in range(100)]
+
+
+def test_order_by_publish_or_header_time(tmp_path):
+    path = tmp_path / 'bag.mcap'
+    with BagWriter(path) as bag:
+        bag.write('/a', STATE, {'header': header(30)}, 1, publish_ns=20)
+        bag.write('/b', STRING, {'data': 'no header'}, 25, publish_ns=25)
+        bag.write('/c', WRENCH, {'header': header(10)}, 3, publish_ns=21)
+    with open_bag(path) as bag:
+        assert [m.topic for m in bag.messages()] == ['/a', '/c', '/b']
+        assert [m.topic for m in bag.messages(order='publish')] == ['/a', '/c', '/b']
+        assert [m.topic for m in bag.messages(order='header')] == ['/c', '/b', '/a']
+        with pytest.raises(SemiparamError, match="order 'size' is unknown: expected one of"):
+            bag.messages(order='size')
+
+
+def test_only_the_chosen_topics_and_bytes_alone(tmp_path):
+    path = tmp_path / 'bag.mcap'
+    with BagWriter(path) as bag:
+        for number in range(10):
+            bag.write('/a' if number % 2 else '/b', STRING, {'data': str(number)}, number)
+    with open_bag(path) as bag:
+        chosen = list(bag.messages(['/a', '/nowhere'], decode=False))
+    assert [m.log_time for m in chosen] == [1, 3, 5, 7, 9] and chosen[0].data is None
+    assert chosen[0].raw == b'\x00\x01\x00\x00\x02\x00\x00\x001\x00'
+
+
+def test_a_failed_recording_leaves_the_older_file(tmp_path):
+    path = write_strings(tmp_path / 'bag.mcap', [1])
+    before = path.read_bytes()
+    with pytest.raises(RuntimeError), BagWriter(path) as bag:
+        bag.write('/chatter', STRING, {'data': 'new'}, 1)
+        raise RuntimeError
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_nonsense_is_refused_by_the_writer(tmp_path):
+    with BagWriter(tmp_path / 'bag.mcap') as bag:
+        bag.write('/a', STRING, {'data': ''}, 0)
+        for arguments, sentence in {
+                ('/b', 'no_msgs/msg/Such', 0): "message type 'no_msgs/msg/Such' is unknown",
+                ('/a', STATE, 0): f'topic /a holds {STRING}, not {STATE}',
+                ('/c', STATE, ('position', 'x')): f'message for /c does not fit {STATE}'}.items():
+            message = dict([arguments[2]]) if arguments[2] else {}
+            with pytest.raises(SemiparamError, match=sentence):
+                bag.write(*arguments[:2], message, 0)
+        with pytest.raises(SemiparamError, match='topic /d has not been declared'):
+            bag.write_raw('/d', b'', 0)
+    with pytest.raises(SemiparamError, match="compression 'zip' is unknown"):
+        BagWriter(tmp_path / 'b.mcap', compression='zip')
+    with pytest.raises(SemiparamError, match='no bag can be written to'):
+        BagWriter(tmp_path / 'no' / 'b.mcap')
+
+
+@pytest.mark.parametrize(('content', 'sentence'), [
+    (b'', 'is empty'), (b'just text', 'is no bag: expected an MCAP file'),
+    (b'\x89MCAP0\r\n', 'holds no readable message'),
+    (b'SQLite format 3\x00' + bytes(200), 'cannot be read as a rosbag2'),
+    (b'#ROSBAG V2.0\n', 'cannot be read as a ROS 1 bag'),
+])
+def test_what_is_no_bag_is_refused_in_one_sentence(content, sentence, tmp_path):
+    path = tmp_path / 'file'
+    path.write_bytes(content)
+    with pytest.raises(SemiparamError, match=sentence) as refusal:
+        open_bag(path)
+    assert str(path) in str(refusal.value) and '\n' not in str(refusal.value)
+
+
+def test_missing_files_and_empty_directories_are_refused(tmp_path):
+    with pytest.raises(SemiparamError, match='cannot be opened: No such file'):
+        open_bag(tmp_path / 'missing.mcap')
+    with pytest.raises(SemiparamError, match='is no bag: expected a directory with'):
+        open_bag(tmp_path)
+
+
+def test_quality_of_service_is_kept(tmp_path):
+    path = tmp_path / 'bag.mcap'
+    sensor = Qos('keep_last', 5, 'best_effort', 'volatile', deadline_ns=3 * SECOND + 4)
+    with BagWriter(path) as bag:
+        bag.add_topic('/sensor', STRING, sensor)
+        bag.write('/sensor', STRING, {}, 0)
+        bag.write('/ns/robot_description', STRING, {}, 0)
+    with open_bag(path) as bag:
+        assert bag.topics['/sensor'].qos == sensor and bag.topics['/sensor'].offers == (sensor,)
+        assert bag.topics['/ns/robot_description'].qos == LATCHED
+
+
+def test_profiles_of_every_metadata_version_are_understood():
+    old = '- history: 3\n  depth: 0\n  reliability: 2\n  durability: 1\n' \
+          '  deadline: {sec: 9223372036, nsec: 854775807}\n'
+    assert parse_profiles(old) == (Qos('keep_last', 0, 'best_effort', 'transient_local'),)
+    assert parse_profiles(dump_profiles([LATCHED, Qos()])) == (LATCHED, Qos())
+    assert parse_profiles('') == parse_profiles(None) == parse_profiles('][') == parse_profiles('3') == ()
+
+
+def test_offers_that_differ_become_one_that_every_subscriber_can_use():
+    assert agreed([]) == Qos()
+    assert agreed([LATCHED, LATCHED]) == LATCHED
+    mixed = agreed([Qos(reliability='best_effort', depth=3), LATCHED])
+    assert (mixed.reliability, mixed.durability, mixed.depth) == ('reliable', 'volatile', 3)
+
+
+def rosbag2(path: Path, plugin: StoragePlugin, mode: CompressionMode = CompressionMode.NONE) -> Path:
+    """A true rosbag2 directory, by an independent writer."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    profile = RosbagsQos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, QosTime(0, 0),
+                         QosTime(0, 0), QosLiveliness.AUTOMATIC, QosTime(0, 0), False)
+    writer = Rosbag2Writer(path, version=9, storage_plugin=plugin)
+    if mode != CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        chatter = writer.add_connection('/chatter', STRING, typestore=store, offered_qos_profiles=[profile])
+        state = writer.add_connection('/state', STATE, typestore=store)
+        for time in range(20):
+            message = store.types[STRING](data=str(time))
+            writer.write(chatter, time, store.serialize_cdr(message, STRING))
+            stamp = store.types['builtin_interfaces/msg/Time'](sec=time, nanosec=1)
+            message = store.types[STATE](store.types['std_msgs/msg/Header'](stamp, ''), ['a'], np.array([0.5 * time]),
+                                         np.zeros(1), np.zeros(0))
+            writer.write(state, time, store.serialize_cdr(message, STATE))
+    return path
+
+
+@pytest.mark.parametrize(('plugin', 'mode'), [
+    (StoragePlugin.MCAP, CompressionMode.NONE), (StoragePlugin.MCAP, CompressionMode.STORAGE),
+    (StoragePlugin.MCAP, CompressionMode.FILE), (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+    (StoragePlugin.SQLITE3, CompressionMode.NONE), (StoragePlugin.SQLITE3, CompressionMode.FILE),
+    (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+])
+def test_rosbag2_directories_are_read(plugin, mode, tmp_path):
+    path = rosbag2(tmp_path / 'bag', plugin, mode)
+    assert texts(path, topics=['/chatter']) == [str(time) for time in range(20)]
+    with open_bag(path) as bag:
+        assert bag.topics['/chatter'].qos == LATCHED and bag.topics['/state'].count == 20
+        assert (bag.start_ns, bag.end_ns) == (0, 19)
+        last = next(iter(bag.messages(['/state'], start_ns=19)))
+        assert last.data.position == [9.5] and bag.header_time(last) == 19 * SECOND + 1
+        assert not bag.losses and bag.losses.saved == 40
+
+
+def test_a_database_without_its_metadata_is_read(tmp_path):
+    path = rosbag2(tmp_path / 'bag', StoragePlugin.SQLITE3)
+    (path / 'metadata.yaml').unlink()
+    assert texts(path, topics=['/chatter']) == texts(path / 'bag.db3', topics=['/chatter'])
+    assert len(texts(path, topics=['/chatter'])) == 20
+
+
+def test_types_of_ros1_become_those_of_ros2(tmp_path):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Rosbag1Writer(tmp_path / 'old.bag') as writer:
+        types = ('sensor_msgs/msg/CameraInfo', 'std_msgs/msg/Time', STATE)
+        info, time, state = (writer.add_connection(f'/{number}', name, typestore=store, latching=1)
+                             for number, name in enumerate(types))
+        head = store.types['std_msgs/msg/Header'](7, store.types['builtin_interfaces/msg/Time'](3, 4), 'cam')
+        roi = store.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False)
+        matrix = np.arange(9.0)
+        message = store.types[types[0]](head, 480, 640, 'plumb_bob', np.zeros(5), matrix, matrix, np.zeros(12), 0, 0,
+                                        roi)
+        writer.write(info, 1, store.serialize_ros1(message, types[0]))
+        message = store.types[types[1]](store.types['builtin_interfaces/msg/Time'](5, 6))
+        writer.write(time, 2, store.serialize_ros1(message, types[1]))
+        message = store.types[STATE](head, ['a'], np.ones(1), np.zeros(1), np.zeros(0))
+        writer.write(state, 3, store.serialize_ros1(message, STATE))
+    with open_bag(tmp_path / 'old.bag') as bag:
+        info, time, state = bag.messages()
+        assert info.data.k == matrix.tolist() and info.data.header.frame_id == 'cam'
+        assert (time.data.data.sec, time.data.data.nanosec) == (5, 6)
+        assert state.data.position == [1.0] and bag.header_time(state) == 3 * SECOND + 4
+        assert all(topic.qos.latched for topic in bag.topics.values())
+
+
+def schema_bag(path: Path, encoding: str, text: bytes, raw: bytes) -> Path:
+    with path.open('wb') as file:
+        writer = McapWriter(file)
+        writer.start('ros2', 'test')
+        schema = writer.register_schema('my_msgs/msg/Pair', encoding, text)
+        channel = writer.register_channel('/pair', 'cdr', schema)
+        for number in range(3):
+            writer.add_message(channel, number, raw, number)
+        writer.finish()
+    return path
+
+
+IDL = (b'=' * 80 + b'\nIDL: my_msgs/msg/Pair\n'
+       b'module my_msgs { module msg { struct Pair { double first; double second; }; }; };\n')
+
+
+@pytest.mark.parametrize(('encoding', 'text'), [('ros2msg', b'float64 first\nfloat64 second\n'), ('ros2idl', IDL)])
+def test_types_of_ones_own_are_read_by_the_definition_in_the_bag(encoding, text, tmp_path):
+    raw = b'\x00\x01\x00\x00' + np.array([1.5, 2.5]).tobytes()
+    with open_bag(schema_bag(tmp_path / 'bag.mcap', encoding, text, raw)) as bag:
+        message = next(bag.messages())
+        assert (message.data.first, message.data.second) == (1.5, 2.5)
+
+
+def test_bytes_that_do_not_fit_their_type_are_counted_and_left_out(tmp_path):
+    with open_bag(schema_bag(tmp_path / 'bag.mcap', 'ros2msg', b'float64 first\nfloat64 second\n', b'\x00')) as bag:
+        assert list(bag.messages()) == []
+        assert '3 messages on /pair do not decode' in bag.losses.sentence
+
+
+def test_types_that_nothing_defines_keep_their_bytes(tmp_path):
+    with open_bag(schema_bag(tmp_path / 'bag.mcap', '', b'', b'\x00\x01\x00\x00')) as bag:
+        assert [message.data for message in bag.messages()] == [None] * 3
+        assert not bag.losses
+
+
+def test_bags_merge_by_time(tmp_path):
+    one = write_strings(tmp_path / 'one.mcap', [1, 3, 5])
+    two = write_strings(tmp_path / 'two.mcap', [2, 3, 4], topic='/other')
+    with MergedBag('both', [open_bag(one), open_bag(two)]) as bag:
+        assert [(m.log_time, m.topic) for m in bag.messages()] == [
+            (1, '/chatter'), (2, '/other'), (3, '/chatter'), (3, '/other'), (4, '/other'), (5, '/chatter')]
+        assert (bag.start_ns, bag.end_ns, bag.message_count) == (1, 5, 6)
+        assert not bag.losses and bag.losses.saved == 6
+
+
+def test_bags_whose_topics_contradict_are_not_merged(tmp_path):
+    one = write_strings(tmp_path / 'one.mcap', [1])
+    with BagWriter(tmp_path / 'two.mcap') as bag:
+        bag.write('/chatter', STATE, {}, 1)
+    with pytest.raises(SemiparamError, match='they cannot be merged'):
+        MergedBag('both', [open_bag(one), open_bag(tmp_path / 'two.mcap')])
+
+
+def robot_bag(path: Path, states: str = '/joint_states', accelerations: bool = False) -> Path:
+    with BagWriter(path) as bag:
+        for number in range(10):
+            stamp = number * 10**7
+            bag.write(states, STATE, {'header': header(stamp), 'name': ['a', 'b'], 'position': [number, 0.0],
+                                      'velocity': [0.0, 1.0], 'effort': [2.0, 3.0]}, stamp)
+            bag.write('/wrench', WRENCH, {'header': header(stamp + 10**6, 'ft'), 'wrench': {'force': {'x': number}}},
+                      stamp)
+            if accelerations:
+                bag.write('/joint_accelerations', 'trajectory_msgs/msg/JointTrajectory', {
+                    'header': header(stamp), 'joint_names': ['a', 'b'],
+                    'points': [{'accelerations': [7.0, 8.0]}]}, stamp)
+    return path
+
+
+def test_a_recording_becomes_samples(tmp_path):
+    loaded = load_samples(robot_bag(tmp_path / 'bag.mcap'), Settings(joints=('b', 'a'), sensor_frame='ft'))
+    assert len(loaded.samples) == 9 and loaded.frame_id == 'ft' and loaded.robot_description is None
+    np.testing.assert_allclose(loaded.samples.position[:, 1], np.arange(9) + 0.1)
+    np.testing.assert_array_equal(loaded.samples.outputs[:, 0], np.arange(9))
+    assert loaded.faults == {} and not loaded.losses
+
+
+def test_measured_accelerations_are_taken_where_they_were_recorded(tmp_path):
+    path = robot_bag(tmp_path / 'bag.mcap', accelerations=True)
+    measured = load_samples(path, Settings(joints=('a', 'b'))).samples.acceleration
+    np.testing.assert_array_equal(measured, np.tile([7.0, 8.0], (9, 1)))
+    filtered = load_samples(path, Settings(joints=('a', 'b'), acceleration_source='filter')).samples.acceleration
+    np.testing.assert_array_equal(filtered, np.zeros((9, 2)))
+
+
+def test_topics_of_other_names_are_named(tmp_path):
+    path = robot_bag(tmp_path / 'bag.mcap', states='/arm')
+    settings = Settings(joints=('a', 'b'), outputs='effort')
+    assert len(load_samples(path, settings, Topics(joint_states='/arm')).samples) == 10
+    with pytest.raises(SemiparamError, match=r'has no topic /joint_states; it has /arm, /wrench '
+                                             r'\(semiparam convert --topic /arm=/joint_states renames one\)\.$'):
+        load_samples(path, settings)
+
+
+@pytest.mark.parametrize(('changes', 'sentence'), [
+    ({'acceleration_source': 'measured'}, r'has no topic /joint_accelerations; it has /joint_states, /wrench\.$'),
+    ({'joints': ('a', 'c')}, "holds no complete sample .10 on /joint_states, 10 on /wrench messages.: joint state at "
+                             "0.090000000 s must name joint 'c' once; it names a, b. semiparam convert --joint "
+                             'NAME=NEW renames joints.'),
+    ({'sensor_frame': 'elsewhere'}, "is in frame 'ft'; expected 'elsewhere'"),
+    ({'joints': ()}, 'bag.mcap.: no robot description'),
+])
+def test_a_recording_without_what_is_needed_is_refused(changes, sentence, tmp_path):
+    path = robot_bag(tmp_path / 'bag.mcap')
+    with pytest.raises(SemiparamError, match=sentence):
+        load_samples(path, Settings(**{'joints': ('a', 'b'), 'sensor_frame': 'ft', **changes}))
+
+
+def test_a_topic_of_the_wrong_type_is_refused(tmp_path):
+    path = write_strings(tmp_path / 'bag.mcap', [1], topic='/joint_states')
+    with pytest.raises(SemiparamError, match=f'topic /joint_states holds {STRING}; expected {STATE}'):
+        load_samples(path, Settings(joints=('a',), outputs='effort'))

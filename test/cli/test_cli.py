@@ -1,0 +1,160 @@
+"""The command line: what it prints, where it fails and with which exit code."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from semiparam_ros import __version__
+from semiparam_ros.atomic_write import write_text
+from semiparam_ros.cli import main as cli
+from semiparam_ros.cli.options import write_json
+from semiparam_ros.errors import SemiparamError
+
+SEMIPARAM = [sys.executable, '-m', 'semiparam_ros.cli.main']
+
+
+def semiparam(*arguments: str, **options) -> subprocess.CompletedProcess:
+    return subprocess.run([*SEMIPARAM, *arguments], capture_output=True, text=True, timeout=60, check=False, **options)
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """A sub-command of the test's own in place of `bench`, given what its run() does."""
+    def install(run):
+        module = types.ModuleType('semiparam_ros.cli.bench')
+        module.HELP, module.add_arguments, module.run = 'a stand-in', lambda parser: None, run
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    return install
+
+
+def raising(error):
+    def run(_):
+        raise error
+    return run
+
+
+def test_version():
+    assert semiparam('--version').stdout == f'semiparam_ros {__version__}\n'
+
+
+def test_overview_names_and_explains_every_command():
+    lines = semiparam('--help').stdout.splitlines()
+    for name in cli.COMMANDS:
+        assert any(line.split()[:1] == [name] and len(line.split()) > 2 for line in lines), name
+
+
+@pytest.mark.parametrize('name', cli.COMMANDS)
+def test_every_command_has_help(name):
+    result = semiparam(name, '--help')
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith(f'usage: semiparam {name} ')
+
+
+def test_unknown_command_is_refused_with_the_known_ones():
+    result = semiparam('evaluat')
+    assert result.returncode == 2
+    assert "'evaluate'" in result.stderr
+    assert 'Traceback' not in result.stderr
+
+
+def test_overview_needs_no_heavy_import():
+    code = ('import sys; from semiparam_ros.cli.main import main; main(["--help"]); '
+            'print({"numpy", "pinocchio", "rclpy"} & set(sys.modules))')
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True, timeout=60)
+    assert result.stdout.splitlines()[-1] == 'set()'
+
+
+def test_one_linear_algebra_thread_unless_the_user_chose(command, monkeypatch):
+    seen = []
+    command(lambda args: seen.append(os.environ['OMP_NUM_THREADS']) or 0)
+    monkeypatch.delenv('OMP_NUM_THREADS', raising=False)
+    cli.main(['bench'])
+    monkeypatch.setenv('OMP_NUM_THREADS', '3')
+    cli.main(['bench'])
+    assert seen == ['1', '3']
+
+
+def test_a_mistake_of_the_user_is_one_sentence(command, capsys):
+    command(raising(SemiparamError('the bag has no topic /wrench.')))
+    assert cli.main(['bench']) == 2
+    assert capsys.readouterr().err == 'semiparam: the bag has no topic /wrench.\n'
+
+
+def test_a_missing_file_is_one_sentence(command, capsys):
+    command(lambda args: len(Path('/nowhere/at/all').read_text()))
+    assert cli.main(['bench']) == 2
+    assert capsys.readouterr().err == 'semiparam: /nowhere/at/all: No such file or directory.\n'
+
+
+def test_a_fault_of_the_program_shows_its_traceback_on_request_only(command, capsys, monkeypatch):
+    command(raising(TypeError('unexpected')))
+    monkeypatch.delenv('SEMIPARAM_TRACEBACK', raising=False)
+    assert cli.main(['bench']) == 1
+    quiet = capsys.readouterr().err
+    assert quiet.count('\n') == 1
+    assert 'TypeError: unexpected' in quiet
+    monkeypatch.setenv('SEMIPARAM_TRACEBACK', '1')
+    cli.main(['bench'])
+    assert 'Traceback' in capsys.readouterr().err
+
+
+def test_interrupt_gives_130(command):
+    command(raising(KeyboardInterrupt()))
+    assert cli.main(['bench']) == 130
+
+
+def test_a_reader_who_leaves_is_no_error():
+    buffered = {name: value for name, value in os.environ.items() if name != 'PYTHONUNBUFFERED'}
+    process = subprocess.Popen([*SEMIPARAM, '--help'], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=buffered)
+    process.stdout.close()
+    assert process.stderr.read() == b''
+    assert process.wait(timeout=60) == 141
+
+
+@pytest.mark.parametrize('argv, ours, theirs', [
+    (['replay', 'bag'], ['replay', 'bag'], []),
+    (['run', '--ros-args', '-r', 'a:=b'], ['run'], ['--ros-args', '-r', 'a:=b']),
+    (['run', '--ros-args', '-p', 'x:=1', '--', '--params', 'f'], ['run', '--params', 'f'],
+     ['--ros-args', '-p', 'x:=1', '--']),
+    (['--ros-args', '--', 'run', '--ros-args'], ['run'], ['--ros-args', '--', '--ros-args']),
+])
+def test_ros_arguments_are_set_apart(argv, ours, theirs):
+    assert cli.split_ros_arguments(argv) == (ours, theirs)
+
+
+def test_ros_arguments_reach_the_command(command):
+    seen = []
+    command(lambda args: seen.append(args.ros_args) or 0)
+    assert cli.main(['bench', '--ros-args', '-r', '__ns:=/left']) == 0
+    assert seen == [['--ros-args', '-r', '__ns:=/left']]
+
+
+def test_json_is_versioned_and_takes_numpy(tmp_path):
+    write_json(tmp_path / 'a.json', {'nmse': np.array([0.5, 1.0]), 'samples': np.int64(3), 'deep': {'x': (1, 2)}})
+    assert json.loads((tmp_path / 'a.json').read_text()) == {
+        'schema': 1, 'nmse': [0.5, 1.0], 'samples': 3, 'deep': {'x': [1, 2]}}
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, np.array([1.0, np.nan])])
+def test_json_refuses_what_is_not_finite_and_says_where(tmp_path, value):
+    with pytest.raises(SemiparamError, match=r'at P\.nmse'):
+        write_json(tmp_path / 'a.json', {'P': {'nmse': value}})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_result_that_cannot_be_written_is_one_sentence(tmp_path):
+    with pytest.raises(SemiparamError, match='cannot write'):
+        write_text(tmp_path / 'missing' / 'a.json', '{}')
+
+
+def test_a_written_file_is_as_readable_as_any_other(tmp_path):
+    write_text(tmp_path / 'a', 'text')
+    (tmp_path / 'b').write_text('text')
+    assert (tmp_path / 'a').stat().st_mode == (tmp_path / 'b').stat().st_mode

@@ -1,0 +1,200 @@
+"""`semiparam convert`: tables and foreign bags become MCAP."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.bags.tables import parse_columns
+from semiparam_ros.cli.main import main
+from semiparam_ros.settings.snapshot import Settings
+
+ICUB_JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
+TWO_JOINTS = ('--joints', 'hip,knee', '--position', '1-2', '--velocity', '3-4', '--rate', '100')
+
+
+def convert(*arguments) -> int:
+    return main(['convert', *map(str, arguments)])
+
+
+def table(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / 'table.txt'
+    path.write_text(text)
+    return path
+
+
+def messages(path: Path, topic: str):
+    with open_bag(path) as bag:
+        return list(bag.messages([topic]))
+
+
+def test_the_icub_tables_convert_in_one_short_command(shared_data, repository, tmp_path, capsys):
+    source = shared_data / 'icub_arm' / 'icubdyn_train.dat'
+    bag = tmp_path / 'train.mcap'
+    assert convert(source, bag, '--columns', repository / 'config' / 'icub_table.yaml',
+                   '--robot-description', shared_data / 'icub_arm' / 'iCubGenova01.urdf') == 0
+    assert '2000 rows, 68.966 s' in capsys.readouterr().err
+    loaded = load_samples(bag, Settings(joints=ICUB_JOINTS, sensor_frame='r_arm_ft_sensor'))
+    rows = np.loadtxt(source)
+    np.testing.assert_allclose(loaded.samples.inputs, np.radians(rows[:, :12]), rtol=1e-14)
+    np.testing.assert_array_equal(loaded.samples.outputs, rows[:, 12:])
+    np.testing.assert_allclose(loaded.samples.time, 0.0345 * np.arange(2000), atol=1e-9)
+    assert loaded.frame_id == 'r_arm_ft_sensor' and loaded.faults == {} and 'iCub' in loaded.robot_description
+
+
+def test_a_ros1_bag_with_a_topic_and_joints_renamed(shared_data, tmp_path):
+    bag = tmp_path / 'ur3.mcap'
+    assert convert(shared_data / 'ur3_arm' / 'id1.bag', bag, '--topic', '/arm=/joint_states', '--effort-sign', '-1',
+                   '--joint', 'Base=shoulder_pan_joint,Shoulder=shoulder_lift_joint,Elbow=elbow_joint',
+                   '--joint', 'Wrist *=wrist_*_joint', '--robot-description', shared_data / 'ur3_arm' / 'ur3.urdf') == 0
+    loaded = load_samples(bag, Settings(outputs='effort', acceleration_source='filter'))
+    assert loaded.joints == ('shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', 'wrist_1_joint',
+                             'wrist_2_joint', 'wrist_3_joint')
+    assert len(loaded.samples) == 5941
+    original = next(iter(messages(shared_data / 'ur3_arm' / 'id1.bag', '/arm')))
+    np.testing.assert_array_equal(loaded.samples.outputs[0], -np.array(original.data.effort))
+    assert messages(bag, '/joint_states')[0].log_time == original.log_time
+
+
+def test_a_database_without_metadata(shared_data, tmp_path):
+    bag = tmp_path / 'panda.mcap'
+    assert convert(shared_data / 'panda_arm' / 'panda_exciting_trajectory.db3', bag, '--joint', 'fer_*=panda_*') == 0
+    states = messages(bag, '/joint_states')
+    assert len(states) == 727
+    assert states[0].data.name == [f'panda_joint{number}' for number in range(1, 8)]
+
+
+def test_topics_without_a_change_are_copied_byte_by_byte(shared_data, tmp_path):
+    source = shared_data / 'panda_arm' / 'panda_exciting_trajectory.db3'
+    assert convert(source, tmp_path / 'copy.mcap') == 0
+    assert [m.raw for m in messages(tmp_path / 'copy.mcap', '/joint_states')] == \
+        [m.raw for m in messages(source, '/joint_states')]
+
+
+def test_columns_by_name_with_times_signs_and_efforts(tmp_path):
+    path = table(tmp_path, '# a remark\nt;q1;q2;w1;w2;e1;e2;fx;fy;fz;tx;ty;tz\n'
+                           '1574901258.850321557;90;-45;180;0;1;2;1;2;3;4;5;6\n'
+                           '\n1574901258.860321557;91;-44;180;0;1;2;1;2;3;4;5;7\n')
+    bag = tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'hip,knee', '--time', 't', '--position', 'q1,q2', '--velocity', 'w1,w2',
+                   '--effort', 'e1,e2', '--force', 'fx,fy,fz', '--torque', 'tx,ty,tz', '--degrees',
+                   '--wrench-sign', '-1', '--effort-sign', '-1', '--wrench-frame', 'wrist') == 0
+    state, second = messages(bag, '/joint_states')
+    assert state.log_time == 1574901258850321557 and second.log_time - state.log_time == 10_000_000
+    assert (state.data.header.stamp.sec, state.data.header.stamp.nanosec) == (1574901258, 850321557)
+    np.testing.assert_allclose(state.data.position, [math.pi / 2, -math.pi / 4])
+    np.testing.assert_allclose(state.data.velocity, [math.pi, 0.0])
+    assert state.data.effort == [-1.0, -2.0]
+    wrench = messages(bag, '/wrench')[0].data
+    assert wrench.header.frame_id == 'wrist'
+    assert (wrench.wrench.force.x, wrench.wrench.torque.z) == (-1.0, -6.0)
+
+
+def test_options_win_over_the_columns_file(tmp_path):
+    columns = tmp_path / 'columns.yaml'
+    columns.write_text('joints: [a, b]\nrate: 10\ndegrees: true\ncolumns: {position: 1-2, velocity: 3-4}\n')
+    path = table(tmp_path, '1 2 3 4 5 6\n' * 3)
+    bag = tmp_path / 'out.mcap'
+    assert convert(path, bag, '--columns', columns, '--joints', 'c,d', '--radians', '--position', '5,6',
+                   '--period', '0.5', '--start', '2') == 0
+    states = messages(bag, '/joint_states')
+    assert states[0].data.name == ['c', 'd'] and states[0].data.position == [5.0, 6.0]
+    assert [state.log_time for state in states] == [2_000_000_000, 2_500_000_000, 3_000_000_000]
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path):
+    path = table(tmp_path, ''.join(f'{k} 2 3 {k / 7}\n' for k in range(5000)))
+    for name in ('one', 'two'):
+        assert convert(path, tmp_path / f'{name}.mcap', *TWO_JOINTS) == 0
+    assert (tmp_path / 'one.mcap').read_bytes() == (tmp_path / 'two.mcap').read_bytes()
+
+
+def test_rows_that_later_steps_will_refuse_are_counted(tmp_path, capsys):
+    path = table(tmp_path, '1 2 3 4 1\n1 nan 3 4 1\n1 2 3 4 0.5\n')
+    assert convert(path, tmp_path / 'o.mcap', *TWO_JOINTS[:-2], '--time', '5') == 0
+    said = capsys.readouterr().err
+    assert '1 rows hold a number that is not finite.' in said and '2 rows are not later than the row before.' in said
+
+
+BAD_TABLES = {
+    'line 2, short': ('1 2 3 4\n1 2 3\n', TWO_JOINTS, 'line 2 has 3 columns; expected at least 4'),
+    'a word': ('1 2 3 4\n1 2 x 4\n', TWO_JOINTS, "line 2: 'x' is not a number (velocity)"),
+    'nothing': ('# only a remark\n', TWO_JOINTS, 'holds no row of numbers'),
+    'no joints': ('1 2\n', ('--rate', '1'), 'needs the names of its joints'),
+    'no position': ('1 2\n', ('--joints', 'a', '--velocity', '1', '--rate', '1'), 'no position columns'),
+    'no time': ('1 2\n', ('--joints', 'a', '--position', '1', '--velocity', '2'), 'rows have no time'),
+    'half a wrench': ('1 2 3 4\n', (*TWO_JOINTS, '--force', '1-3'), 'both force and torque'),
+    'too few columns named': ('1 2 3 4\n', (*TWO_JOINTS, '--effort', '1'), 'effort has 1 columns; expected 2'),
+    'column 0': ('1 2 3 4\n', (*TWO_JOINTS, '--effort', '0-1'), 'columns count from 1'),
+    'no such name': ('a b c d\n1 2 3 4\n', (*TWO_JOINTS, '--effort', 'a,e'), "no column 'e'; its header has a, b"),
+    'negative rate': ('1 2 3 4\n', (*TWO_JOINTS[:-1], '-5'), 'rate is -5.0; expected a positive number'),
+    'time before 1970': ('1 2 3 4 -1\n', (*TWO_JOINTS[:-2], '--time', '5'), 'line 1 has the time -1 s'),
+    'time is nan': ('1 2 3 4 nan\n', (*TWO_JOINTS[:-2], '--time', '5'), 'line 1 has the time NaN s'),
+    'option for bags': ('1 2 3 4\n', (*TWO_JOINTS, '--topic', '/a'), '--topic is for bags'),
+}
+
+
+@pytest.mark.parametrize('case', BAD_TABLES)
+def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, capsys):
+    text, options, sentence = BAD_TABLES[case]
+    assert convert(table(tmp_path, text), tmp_path / 'out.mcap', *options) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and len(said.strip().splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ['table.txt']
+
+
+@pytest.mark.parametrize(('text', 'sentence'), [
+    ('joints: [a]\nperoid: 1\n', "'peroid' is unknown; did you mean 'period'?"),
+    ('- 1\n', 'holds no columns'),
+    ('joints: [a\n', 'is not valid YAML'),
+    ('columns: 3\n', "columns is 3; expected a mapping"),
+    ('degrees: maybe\n', "degrees is 'maybe'; expected true or false"),
+    ('columns: {positon: 1}\njoints: [a]\n', "column role 'positon' is unknown"),
+])
+def test_a_bad_columns_file_ends_in_one_sentence(text, sentence, tmp_path, capsys):
+    columns = tmp_path / 'columns.yaml'
+    columns.write_text(text)
+    assert convert(table(tmp_path, '1 2\n'), tmp_path / 'out.mcap', '--columns', columns) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and len(said.strip().splitlines()) == 1
+
+
+def test_wrong_files_end_in_one_sentence(tmp_path, capsys):
+    path = table(tmp_path, '1 2 3 4\n')
+    for arguments, sentence in {
+            (tmp_path / 'no.txt', tmp_path / 'o.mcap', *TWO_JOINTS): 'No such file or directory',
+            (path, tmp_path / 'o.bag', *TWO_JOINTS): 'expected one that ends in .mcap',
+            (path, tmp_path / 'no' / 'o.mcap', *TWO_JOINTS): 'no bag can be written to',
+            (path, tmp_path / 'o.mcap', *TWO_JOINTS, '--robot-description', tmp_path / 'no.urdf'): 'no.urdf'}.items():
+        assert convert(*arguments) == 2
+        assert sentence in capsys.readouterr().err
+    bag = tmp_path / 'good.mcap'
+    assert convert(path, bag, *TWO_JOINTS) == 0
+    before = bag.read_bytes()
+    capsys.readouterr()
+    for arguments, sentence in {
+            (bag, bag): 'is the input itself',
+            (bag, tmp_path / 'o.mcap', '--topic', '/no'): 'has no topic /no; it has /joint_states',
+            (bag, tmp_path / 'o.mcap', '--joint', 'a='): "'a=' is no renaming; expected OLD=NEW",
+            (bag, tmp_path / 'o.mcap', '--rate', '5'): '--rate is for text tables'}.items():
+        assert convert(*arguments) == 2
+        assert sentence in capsys.readouterr().err
+    assert bag.read_bytes() == before
+
+
+def test_header_stamps_can_come_from_the_log(tmp_path):
+    path = table(tmp_path, '1 2 3 4\n1 2 3 4\n')
+    convert(path, tmp_path / 'a.mcap', *TWO_JOINTS)
+    assert convert(tmp_path / 'a.mcap', tmp_path / 'b.mcap', '--stamps-from-log') == 0
+    state = messages(tmp_path / 'b.mcap', '/joint_states')[1]
+    assert state.data.header.stamp.sec * 10**9 + state.data.header.stamp.nanosec == state.log_time == 1_010_000_000
+
+
+@pytest.mark.parametrize(('text', 'columns'), [
+    ('1-4', (1, 2, 3, 4)), ('1, 3,5-6', (1, 3, 5, 6)), ('q-1,q2', ('q-1', 'q2')), (3, (3,)), ([1, '2-3'], (1, 2, 3)),
+])
+def test_columns_are_numbers_ranges_or_names(text, columns):
+    assert parse_columns(text) == columns

@@ -1,0 +1,186 @@
+"""`semiparam evaluate` on recordings that the test writes, and on the measured iCub arm."""
+
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from semiparam_ros.cli import main as cli
+from semiparam_ros.cli.evaluate import print_scores
+from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.experiments.evaluation import Scores, by_phase, normalised_errors, update_times
+from semiparam_ros.settings import Settings, dump_params
+from support import node_helpers
+from support.recordings import FRAME, JOINTS, PERIOD_NS, URDF, write_arm
+
+INITIAL = 100
+
+
+@pytest.fixture(scope='module')
+def recording(tmp_path_factory):
+    return write_arm(tmp_path_factory.mktemp('bags') / 'a.mcap', 400)
+
+
+@pytest.fixture(scope='module')
+def params(tmp_path_factory):
+    path = tmp_path_factory.mktemp('params') / 'arm.yaml'
+    dump_params(Settings.from_mapping({'sensor_frame': FRAME, 'joints': list(JOINTS), 'features.count': 20,
+                                       'initial.samples': INITIAL, 'horizon.length': 5}), path)
+    return path
+
+
+@pytest.fixture
+def evaluate(params, tmp_path):
+    """Runs the command and returns its JSON document."""
+    def run(*arguments):
+        path = tmp_path / 'result.json'
+        assert cli.main(['evaluate', *map(str, arguments), '--params', str(params), '--json', str(path)]) == 0
+        return json.loads(path.read_text())
+    return run
+
+
+def test_figures_of_each_variant(evaluate, recording, capsys):
+    document = evaluate(recording, '--variant', 'P', '--variant', 'SPK-ML')
+    assert document['schema'] == 1
+    assert list(document['variants']) == ['P', 'SPK-ML']
+    for result in document['variants'].values():
+        assert len(result['nmse']) == len(result['rmse']) == 6
+        assert result['nmse_mean'] == pytest.approx(np.mean(result['nmse']))
+        assert result['samples'] == 400 - INITIAL
+        assert 0.0 < result['update_ms']['median'] <= result['update_ms']['p99']
+        assert 0.0 < result['eps_force']['mean'] < 0.1
+        # 15 s are scored, so that all of them are the transient.
+        assert result['eps_torque']['first_30_s'] == result['eps_torque']['mean']
+        assert result['eps_torque']['steady_state'] is None
+        assert 'series' not in result
+    table = capsys.readouterr().out
+    assert 'SPK-ML' in table
+    assert max(map(len, table.splitlines())) <= 80
+
+
+def test_figures_are_those_of_the_estimator(evaluate, recording):
+    from semiparam_ros.bags.loading import load_samples
+
+    settings = Settings(sensor_frame=FRAME, joints=JOINTS)
+    estimator = Estimator(RigidBody.from_urdf(URDF.read_text(), JOINTS, 'wrench', FRAME),
+                          ModelOptions(variant='P', initial_samples=INITIAL, horizon=5))
+    predictions = [estimator.step(sample) for sample in load_samples(recording, settings).samples]
+    ready = [each for each in predictions if each.ready]
+    errors = np.array([each.mean - each.sample.outputs for each in ready])
+    outputs = np.array([each.sample.outputs for each in ready])
+    result = evaluate(recording, '--variant', 'P')['variants']['P']
+    np.testing.assert_allclose(result['rmse'], np.sqrt(np.mean(errors**2, axis=0)), rtol=1e-12)
+    np.testing.assert_allclose(result['nmse'], np.mean(errors**2, axis=0) / outputs.var(axis=0), rtol=1e-12)
+    eps = np.mean([each.horizon.eps[:3] for each in ready if each.horizon])
+    assert result['eps_force']['mean'] == pytest.approx(eps, rel=1e-12)
+
+
+def test_series_and_plot_on_request(evaluate, recording, tmp_path):
+    result = evaluate(recording, '--variant', 'P', '--series', '--plot', tmp_path / 'eps.svg')['variants']['P']
+    series = result['series']
+    assert len(series['time_s']) == len(series['eps_force']) == 400 - INITIAL - 5
+    assert np.mean(series['eps_torque']) == pytest.approx(result['eps_torque']['mean'])
+    assert series['time_s'][0] == pytest.approx(INITIAL * PERIOD_NS * 1e-9, abs=0.1)
+    assert (tmp_path / 'eps.svg').read_text().count('</svg>') == 1
+
+
+def test_frozen_after_training_scores_every_sample_and_learns_none(evaluate, recording, tmp_path):
+    test = write_arm(tmp_path / 'b.mcap', 200, seed=5, start=10**18)
+    frozen = evaluate(test, '--train', recording, '--frozen', '--variant', 'P')['variants']['P']
+    learning = evaluate(test, '--train', recording, '--variant', 'P')['variants']['P']
+    untrained = evaluate(test, '--variant', 'P')['variants']['P']
+    assert frozen['samples'] == learning['samples'] == 200
+    assert untrained['samples'] == 200 - INITIAL
+    assert frozen['rmse'] != learning['rmse']
+    twice = evaluate(test, test, '--train', recording, '--frozen', '--variant', 'P')['variants']['P']
+    np.testing.assert_allclose(twice['rmse'], frozen['rmse'], rtol=1e-12)
+
+
+def test_contacts_are_scored_but_not_learnt(recording, tmp_path):
+    """The gate that the node has: a threshold that every sample exceeds leaves the model as trained."""
+    values = {'sensor_frame': FRAME, 'joints': list(JOINTS), 'initial.samples': INITIAL, 'variant': 'P',
+              'gate.enabled': True, 'gate.threshold': 0.0, 'gate.release': 0.0, 'gate.timeout': 0.0}
+    path, result = tmp_path / 'gate.yaml', tmp_path / 'result.json'
+    dump_params(Settings.from_mapping(values), path)
+    rmse = []
+    for frozen in ([], ['--frozen']):
+        words = ['--train', str(recording), *frozen, '--params', str(path), '--json', str(result)]
+        assert cli.main(['evaluate', str(recording), *words]) == 0
+        rmse.append(json.loads(result.read_text())['variants']['P']['rmse'])
+    assert rmse[0] == rmse[1]
+
+
+@pytest.mark.parametrize('arguments, sentence', [
+    (['{bag}', '--frozen'], '--frozen predicts with what was learnt'),
+    (['{bag}', '--variant', 'SPQ'], "variant 'SPQ' is unknown"),
+    (['{bag}', '--plot', '{folder}/a.xyz', '--variant', 'P'], 'expected a suffix of'),
+    (['{folder}/none.mcap'], 'none.mcap'),
+    (['{bag}', '--params', '{folder}/none.yaml'], 'none.yaml'),
+])
+def test_mistakes_are_one_sentence(arguments, sentence, recording, params, tmp_path, capsys):
+    words = [word.format(bag=recording, folder=tmp_path) for word in arguments]
+    given = [] if '--params' in words else ['--params', str(params)]
+    assert cli.main(['evaluate', *words, *given]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_too_short_a_recording_is_refused(params, tmp_path, capsys):
+    bag = write_arm(tmp_path / 'short.mcap', 60)
+    assert cli.main(['evaluate', str(bag), '--params', str(params)]) == 2
+    assert 'initial.samples' in capsys.readouterr().err
+
+
+def test_the_widest_figures_fit_into_a_terminal(capsys):
+    indices = {name: {'first_30_s': 1.23e-5, 'steady_state': 0.00123} for name in ('eps_force', 'eps_torque')}
+    result = {'nmse_mean': 0.00123, **indices, 'update_ms': {'median': 0.123, 'p99': 12.3}, 'samples': 10000}
+    print_scores(Console(width=80), {'SP2-ML live': result})
+    row = capsys.readouterr().out.splitlines()[-1].split()
+    assert row == ['SP2-ML', 'live', '0.00123', *['1.2e-05', '0.00123'] * 2, '0.123', '12.3', '10000']
+
+
+def test_phases_begin_when_learning_does():
+    times, values = np.array([100.0, 129.9, 130.0, 200.0]), np.array([1.0, 3.0, 10.0, 20.0])
+    assert by_phase(times, values) == {'mean': 8.5, 'first_30_s': 2.0, 'steady_state': 15.0}
+    assert by_phase(times[:0], values[:0]) == {'mean': None, 'first_30_s': None, 'steady_state': None}
+
+
+def test_a_constant_channel_has_no_normalised_error():
+    errors, measured = np.array([[1.0, 2.0], [1.0, -2.0]]), np.array([[5.0, 3.0], [5.0, 7.0]])
+    assert normalised_errors(errors, measured) == ([None, 1.0], [1.0, 2.0])
+
+
+def test_time_goes_on_from_one_recording_to_the_next():
+    scores = Scores('effort')
+    for origin in (0, 10**18):
+        scores.start_recording(origin)
+        for second in range(3):
+            scores.add_horizon(HorizonErrors(origin + second * 10**9, np.array([0.1, 0.3]), np.array([0.2, 0.4])))
+    times, values = scores.index_series()
+    assert times.tolist() == [0.0, 1.0, 2.0, 2.0, 3.0, 4.0]
+    np.testing.assert_allclose(values[0], [0.2, 0.3])
+
+
+def test_update_times_in_milliseconds():
+    assert update_times([0.001, 0.002, 0.003]) == {'median': 2.0, 'p99': pytest.approx(2.98)}
+    assert update_times([]) is None
+
+
+def test_a_robot_that_stands_still_first_is_evaluated_from_its_first_window_with_motion(tmp_path, capsys):
+    """Two windows in which nothing varies give no hyperparameters; the command goes on, as the node does."""
+    still = node_helpers.SETTINGS.initial_samples * 2
+    samples = node_helpers.motion(still + 140)
+    samples[:still] = [sample._replace(outputs=np.ones(6)) for sample in samples[:still]]
+    bag = node_helpers.write_bag(tmp_path / 'still.mcap', samples)
+    dump_params(node_helpers.SETTINGS, tmp_path / 'two.yaml')
+    command = ['evaluate', str(bag), '--params', str(tmp_path / 'two.yaml'), '--json', str(tmp_path / 'result.json')]
+    assert cli.main(command) == 0
+    figures = json.loads((tmp_path / 'result.json').read_text())['variants']['SPK-ML']
+    assert figures['samples'] == 140 - node_helpers.SETTINGS.initial_samples
+    assert capsys.readouterr().err.count('is constant over the initial window') == 2
+    never = node_helpers.write_bag(tmp_path / 'never.mcap', samples[:still])
+    assert cli.main([*command[:1], str(never), *command[2:]]) == 2

@@ -1,0 +1,403 @@
+"""What every variant of the estimator must do: one check, run over all of them, and what only some do."""
+
+import copy
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.estimator import Estimator, ModelOptions, log_density
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.effects import effect_from_text
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.identified_parameters import quantities
+from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+
+WINDOW, COUNT = 120, 400
+
+
+def measured(body, count=COUNT, seed=0):
+    """What an arm of other inertias, with something unmodelled, an offset and noise, would let one measure."""
+    rng = np.random.default_rng(seed)
+    motion = smooth_motion(body.n_joints, count, seed=seed)
+    outputs = body.regressors(motion) @ (body.base_parameters * rng.uniform(0.8, 1.2, body.n_parameters))
+    scale = outputs.std(axis=0)
+    outputs += 0.3 * scale * np.sin(2 * motion.position[:, :1] + motion.position[:, 1:2])
+    if body.outputs == 'wrench':
+        outputs += 2 * scale
+    return replace(motion, outputs=outputs + 0.02 * scale * rng.standard_normal(outputs.shape))
+
+
+@pytest.fixture(scope='module')
+def arm():
+    return icub()
+
+
+@pytest.fixture(scope='module')
+def recording(arm):
+    return measured(arm)
+
+
+def estimator(arm, variant, **options):
+    return Estimator(arm, ModelOptions(**({'variant': variant, 'features_count': 60, 'initial_samples': WINDOW,
+                                           'horizon': 5} | options)))
+
+
+def run(model, samples, learn=True):
+    return [model.step(sample, learn) for sample in samples]
+
+
+def relative_error(predictions, samples):
+    """Root mean square error over the outputs' standard deviation."""
+    errors = [(each.sample.outputs - each.mean) / samples.outputs.std(axis=0) for each in predictions]
+    return np.sqrt(np.mean(np.square(errors)))
+
+
+@pytest.fixture(scope='module', params=sorted(VARIANTS))
+def trained(request, arm, recording):
+    """Each variant after the recording, with all that it said."""
+    model = estimator(arm, request.param)
+    return model, run(model, recording)
+
+
+def trained_copy(trained):
+    return copy.deepcopy(trained[0])
+
+
+# ---- every variant
+
+
+def test_it_answers_every_sample_and_is_ready_exactly_after_the_window(trained, recording):
+    _, predictions = trained
+    assert [prediction.ready for prediction in predictions] == [False] * WINDOW + [True] * (COUNT - WINDOW)
+    for prediction, sample in zip(predictions, recording, strict=True):
+        assert prediction.sample.stamp == sample.stamp
+        assert prediction.mean.shape == prediction.std.shape == (6,)
+        assert np.isfinite([*prediction.mean, *prediction.std, prediction.log_density]).all()
+        assert (prediction.std > 0).all()
+
+
+def test_learning_on_beats_the_model_of_the_initial_window(trained, arm, recording):
+    model, predictions = trained
+    frozen = estimator(arm, model.options.variant)
+    run(frozen, recording[:WINDOW])
+    stopped = run(frozen, recording[WINDOW:], learn=False)
+    learnt, kept = (relative_error(part[-100:], recording) for part in (predictions, stopped))
+    assert learnt < 0.9 * kept
+    assert learnt < (0.6 if model.variant.pi == 'absent' else 0.3)  # the unmodelled sine has a size of 0.3
+
+
+def test_predictive_deviations_are_those_of_the_errors(trained, recording):
+    _, predictions = trained
+    late = predictions[-150:]
+    standardised = np.array([(p.sample.outputs - p.mean) / p.std for p in late])
+    widest = 2.5 if trained[0].variant.selection == 'ml' else 10.0  # a validation set: of the window's errors
+    assert 1 / widest < np.sqrt(np.mean(standardised**2)) < widest
+
+
+def test_the_density_is_that_of_a_gaussian_in_newtons(trained):
+    model, predictions = trained
+    prediction = predictions[-1]
+    scale = model.model.output_scale
+    covariance = np.diag(scale) @ prediction.prior.covariance @ np.diag(scale)
+    error = prediction.sample.outputs - prediction.mean
+    expected = -0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(2 * np.pi * covariance)[1])
+    assert prediction.log_density == pytest.approx(expected, rel=1e-9)
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), prediction.std, rtol=1e-12)
+
+
+def test_predicting_changes_nothing(trained, recording):
+    model = trained_copy(trained)
+    sample = next(iter(recording[-1:]))
+    before = model.model.recursion.state()
+    first, second = model.predict(sample), model.predict(sample._replace(outputs=np.full(6, np.nan)))
+    np.testing.assert_array_equal(first.mean, second.mean)
+    assert np.isnan(second.log_density)
+    assert all(np.array_equal(before[name], value) for name, value in model.model.recursion.state().items())
+
+
+def test_a_step_is_a_prediction_and_then_an_observation(trained, recording):
+    one, other = trained_copy(trained), trained_copy(trained)
+    for sample in recording[:30]:
+        stepped = one.step(sample)
+        predicted = other.predict(sample)
+        errors = other.observe(predicted)
+        np.testing.assert_array_equal(stepped.mean, predicted.mean)
+        np.testing.assert_array_equal(stepped.horizon.eps, errors.eps)
+    assert all(np.array_equal(value, other.model.recursion.state()[name])
+               for name, value in one.model.recursion.state().items())
+
+
+def test_without_learning_the_answers_stay_but_horizons_go_on(trained, recording):
+    model = trained_copy(trained)
+    sample = next(iter(recording[:1]))
+    before = model.predict(sample)
+    found = run(model, recording[:40], learn=False)
+    after = model.predict(sample)
+    np.testing.assert_array_equal(before.mean, after.mean)
+    np.testing.assert_array_equal(before.std, after.std)
+    assert all(each.horizon is not None for each in found)
+    late = found[20:26]  # all by the same model: the index is that of these very predictions
+    error = sum((p.sample.outputs - p.mean) ** 2 for p in late[1:])
+    power = sum(p.sample.outputs**2 for p in late[1:])
+    assert late[-1].horizon.origin == late[0].sample.stamp
+    np.testing.assert_allclose(late[-1].horizon.eps, error / power, rtol=1e-9)
+
+
+def test_it_is_deterministic(trained, arm, recording):
+    model, predictions = trained
+    again = run(estimator(arm, model.options.variant), recording)
+    for one, other in zip(predictions, again, strict=True):
+        np.testing.assert_array_equal(one.mean, other.mean)
+        np.testing.assert_array_equal(one.std, other.std)
+        assert one.log_density == other.log_density
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize('field', ['position', 'velocity', 'acceleration', 'outputs'])
+def test_values_that_are_not_finite_are_refused_and_change_nothing(trained, recording, field, bad):
+    model = trained_copy(trained)
+    expected = trained_copy(trained)
+    for sample in recording[:12]:
+        values = getattr(sample, field).copy()
+        values[-1] = bad
+        with pytest.raises(SemiparamError, match='expected finite values'):
+            model.step(sample._replace(**{field: values}))
+        one, other = model.step(sample), expected.step(sample)
+        np.testing.assert_array_equal(one.mean, other.mean)
+        np.testing.assert_array_equal(one.horizon.eps, other.horizon.eps)
+
+
+def test_horizons_start_with_the_variant_and_again_after_a_jump_of_the_clock(trained, recording):
+    _, predictions = trained
+    known = [prediction.horizon is not None for prediction in predictions]
+    assert known == [False] * 5 + [True] * (WINDOW - 5) + [False] * 5 + [True] * (COUNT - WINDOW - 5)
+    model = trained_copy(trained)
+    before = model.predict(next(iter(recording[:1]))).mean
+    model.clear_pending()
+    np.testing.assert_array_equal(model.predict(next(iter(recording[:1]))).mean, before)
+    assert [each.horizon is not None for each in run(model, recording[:8])] == [False] * 5 + [True] * 3
+
+
+def test_hyperparameters_handed_on_give_the_same_model(trained, arm, recording):
+    model, _ = trained
+    mean, scale = model.input_scaling
+    given = estimator(arm, model.options.variant, hyperparameters=model.model.hyperparameters,
+                      input_mean=tuple(mean), input_scale=tuple(scale))
+    assert given.ready
+    run(given, recording[:WINDOW])
+    reference = estimator(arm, model.options.variant)
+    run(reference, recording[:WINDOW])
+    sample = next(iter(recording[WINDOW:WINDOW + 1]))
+    np.testing.assert_allclose(given.predict(sample).mean, reference.predict(sample).mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(given.predict(sample).std, reference.predict(sample).std, rtol=1e-9)
+
+
+def test_a_copy_in_another_process_says_the_same(trained, recording):
+    import pickle
+
+    model, twin = trained_copy(trained), pickle.loads(pickle.dumps(trained[0]))
+    for sample in recording[:10]:
+        np.testing.assert_array_equal(model.step(sample).mean, twin.step(sample).mean)
+
+
+# ---- single questions
+
+
+def test_the_window_may_end_early_but_not_without_samples(arm, recording):
+    model = estimator(arm, 'SPK-ML')
+    with pytest.raises(SemiparamError, match='no complete samples'):
+        model.finish_window()
+    run(model, recording[:10])
+    with pytest.raises(SemiparamError, match='the initial window holds 10 samples'):
+        model.finish_window()
+    run(model, recording[10:60])
+    model.finish_window()
+    assert model.ready
+    assert model.step(next(iter(recording[60:61]))).ready
+
+
+def test_samples_that_are_not_learnt_are_not_in_the_window(arm, recording):
+    model = estimator(arm, 'P')
+    run(model, recording[:50], learn=False)
+    assert not model.window
+    found = run(model, recording[50:50 + WINDOW + 1])
+    assert [each.ready for each in found] == [False] * WINDOW + [True]
+
+
+def test_a_window_of_standstill_says_what_is_missing(arm):
+    motion = smooth_motion(4, 60)
+    still = Samples(motion.stamps, motion.position[:1].repeat(60, 0), 0 * motion.velocity, 0 * motion.acceleration,
+                    np.ones((60, 6)), 0)
+    with pytest.raises(SemiparamError, match=r'output 0, 1, 2, 3, 4, 5 .* constant'):
+        run(estimator(arm, 'SPK-ML', initial_samples=60), still)
+
+
+def test_without_motion_but_with_noise_every_variant_stays_finite(arm):
+    rng = np.random.default_rng(0)
+    still = [Sample(i * 50_000_000, np.full(4, 0.5), np.zeros(4), np.zeros(4), 3 + 0.1 * rng.standard_normal(6))
+             for i in range(90)]
+    for variant in VARIANTS:
+        predictions = run(estimator(arm, variant, initial_samples=60), still)
+        means = np.array([each.mean for each in predictions[60:]])
+        assert np.abs(means - 3).max() < 0.5, variant
+
+
+def test_the_time_of_an_effect_starts_with_the_first_sample_also_when_it_was_not_learnt(arm, recording):
+    class Ramp:
+        seen: list = []  # noqa: RUF012
+
+        def check(self, body):
+            pass
+
+        def prior_scale(self, body):
+            return np.ones(6)
+
+        def correct(self, body, samples, memory):
+            return body, samples, memory
+
+        def transform(self, body, regressors):
+            return regressors
+
+        def columns(self, body, samples, memory):
+            self.seen.extend(samples.time.tolist())
+            return samples.time[:, None, None] * np.eye(6), memory
+
+    model = Estimator(arm, ModelOptions(variant='P', initial_samples=40, horizon=5), [Ramp()])
+    run(model, recording[:20], learn=False)
+    run(model, recording[20:70])
+    np.testing.assert_allclose(Ramp.seen, np.arange(70) / 20, atol=1e-9)  # and each column is computed once
+
+
+def test_the_time_of_an_effect_may_start_before_the_first_sample(arm, recording):
+    push = effect_from_text('external_force@r_hand{"start_s": 6.0}')
+    late = recording[200:]
+    begun = (late.stamps - recording.origin) * 1e-9 >= 6.0
+    for origin, expected in ((recording.origin, begun), (None, begun & False)):
+        model = Estimator(arm, ModelOptions(variant='P', initial_samples=300), [push], origin)
+        shown = [np.abs(model.step(sample, learn=False).columns[:, -3:]).max() > 0.0 for sample in late[:100]]
+        np.testing.assert_array_equal(shown, expected[:100])
+        assert model.origin == (recording.origin if origin is not None else late[0].stamp)
+
+
+PUSH = np.array([3.0, -2.0, 4.0])
+PUSHED_FROM = 220
+
+
+@pytest.fixture(scope='module')
+def pushed(arm, recording):
+    """The recording with a constant force on the hand that begins after the initial window."""
+    columns, _ = effect_from_text('external_force@r_hand').columns(arm, recording, None)
+    begun = (np.arange(COUNT) >= PUSHED_FROM)[:, None]
+    return replace(recording, outputs=recording.outputs + begun * (columns @ PUSH))
+
+
+def declaring(trained, arm, *effects):
+    """The same variant, untrained, with effects."""
+    return Estimator(arm, trained[0].options, [effect_from_text(text) for text in effects])
+
+
+def test_every_variant_learns_an_effect_that_begins_after_the_window(trained, arm, recording, pushed):
+    model = declaring(trained, arm, f'external_force@r_hand{{"start_s": {recording.time[PUSHED_FROM]}}}')
+    clean, declared = (relative_error(part[-100:], recording) for part in (trained[1], run(model, pushed)))
+    assert declared < 1.15 * clean
+    learnt = model.model.part(model.columns.blocks['0'])
+    if model.options.variant.startswith('SP'):  # features alone, or none, take an unmodelled sine of 0.3 for a force
+        np.testing.assert_allclose(learnt, PUSH, atol=1.0)
+    assert len(model.model.theta) == len(model.model.theta_std()) == len(quantities(model)) == {
+        'absent': 3}.get(model.variant.pi, model.columns.n_columns)
+    assert [quantity.name for quantity in quantities(model)][-3:] == [f'external_force@r_hand.force_{axis}'
+                                                                      for axis in 'xyz']
+    assert quantities(model)[-3].value == learnt[0]
+    assert len(model.hyperparameters().pi or ()) == {'absent': 0}.get(model.variant.pi, model.columns.n_own)
+
+
+@pytest.mark.parametrize('effect', ['payload@r_hand', 'payload@r_hand{"start_s": 15}', 'sensor_drift'])
+def test_an_effect_that_the_window_cannot_tell_or_does_not_see_explodes_in_no_variant(trained, arm, recording, effect):
+    """With the columns of effects among the fixed ones, SP and SP2 took what the window left open for any size."""
+    model = declaring(trained, arm, effect)
+    declared = relative_error(run(model, recording)[WINDOW:], recording)
+    assert declared < 2.0 * relative_error(trained[1][WINDOW:], recording)
+
+
+@pytest.mark.parametrize('variant', ['SP-ML', 'NP-ML', 'SP2-ML'])
+def test_hyperparameters_handed_on_give_the_same_model_with_effects(arm, pushed, variant):
+    effects = [effect_from_text('external_force@r_hand')]
+    reference = Estimator(arm, ModelOptions(variant=variant, features_count=60, initial_samples=WINDOW), effects)
+    run(reference, pushed[:WINDOW])
+    mean, scale = reference.input_scaling
+    options = replace(reference.options, hyperparameters=reference.model.hyperparameters, input_mean=tuple(mean),
+                      input_scale=tuple(scale))
+    given = Estimator(arm, options, effects)
+    run(given, pushed[:WINDOW])
+    for sample in pushed[WINDOW:WINDOW + 5]:
+        np.testing.assert_allclose(given.step(sample).mean, reference.step(sample).mean, rtol=0, atol=1e-9)
+
+
+def test_a_variant_with_features_beats_p_where_something_is_unmodelled(arm):
+    samples = measured(arm, 900)
+    errors = {}
+    for variant in ('P', 'SPK-ML'):
+        predictions = run(estimator(arm, variant, features_count=100, initial_samples=300), samples)
+        errors[variant] = relative_error(predictions[-300:], samples)
+    assert errors['SPK-ML'] < 0.5 * errors['P']
+
+
+def test_efforts_are_learnt_as_well():
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    samples = measured(body)
+    for variant in VARIANTS:
+        predictions = run(estimator(body, variant), samples)
+        assert relative_error(predictions[-100:], samples) < 0.4, variant
+
+
+def test_before_the_window_the_description_answers(arm):
+    motion = smooth_motion(4, 3)
+    described = arm.regressors(motion) @ arm.base_parameters
+    for sample, expected in zip(motion, described, strict=True):
+        np.testing.assert_allclose(estimator(arm, 'NP-ML').predict(sample).mean, expected, atol=1e-9)
+
+
+def test_forgetting_follows_a_change(arm):
+    samples = measured(arm, 500)
+    heavier = replace(samples, outputs=np.where(np.arange(500)[:, None] < 250, samples.outputs,
+                                                1.5 * samples.outputs))
+    errors = {}
+    for forgetting in (1.0, 0.98):
+        predictions = run(estimator(arm, 'SPK-ML', forgetting=forgetting), heavier)
+        errors[forgetting] = relative_error(predictions[-80:], samples)
+    assert errors[0.98] < 0.5 * errors[1.0]
+
+
+GIVEN = Hyperparameters(gamma=0.3, rho=1.0, tau=(3.0,), sigma=0.1, output_scale=(1.0,) * 6)
+
+
+@pytest.mark.parametrize(('variant', 'changes', 'options', 'sentence'), [
+    ('SPK', {}, {}, "variant 'SPK' is unknown; expected one of P, NP-ML"),
+    ('SPK-ML', {}, {'input_mean': ()}, 'hold 0 and 12 values; expected 12'),
+    ('SP-ML', {}, {}, 'hyperparameters.pi holds 0 values; expected 23 for SP-ML'),
+    ('SPK-ML', {'output_scale': (1.0,)}, {}, 'output_scale holds 1 values; expected 6'),
+    ('SPK-ML', {'tau': (1.0, 2.0)}, {}, '2 length scales for 12 inputs'),
+    ('SPK-ML', {'sigma': 0.0}, {}, 'sigma 0.0'),
+    ('SPK-ML', {'gamma': 0.0}, {}, 'expected positive finite ones'),
+    ('SPK-ML', {}, {'features_count': 61}, 'features.count is 61'),
+    ('SPK-ML', {}, {'forgetting': 0.0}, 'forgetting is 0.0'),
+    ('SPK-ML', {}, {'horizon': 0}, 'horizon.length is 0'),
+])
+def test_impossible_choices_are_refused(arm, variant, changes, options, sentence):
+    scaling = {'input_mean': (0.0,) * 12, 'input_scale': (1.0,) * 12}
+    with pytest.raises(SemiparamError, match=re.escape(sentence)):
+        estimator(arm, variant, **({'hyperparameters': replace(GIVEN, **changes)} | scaling | options))
+
+
+def test_log_density_is_that_of_scipy():
+    from scipy.stats import multivariate_normal
+
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6))
+    covariance, error = root @ root.T + np.eye(6), rng.normal(size=6)
+    assert log_density(error, covariance) == pytest.approx(multivariate_normal(cov=covariance).logpdf(error))

@@ -1,0 +1,160 @@
+"""Hyperparameters found again in data drawn from the model, whatever the start, the method or the class."""
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.hyperparameters.estimation import estimate, plain_least_squares
+from semiparam_ros.core.hyperparameters.marginal_likelihood import Window, harmonics, maximise_evidence
+from semiparam_ros.core.hyperparameters.maximisation import maximise
+from semiparam_ros.core.hyperparameters.validation import Grid
+from semiparam_ros.core.hyperparameters.window import input_groups
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.errors import SemiparamError
+
+THETA = np.array([1.0, -2.0, 0.5])
+STEPS, FREQUENCIES = 300, 40
+
+
+class Draw:
+    """A window of a moving robot: smooth inputs, three coupled columns, a smooth unmodelled part, noise."""
+
+    def __init__(self, seed=0, sigma=(0.1, 0.1), drift=0.0, tau=1.5, rho=0.5, steps=STEPS):
+        rng = np.random.default_rng(seed)
+        time = np.arange(steps)[:, None]
+        waves = [np.sin(2 * np.pi * time / period + phase) for period, phase in
+                 zip(rng.uniform(15, 90, (3, 6)), rng.uniform(0, 6, (3, 6)), strict=True)]
+        self.inputs = sum(waves) / np.std(sum(waves), axis=0)
+        self.coupled = np.stack([self.inputs[:, [0, 3]], self.inputs[:, [1, 4]], np.ones((steps, 2))], axis=2)
+        self.spectrum = rng.normal(size=(FREQUENCIES, 6))
+        smooth = harmonics(self.inputs / tau @ self.spectrum.T)
+        self.noise = np.array(sigma) * rng.normal(size=(steps, 2))
+        slow = np.zeros((steps, 2))
+        for step in range(1, steps):
+            slow[step] = 0.97 * slow[step - 1] + drift * np.sqrt(1 - 0.97**2) * rng.normal(size=2)
+        self.outputs = self.coupled @ THETA + rho * smooth @ rng.normal(size=(2 * FREQUENCIES, 2)) + self.noise + slow
+
+    def window(self, length_scales='one'):
+        groups = input_groups(length_scales, 6)
+        return Window(self.outputs, self.coupled, self.inputs, self.spectrum, groups, np.ones(3))
+
+    def estimate(self, variant, **options):
+        return estimate(variant, self.outputs, self.coupled, self.inputs, self.spectrum, **options)
+
+
+@pytest.fixture(scope='module')
+def draw():
+    return Draw()
+
+
+@pytest.mark.parametrize('variant', VARIANTS)
+def test_a_class_has_what_its_terms_need_and_no_more(draw, variant):
+    found = draw.estimate(variant, length_scales='kind', noise='output', starts=2)
+    kind = VARIANTS[variant]
+    assert (found.gamma > 0) == (kind.pi == 'learnt')
+    assert (found.rho > 0) == kind.features
+    assert len(found.tau) == (3 if kind.features else 0)
+    assert (found.pi is not None) == (kind.pi == 'fixed')
+    assert np.prod(found.output_scale) == pytest.approx(1.0)
+    assert found.sigma > 0
+
+
+@pytest.mark.parametrize('variant', ['SPK-ML', 'SP-ML', 'SP2-ML'])
+def test_the_truth_is_found_again(draw, variant):
+    found = draw.estimate(variant)
+    assert found.sigma == pytest.approx(0.1, rel=0.15)
+    assert found.tau[0] == pytest.approx(1.5, rel=0.35)
+
+
+def test_pi_of_sp_is_the_truth_and_that_of_sp2_is_least_squares(draw):
+    assert draw.estimate('SP-ML').pi == pytest.approx(THETA, abs=0.3)
+    rows = draw.coupled.reshape(-1, 3)
+    expected = np.linalg.lstsq(rows, draw.outputs.ravel(), rcond=None)[0]
+    assert draw.estimate('SP2-ML').pi == pytest.approx(expected)
+    assert plain_least_squares(draw.outputs, draw.coupled, 'one') == pytest.approx(expected)
+
+
+def test_each_output_has_its_own_noise():
+    found = Draw(sigma=(0.02, 0.3)).estimate('SPK-ML', noise='output')
+    assert found.sigma * np.array(found.output_scale) == pytest.approx([0.02, 0.3], rel=0.4)
+
+
+def test_a_drift_is_told_from_the_features():
+    """Taken for white, it would shorten the length scale: the next recording repeats no drift."""
+    drifting = Draw(drift=0.3, tau=4.0)
+    allowed, white = drifting.estimate('SPK-ML'), drifting.estimate('SPK-ML', drifting=False)
+    assert allowed.drift_share > 0.7
+    assert allowed.tau[0] == pytest.approx(4.0, rel=0.3)
+    assert white.tau[0] < 2.5
+    assert Draw().estimate('SPK-ML').drift_share < 0.2
+
+
+@pytest.mark.parametrize('variant', ['NP-ML', 'SP-ML', 'SPK-ML'])
+def test_the_result_does_not_depend_on_how_many_starts(draw, variant):
+    results = [draw.estimate(variant, length_scales='kind', noise='output', starts=starts) for starts in (1, 3, 6)]
+    for other in results[1:]:
+        assert other.sigma == pytest.approx(results[0].sigma, rel=1e-2)
+        assert other.tau == pytest.approx(results[0].tau, rel=5e-2)
+
+
+def test_nelder_mead_agrees_with_the_gradient(draw):
+    values = [maximise_evidence(draw.window(), 'one', False, method, 2, 1).value
+              for method in ('quasi-newton', 'nelder-mead')]
+    assert values[1] == pytest.approx(values[0], abs=0.1)
+
+
+def test_threads_change_nothing(draw):
+    assert draw.estimate('SPK-ML', jobs=2) == draw.estimate('SPK-ML', jobs=1)
+
+
+def test_every_start_of_a_hilly_function_is_searched():
+    """Two hills: the search must end on the higher one although the first start leads to the lower."""
+    def hills(point, gradient):
+        x = point[0]
+        lower, higher = np.exp(-(x + 2) ** 2), 2 * np.exp(-(x - 2) ** 2)
+        return lower + higher, np.array([-2 * (x + 2) * lower - 2 * (x - 2) * higher])
+
+    bounds = np.array([[-5.0, 5.0]])
+    ends = maximise(hills, [np.array([-2.5]), np.array([2.5])], bounds)
+    assert [round(float(end.point[0])) for end in ends] == [2, -2]
+
+
+def test_a_validation_grid_finds_its_best_point(draw):
+    seen = []
+    found = draw.estimate('SP2-VS', grid=Grid(tau=(0.2, 2.0, 20.0)), progress=lambda *count: seen.append(count))
+    assert found.tau == (2.0,)
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_a_validation_grid_has_a_length_scale_for_each_kind_at_most(draw):
+    tau = draw.estimate('NP-VS', length_scales='input', grid=Grid(tau=(1.0, 4.0))).tau
+    assert len(tau) == 6
+    assert tau[0::2] == tau[1::2]
+
+
+@pytest.mark.parametrize(('options', 'sentence'), [
+    ({'tau': (1.0,), 'ratio': (0.1,)}, 'one point'), ({'tau': (0.0, 1.0)}, 'expected positive finite values'),
+    ({'fitting_share': 1.0}, 'would fit')])
+def test_a_senseless_grid_is_refused(options, sentence):
+    with pytest.raises(SemiparamError, match=sentence):
+        Grid(**options)
+
+
+def test_windows_that_tell_nothing_are_refused(draw):
+    with pytest.raises(SemiparamError, match='10 samples'):
+        estimate('P', draw.outputs[:10], draw.coupled[:10], draw.inputs[:10], draw.spectrum)
+    constant = draw.outputs.copy()
+    constant[:, 1] = 3.0
+    with pytest.raises(SemiparamError, match=r'output 1 .* constant'):
+        estimate('P', constant, draw.coupled, draw.inputs, draw.spectrum)
+    with pytest.raises(SemiparamError, match='not finite'):
+        estimate('P', np.where(draw.outputs > 0, np.nan, 0.0), draw.coupled, draw.inputs, draw.spectrum)
+    with pytest.raises(SemiparamError, match='one of each for a sample'):
+        estimate('P', draw.outputs, draw.coupled[1:], draw.inputs, draw.spectrum)
+
+
+@pytest.mark.parametrize(('options', 'sentence'), [
+    ({'variant': 'SPX'}, "unknown variant 'SPX'"), ({'variant': 'P', 'method': 'annealing'}, "optimiser 'annealing'"),
+    ({'variant': 'P', 'length_scales': 'two'}, "length scales 'two'")])
+def test_unknown_choices_are_refused(draw, options, sentence):
+    with pytest.raises(SemiparamError, match=sentence):
+        draw.estimate(**options)

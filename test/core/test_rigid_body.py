@@ -1,0 +1,354 @@
+"""The rigid-body regressor against pinocchio's rnea and against iDynTree, and its sentences for bad descriptions."""
+
+import re
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.robot import rigid_body
+from semiparam_ros.core.robot import urdf as urdf_tree
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.errors import SemiparamError
+from support.arms import (
+    ICUB_JOINTS,
+    ICUB_OWN,
+    ICUB_SENSOR,
+    ODD_ARM,
+    ODD_JOINTS,
+    icub,
+    idyntree_wrench_and_efforts,
+    joint,
+    link,
+    pinocchio_efforts,
+    pinocchio_link_wrench,
+    smooth_motion,
+)
+
+EXACT = {'rtol': 0, 'atol': 1e-9}
+
+
+def predicted(body, state):
+    return body.regressor(*state) @ body.base_parameters
+
+
+def states(n_joints, count=20, seed=0):
+    return np.random.default_rng(seed).normal(0, 1.5, (count, 3, n_joints))
+
+
+@pytest.fixture
+def icub_full(shared_data):
+    return (shared_data / 'icub_arm' / 'iCubGenova01.urdf').read_text()
+
+
+# ---- the wrench at a sensor
+
+
+@pytest.mark.parametrize('state', states(4))
+def test_wrench_in_the_middle_of_the_real_arm_equals_rnea_and_idyntree(icub_full, state):
+    locked = {'torso_pitch': 0.3, 'torso_yaw': -0.2, 'r_wrist_prosup': 0.4, 'r_wrist_yaw': -0.1}
+    body = RigidBody.from_urdf(icub_full, ICUB_JOINTS, 'wrench', ICUB_SENSOR, locked=locked)
+    wrench = predicted(body, state)
+    np.testing.assert_allclose(
+        wrench, pinocchio_link_wrench(icub_full, ICUB_JOINTS, ICUB_SENSOR, locked, *state), **EXACT)
+    np.testing.assert_allclose(
+        wrench, idyntree_wrench_and_efforts(icub_full, ICUB_JOINTS, 'r_upper_arm', locked, *state)[0], **EXACT)
+
+
+@pytest.mark.parametrize('state', states(4))
+def test_wrench_of_the_bundled_arm_equals_that_of_the_whole_robot(icub_full, state):
+    whole = RigidBody.from_urdf(icub_full, ICUB_JOINTS, 'wrench', ICUB_SENSOR)
+    own = icub()
+    np.testing.assert_allclose(predicted(own, state), predicted(whole, state), rtol=0, atol=2e-3)
+    np.testing.assert_allclose(
+        predicted(own, state),
+        idyntree_wrench_and_efforts(ICUB_OWN.read_text(), ICUB_JOINTS, 'r_upper_arm', {}, *state)[0], **EXACT)
+
+
+@pytest.mark.parametrize('state', states(4))
+def test_wrench_with_prismatic_continuous_branching_and_mimic_joints(state):
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft')
+    wrench = predicted(body, state)
+    np.testing.assert_allclose(wrench, pinocchio_link_wrench(ODD_ARM, ODD_JOINTS, 'mid_link_ft', {}, *state), **EXACT)
+    np.testing.assert_allclose(
+        wrench, idyntree_wrench_and_efforts(ODD_ARM, ODD_JOINTS, 'upper_end', {}, *state)[0], **EXACT)
+
+
+@pytest.mark.parametrize('frame', ['forearm', 'elbow'])
+def test_a_sensor_frame_is_a_link_or_the_joint_that_carries_it(frame):
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', frame)
+    for state in states(4, 5):
+        expected = idyntree_wrench_and_efforts(ODD_ARM, ODD_JOINTS, 'forearm', {}, *state)[0]
+        np.testing.assert_allclose(predicted(body, state), expected, **EXACT)
+
+
+def test_a_sensor_with_no_joint_after_it_carries_one_body():
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'tool_joint')
+    assert body.bodies == ('tool_joint',)
+    assert body.n_parameters == 10
+    for state in states(4, 5):
+        expected = pinocchio_link_wrench(ODD_ARM, ODD_JOINTS, 'tool_joint', {}, *state)
+        np.testing.assert_allclose(predicted(body, state), expected, **EXACT)
+
+
+def test_a_sensor_at_the_root_carries_the_whole_robot():
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'base')
+    mounted = ODD_ARM.replace('</robot>', '<link name="floor"/>' + joint('foot', 'fixed', 'floor', 'base', '0 0 0')
+                              + '</robot>')
+    for state in states(4, 5):
+        expected = pinocchio_link_wrench(mounted, ODD_JOINTS, 'foot', {}, *state)
+        np.testing.assert_allclose(predicted(body, state), expected, **EXACT)
+
+
+@pytest.mark.parametrize('joints', [('lift', 'turn'), ('elbow',), ('grip', 'elbow')])
+def test_only_proximal_and_only_distal_joints(joints):
+    locked = {name: 0.4 for name in ODD_JOINTS if name not in joints}
+    body = RigidBody.from_urdf(ODD_ARM, joints, 'wrench', 'mid_link_ft', locked=locked)
+    for state in states(len(joints), 5):
+        expected = pinocchio_link_wrench(ODD_ARM, joints, 'mid_link_ft', locked, *state)
+        np.testing.assert_allclose(predicted(body, state), expected, **EXACT)
+
+
+def test_reaction_is_the_opposite_of_action():
+    state = states(4, 1)[0]
+    np.testing.assert_array_equal(predicted(icub(convention='reaction'), state), -predicted(icub(), state))
+
+
+def test_at_rest_the_wrench_is_the_weight_of_the_distal_bodies():
+    body = icub()
+    still = np.array([-0.5, 0.4, 0.3, 1.0]), np.zeros(4), np.zeros(4)
+    wrench, placement = predicted(body, still), body.sensor_placement(still[0])
+    mass = 0.729 + 0.074 + 0.525 + 0.213
+    np.testing.assert_allclose(placement.rotation @ wrench[:3], [0, 0, 9.81 * mass], **EXACT)
+
+
+def test_joints_in_another_order_give_the_same_wrench():
+    order = [2, 0, 3, 1]
+    other = RigidBody.from_urdf(ODD_ARM, [ODD_JOINTS[i] for i in order], 'wrench', 'mid_link_ft')
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft')
+    for state in states(4, 5):
+        np.testing.assert_allclose(predicted(other, state[:, order]), predicted(body, state), **EXACT)
+
+
+# ---- joint efforts
+
+
+@pytest.mark.parametrize('joints', [ODD_JOINTS, ('grip', 'lift', 'elbow', 'turn'), ('turn', 'elbow'), ('lift',)])
+def test_efforts_equal_rnea_and_idyntree(joints):
+    locked = {name: -0.6 for name in ODD_JOINTS if name not in joints}
+    body = RigidBody.from_urdf(ODD_ARM, joints, 'effort', locked=locked)
+    assert (body.n_outputs, body.output_names) == (len(joints), joints)
+    for state in states(len(joints), 5):
+        efforts = predicted(body, state)
+        np.testing.assert_allclose(efforts, pinocchio_efforts(ODD_ARM, joints, locked, *state), **EXACT)
+        np.testing.assert_allclose(
+            efforts, idyntree_wrench_and_efforts(ODD_ARM, joints, 'forearm', locked, *state)[1], **EXACT)
+
+
+REAL_ROBOTS = pytest.mark.parametrize(('folder', 'urdf', 'joints'), [
+    ('ur3_arm', 'ur3.urdf', [f'{name}_joint' for name in (
+        'shoulder_pan', 'shoulder_lift', 'elbow', 'wrist_1', 'wrist_2', 'wrist_3')]),
+    ('panda_arm', 'panda.urdf', [f'panda_joint{index}' for index in range(1, 8)])])
+
+
+@REAL_ROBOTS
+def test_efforts_of_real_robots_equal_rnea(shared_data, folder, urdf, joints):
+    text = (shared_data / folder / urdf).read_text()
+    body = RigidBody.from_urdf(text, joints, 'effort')
+    for state in states(len(joints), 5):
+        np.testing.assert_allclose(predicted(body, state), pinocchio_efforts(text, joints, {}, *state), **EXACT)
+
+
+@REAL_ROBOTS
+@pytest.mark.parametrize('gravity', [(0.5, 0.2, -9.8), (9.81, 0.0, 0.0)])
+def test_a_tilted_base_shows_masses_that_an_upright_first_axis_hides(shared_data, folder, urdf, joints, gravity):
+    text = (shared_data / folder / urdf).read_text()
+    body = RigidBody.from_urdf(text, joints, 'effort')
+    tilted = body.with_gravity(np.array(gravity))
+    for state in states(len(joints), 5):
+        efforts = pinocchio_efforts(text, joints, {}, *state, gravity)
+        np.testing.assert_allclose(tilted.regressor(*state) @ body.base_parameters, efforts, **EXACT)
+
+
+# ---- base parameters
+
+
+@pytest.mark.parametrize(('outputs', 'frame'), [('wrench', 'mid_link_ft'), ('effort', None)])
+def test_base_parameters_span_all_that_motion_can_show(outputs, frame):
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, outputs, frame)
+    full = np.vstack([body.full_regressor(*state) for state in states(4, 200, seed=7)])
+    assert body.n_parameters == np.linalg.matrix_rank(full, tol=1e-8 * np.linalg.norm(full, 2))
+    np.testing.assert_allclose(body.basis.T @ body.basis, np.eye(body.n_parameters), atol=1e-12)
+    np.testing.assert_allclose(full @ body.basis @ body.basis.T, full, atol=1e-8 * np.abs(full).max())
+
+
+@pytest.mark.parametrize('probes', [50, 400, 1000])
+def test_base_parameters_do_not_depend_on_how_they_were_found(monkeypatch, probes):
+    reference = icub()
+    monkeypatch.setattr(rigid_body, 'PROBES', probes)
+    monkeypatch.setattr(np.linalg, 'svd', mirrored(np.linalg.svd))
+    np.testing.assert_allclose(icub().base_parameters, reference.base_parameters, atol=1e-9)
+    np.testing.assert_allclose(icub().basis, reference.basis, atol=1e-9)
+
+
+def mirrored(svd):
+    """As another library might: singular vectors of the opposite sign."""
+    def wrapped(matrix, **options):
+        left, singular, right = svd(matrix, **options)
+        return -left, singular, -right
+    return wrapped
+
+
+def test_identifying_from_motion_returns_the_base_parameters():
+    body = icub()
+    motion = smooth_motion(4, 200)
+    rows = body.regressors(motion).reshape(-1, body.n_parameters)
+    estimate = np.linalg.lstsq(rows, rows @ body.base_parameters, rcond=None)[0]
+    np.testing.assert_allclose(estimate, body.base_parameters, atol=1e-6)
+
+
+def test_regressors_of_many_samples_are_those_of_each():
+    body, motion = icub(), smooth_motion(4, 7)
+    stacked = body.regressors(motion)
+    assert stacked.shape == (7, 6, body.n_parameters)
+    for row, sample in zip(stacked, motion, strict=True):
+        np.testing.assert_array_equal(row, body.regressor(sample.position, sample.velocity, sample.acceleration))
+    assert body.regressors(motion[:0]).shape == (0, 6, body.n_parameters)
+
+
+def test_a_description_without_inertias_still_has_a_regressor():
+    bare = re.sub(r'<inertial>.*?</inertial>', '', ODD_ARM)
+    given = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft')
+    body = RigidBody.from_urdf(bare, ODD_JOINTS, 'wrench', 'mid_link_ft')
+    assert body.n_parameters == given.n_parameters
+    np.testing.assert_array_equal(body.base_parameters, 0.0)
+    state = states(4, 1)[0]
+    np.testing.assert_allclose(body.regressor(*state) @ (body.basis.T @ given.inertial_parameters),
+                               predicted(given, state), **EXACT)
+
+
+def test_another_gravity_keeps_the_body():
+    body, state = icub(), states(4, 1)[0]
+    lifted = body.with_gravity(np.array([0.0, 0.0, 9.81])).with_gravity(np.array([0.0, 0.0, -9.81]))
+    np.testing.assert_allclose(predicted(lifted, state), predicted(body, state), atol=1e-12)
+    still = state[0], np.zeros(4), np.zeros(4)
+    np.testing.assert_allclose(predicted(body.with_gravity(np.zeros(3)), still), np.zeros(6), atol=1e-12)
+
+
+# ---- what a description may hold
+
+
+@pytest.mark.parametrize('kind', ['floating', 'planar'])
+def test_joints_that_are_not_one_number_stay_where_they_are(kind):
+    loose = ODD_ARM.replace('</robot>', link('cart') + joint('loose', kind, 'forearm', 'cart') + '</robot>')
+    fixed = loose.replace(f'type="{kind}"', 'type="fixed"')
+    state = states(4, 1)[0]
+    np.testing.assert_allclose(
+        predicted(RigidBody.from_urdf(loose, ODD_JOINTS, 'wrench', 'mid_link_ft'), state),
+        predicted(RigidBody.from_urdf(fixed, ODD_JOINTS, 'wrench', 'mid_link_ft'), state), **EXACT)
+
+
+def test_a_joint_may_be_called_root_joint():
+    renamed = ODD_ARM.replace('"elbow"', '"root_joint"')
+    state = states(4, 1)[0]
+    body = RigidBody.from_urdf(renamed, ['lift', 'turn', 'root_joint', 'grip'], 'wrench', 'mid_link_ft')
+    np.testing.assert_allclose(
+        predicted(body, state), predicted(RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft'), state),
+        **EXACT)
+
+
+def test_the_models_survive_a_trip_to_another_process():
+    import pickle
+
+    body, state = icub(), states(4, 1)[0]
+    np.testing.assert_array_equal(predicted(pickle.loads(pickle.dumps(body)), state), predicted(body, state))
+
+
+# ---- sentences
+
+
+def read(urdf=ODD_ARM, joints=ODD_JOINTS, outputs='wrench', frame='mid_link_ft', **options):
+    return RigidBody.from_urdf(urdf, joints, outputs, frame, **options)
+
+
+@pytest.mark.parametrize(('options', 'sentence'), [
+    ({'urdf': 'not xml'}, 'not valid XML'),
+    ({'urdf': ''}, 'not valid XML'),
+    ({'urdf': '<sdf/>'}, 'starts with <sdf>'),
+    ({'urdf': '<robot name="x"/>'}, 'holds 0 links'),
+    ({'urdf': ODD_ARM.replace('<parent link="turret"/>', '<parent link="tower"/>')},
+     "robot description: joint 'mid_link_ft' has the parent link 'tower', which is not described"),
+    ({'urdf': ODD_ARM.replace('mass value="0.9"', 'mass value="heavy"')},
+     "link 'forearm' has mass value=\"heavy\"; expected 1 finite number"),
+    ({'urdf': ODD_ARM.replace('<child link="forearm"/>', '')}, "joint 'elbow' has no child link"),
+    ({'urdf': ODD_ARM.replace('type="revolute"', 'type="revolutionary"')},
+     "joint 'elbow' has type 'revolutionary'"),
+    ({'urdf': ODD_ARM.replace('mass value="0.9"', 'mass value="nan"')}, 'expected 1 finite number'),
+    ({'urdf': ODD_ARM.replace('mass value="0.9"', 'mass value="-0.9"')}, "link 'forearm' has a negative mass"),
+    ({'urdf': ODD_ARM.replace('<mass value="0.9"/>', '')}, "link 'forearm' has an inertial without mass value"),
+    ({'urdf': ODD_ARM.replace('xyz="0 0 0.2"', 'xyz="0 0.2"')}, "joint 'elbow' has origin xyz"),
+    ({'urdf': ODD_ARM.replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"')}, "joint 'elbow' moves about the axis"),
+    ({'urdf': ODD_ARM.replace('link name="finger"', 'link name="thumb"')}, "two links are called 'thumb'"),
+    ({'urdf': ODD_ARM.replace('child link="finger"', 'child link="thumb"')}, "'thumb' is the child of two joints"),
+    ({'joints': ['lift', 'elbw']}, "joint 'elbw' is not in the robot description; its moving joints are: lift, turn"),
+    ({'joints': ['tool_joint']}, "joint 'tool_joint' is fixed"),
+    ({'joints': ['lift', 'lift']}, 'named twice'),
+    ({'joints': []}, 'no joints are named'),
+    ({'frame': 'mid_link'}, "sensor frame 'mid_link' is neither a link nor a joint"),
+    ({'frame': 'mid_link'}, 'names that look like a sensor: mid_link_ft'),
+    ({'frame': ''}, 'sensor_frame is empty'),
+    ({'outputs': 'torque'}, "outputs 'torque' is unknown; expected one of wrench, effort"),
+    ({'convention': 'act'}, "wrench_convention 'act' is unknown"),
+    ({'joints': ['lift', 'turn'], 'locked': {'elbw': 0.1}}, "locked joint 'elbw'"),
+    ({'joints': ['lift', 'turn'], 'locked': {'elbow': float('nan')}}, "locked joint 'elbow'"),
+    ({'locked': {'elbow': 0.1}}, "joint 'elbow' is named both among the moving and the locked joints"),
+])
+def test_a_bad_description_or_name_becomes_one_sentence(options, sentence):
+    with pytest.raises(SemiparamError, match=re.escape(sentence)) as error:
+        read(**options)
+    assert '\n' not in str(error.value)
+
+
+def test_loops_and_two_roots_are_refused():
+    loop = ODD_ARM.replace('</robot>', joint('back', 'fixed', 'tool', 'base') + '</robot>')
+    with pytest.raises(SemiparamError, match=r"0 links are nobody's child \(a loop\)"):
+        read(loop)
+    with pytest.raises(SemiparamError, match=r"2 links are nobody's child \(base, orphan\)"):
+        read(ODD_ARM.replace('</robot>', link('orphan') + '</robot>'))
+    ring = link('a') + link('b') + joint('ab', 'fixed', 'a', 'b') + joint('ba', 'fixed', 'b', 'a')
+    with pytest.raises(SemiparamError, match="link 'a' is part of a loop"):
+        read(ODD_ARM.replace('</robot>', ring + '</robot>'))
+
+
+def test_a_joint_without_limits_is_read():
+    free = re.sub('<limit [^>]*>', '', ODD_ARM)
+    state = states(4, 1)[0]
+    np.testing.assert_array_equal(predicted(read(free), state), predicted(read(), state))
+
+
+def test_the_reading_of_a_description_leaves_no_trace_on_the_terminal(capfd):
+    with pytest.raises(SemiparamError):
+        read(ODD_ARM.replace('<parent link="turret"/>', '<parent link="tower"/>'))
+    out, err = capfd.readouterr()
+    assert (out, err) == ('', '')
+
+
+def test_samples_of_the_wrong_width_are_refused():
+    body = icub()
+    motion = smooth_motion(3, 2)
+    with pytest.raises(SemiparamError, match='4 joints'):
+        body.regressors(Samples(motion.stamps, motion.position, motion.velocity, motion.acceleration,
+                                motion.outputs, 0))
+
+
+@pytest.mark.parametrize(('joint', 'count', 'sentence'), [
+    ('revolute', 250, 'it has 250 moving joints; expected at most 200'),
+    ('fixed', 1100, 'it has 1101 links; expected at most 1000')])
+def test_a_description_of_more_than_a_robot_is_refused_at_once(joint, count, sentence):
+    """A thousand moving joints, in a quarter of a megabyte, took all memory there was."""
+    parts = [f'<link name="l{index + 1}"/><joint name="j{index}" type="{joint}"><parent link="l{index}"/>'
+             f'<child link="l{index + 1}"/></joint>' for index in range(count)]
+    with pytest.raises(SemiparamError, match=sentence):
+        urdf_tree.parse(f'<robot name="x"><link name="l0"/>{"".join(parts)}</robot>')
+    with pytest.raises(SemiparamError, match='has 2000001 characters; expected at most 2000000'):
+        urdf_tree.parse('<' * 2_000_001)

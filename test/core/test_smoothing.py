@@ -1,0 +1,59 @@
+"""The smoother against motions whose derivatives are known, at the rates and noises of real recordings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.signals.smoothing import smoothed
+from semiparam_ros.diagnosis.data.preparation import END_SAMPLES, WORKING_RATE_HZ, Inputs
+from support.arms import smooth_motion
+
+ENCODER, TACHO = 5e-5, 2e-3
+
+
+def recorded(rate, seconds=30.0, speed=0.6, seed=0, joints=3):
+    """True motion, and what an encoder and its filtered differences show of it."""
+    truth = smooth_motion(joints, int(rate * seconds), rate=rate, seed=seed, speed=speed)
+    rng = np.random.default_rng(seed + 100)
+    noise = rng.normal(size=(2, *truth.position.shape))
+    return truth, replace(truth, position=truth.position + ENCODER * noise[0],
+                          velocity=truth.velocity + TACHO * noise[1], acceleration=np.zeros_like(truth.velocity))
+
+
+def relative_error(found, true):
+    return np.sqrt(np.mean((found - true) ** 2, axis=0)) / true.std(axis=0)
+
+
+@pytest.mark.parametrize('motion', ['smoothed', 'smoothed from positions'])
+@pytest.mark.parametrize('rate', [20.0, 50.0, 100.0, 250.0, 1000.0])
+@pytest.mark.parametrize('speed', [0.2, 1.0])
+def test_derivatives_of_slow_and_fast_motion_at_every_rate(rate, speed, motion):
+    truth, seen = recorded(rate, speed=speed)
+    factor = max(int(rate / WORKING_RATE_HZ), 1)
+    found, true = Inputs(motion, factor).prepare(seen), Inputs('recorded', factor).prepare(truth)
+    assert relative_error(found.position, true.position).max() < 1e-3
+    assert relative_error(found.velocity, true.velocity).max() < 5e-3
+    assert relative_error(found.acceleration, true.acceleration).max() < 0.05
+
+
+def test_a_rest_at_the_beginning_does_not_smooth_the_motion_away():
+    truth, seen = recorded(100.0, seconds=40.0)
+    still = np.arange(len(truth)) < 1500
+    rest = truth.position[1500]
+
+    def held(samples, noise):
+        position = np.where(still[:, None], rest, samples.position) + noise * still[:, None]
+        return replace(samples, position=position, velocity=np.where(still[:, None], 0.0, samples.velocity))
+
+    rng = np.random.default_rng(5)
+    found = smoothed(held(seen, ENCODER * rng.normal(size=truth.position.shape)))
+    moving = slice(1600, None)
+    assert relative_error(found.acceleration[moving], truth.acceleration[moving]).max() < 0.05
+
+
+def test_the_ends_of_a_smoothed_recording_take_no_part():
+    usable = np.ones(100, dtype=bool)
+    inner = Inputs('smoothed', 2).mask(usable)
+    assert np.flatnonzero(inner).tolist() == list(range(END_SAMPLES, 50 - END_SAMPLES))
+    assert Inputs('recorded', 2).mask(usable).all()

@@ -1,0 +1,647 @@
+"""The loop on simulated recordings with known hidden causes, on the measured iCub arm, and its numbers one by one."""
+
+import argparse
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.cli.diagnose import diagnose_bag, write_parameters
+from semiparam_ros.cli.main import main
+from semiparam_ros.cli.options import write_json
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.data.splits import BLOCKS, FOLDS, folds, interleaved_split, leading_split, ranges
+from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
+from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
+from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.residual.noise import correlation_times, noise_floor
+from semiparam_ros.diagnosis.search.ambiguity import simplest
+from semiparam_ros.diagnosis.search.candidates import added_columns, best_start
+from semiparam_ros.diagnosis.search.elimination import without_needless
+from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.scoring import Trial, score
+from semiparam_ros.diagnosis.search.stepwise import worth_refining
+from semiparam_ros.diagnosis.text_report import text_report
+from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.experiments.variants_with_effects import evaluate_variants
+from semiparam_ros.online import worker
+from semiparam_ros.report.diagnosis_page import relative_floor
+from semiparam_ros.settings import Settings, load_params
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+from support.arms import icub, smooth_motion
+from support.node_helpers import BODY as SMALL_ARM
+from support.node_helpers import motion
+
+SAMPLES = 1500
+START_S = 30.0
+"""Within a block that fits: where a block held out hides the start, it is known to five seconds only."""
+
+
+def hidden(kind, outputs='wrench', seed=1, size=1.0, **where):
+    return simulate(Scenario(samples=SAMPLES, outputs=outputs, seed=seed,
+                             effects=(EffectRequest(kind, size=size, **where),)))
+
+
+def found_in(simulated, **options):
+    return diagnose(body_of(simulated), samples_of(simulated), **options)
+
+
+# --- hidden causes: named, placed, measured ---
+
+
+@pytest.mark.parametrize(('seed', 'encoder_noise'), [(901, 1.0), (905, 1.0), (901, 2.0)])
+def test_noise_in_the_inputs_is_no_delay(seed, encoder_noise):
+    """Interpolating a little to the past averages the noise of accelerations: a delay of 1 % of a step fits better."""
+    clean = simulate(Scenario(outputs='effort', seed=seed, encoder_noise=encoder_noise))
+    assert not found_in(clean).findings
+    assert not found_in(clean, only=['time_delay']).findings
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+@pytest.mark.parametrize('force', [[0.6, -0.3, 0.3], [6.0, 3.0, -5.0]])
+def test_a_push_beside_every_link_is_found_and_is_no_wrong_description(outputs, force):
+    """Between the links' origins, and so strong that the arm's own weight hardly shows."""
+    recording = simulate(Scenario(samples=SAMPLES, outputs=outputs, seed=2))
+    body, samples = body_of(recording), samples_of(recording)
+    push = kinds()['external_force']('r_gripper', {'start_s': START_S, 'x': -0.032, 'y': 0.02, 'z': 0.034})
+    pushed = replace(samples, outputs=samples.outputs + push.columns(body, samples, None)[0] @ np.array(force))
+    found = diagnose(body, pushed)
+    assert found.verdict == 'effect_found' and not found.setup
+    first = found.findings[0].as_dict()
+    assert (first['kind'], first['where']) == ('external_force', 'r_gripper')
+    values = {name: entry['value'] for name, entry in first['parameters'].items()}
+    np.testing.assert_allclose([values[f'force_{axis}'] for axis in 'xyz'], force, atol=0.03)
+    np.testing.assert_allclose([values[axis] for axis in 'xyz'], [-0.032, 0.02, 0.034], atol=0.01)
+    assert found.after.nmse.mean() < 0.01 * found.before.nmse.mean()
+
+
+@pytest.mark.parametrize('force', [[0.0, 0.0, 0.0], [6.0, 3.0, -5.0]])
+def test_a_wrong_description_is_not_taken_for_an_effect(force):
+    """Nor where somebody pushes as well: that effect alone leaves most of the outputs unexplained."""
+    recording = simulate(Scenario(samples=SAMPLES, seed=2))
+    body, samples = body_of(recording), samples_of(recording)
+    others = np.random.default_rng(0).permuted(body.inertial_parameters)
+    elsewhere = samples[np.random.default_rng(1).permutation(len(samples))]
+    push = kinds()['external_force']('r_gripper', {'start_s': START_S}).columns(body, samples, None)[0]
+    outputs = body.full_regressors(elsewhere) @ others + push @ np.array(force)
+    found = diagnose(body, replace(samples, outputs=outputs))
+    assert (found.verdict, [problem.what for problem in found.setup]) == ('unexplained', ['robot_description'])
+    assert not found.steps
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_the_zeros_of_several_joints_are_found_together(seed):
+    """Their sum resembles crosstalk and springs more than any one of them."""
+    joints = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw')
+    turned = tuple(EffectRequest('joint_offset', size=1.5, where=joint) for joint in joints)
+    recording = simulate(Scenario(samples=SAMPLES, seed=seed, effects=turned))
+    found = found_in(recording)
+    assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [
+        ('joint_offset', joint) for joint in joints]
+    true = [truth['parameters']['offset']['value'] for truth in recording.truth]
+    np.testing.assert_allclose([finding.parameters['offset'].value for finding in found.findings], true, atol=0.01)
+
+
+def test_an_effect_that_only_stood_in_for_others_goes(payload):
+    fit = payload.final
+    load = {(effect.kind, effect.where) for effect in fit.effects}
+    needless = declare(fit, [kinds()['sensor_drift']()])
+    kept, dropped = without_needless(needless, set(), 12.0)
+    assert [effect.kind for effect in dropped] == ['sensor_drift']
+    assert {(effect.kind, effect.where) for effect in kept.effects} == load
+    assert without_needless(needless, {('sensor_drift', None)}, 12.0) == (needless, ())  # the last one found stays
+    assert without_needless(fit, set(), 12.0) == (fit, ())
+
+
+PAYLOAD = hidden('payload', start_s=START_S)
+OFFSET = hidden('joint_offset', where='r_shoulder_yaw')
+FRICTION = hidden('viscous_friction', 'effort', where='r_elbow')
+
+
+@pytest.fixture(scope='module')
+def payload():
+    return found_in(PAYLOAD)
+
+
+@pytest.fixture(scope='module')
+def joint_offset():
+    return found_in(OFFSET)
+
+
+@pytest.fixture(scope='module')
+def friction():
+    return found_in(FRICTION)
+
+
+@pytest.fixture(scope='module')
+def nothing():
+    return found_in(simulate(Scenario(samples=SAMPLES, seed=1)))
+
+
+@pytest.fixture(scope='module')
+def nothing_either():
+    return found_in(simulate(Scenario(samples=SAMPLES, seed=2)))
+
+
+def truth_of(simulated):
+    return {name: entry['value'] for name, entry in simulated.truth[0]['parameters'].items()}
+
+
+def test_nothing_missing_is_said_when_nothing_is(nothing, nothing_either):
+    for diagnosis in (nothing, nothing_either):
+        assert diagnosis.verdict == 'nothing_missing'
+        assert diagnosis.findings == diagnosis.steps == []
+        assert diagnosis.as_dict()['before'] == diagnosis.as_dict()['after']
+        assert 0.8 < np.sqrt(np.mean((diagnosis.after.rmse / diagnosis.noise_floor_rmse) ** 2)) < 1.15
+
+
+def test_a_payload_is_named_with_its_start_and_mass(payload):
+    first = payload.findings[0]
+    assert payload.verdict == 'effect_found'
+    assert (first.effect.kind, first.effect.where) == ('payload', PAYLOAD.truth[0]['where'])
+    assert first.effect.start_s == pytest.approx(START_S, abs=0.2)
+    mass = first.parameters['mass']
+    assert (mass.unit, mass.value) == ('kg', pytest.approx(truth_of(PAYLOAD)['mass'], rel=0.1))
+    assert abs(mass.value - truth_of(PAYLOAD)['mass']) < 4.0 * mass.std
+
+
+def test_what_was_found_late_is_there_for_whoever_loads_the_file(payload, tmp_path):
+    twice = replace(payload, final=replace(payload.final, effects=(
+        *payload.final.effects, payload.final.effects[0].with_shape(start_s=45.0))))
+    for number, diagnosis in enumerate((payload, twice)):
+        write_parameters(tmp_path / f'{number}.yaml', Settings(sensor_frame='r_arm_ft_sensor'), diagnosis)
+        effects = [effect_from_text(text) for text in load_params(tmp_path / f'{number}.yaml').effects]
+        assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
+        fresh = Estimator(BODY, effects=effects)
+        assert np.abs(fresh.predict(samples_of(PAYLOAD)[0]).columns[:, -10:]).max() > 1.0
+
+
+def test_a_node_is_told_the_stamp_of_the_start_and_understands_it_again(payload):
+    effects = [effect_from_text(text) for text in worker.declared(payload)]
+    stamp = payload.recorded.samples.origin + payload.final.effects[0].start_s * 1e9
+    assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
+    assert effects[0].start_stamp == pytest.approx(stamp, abs=1000)
+    again = found_in(PAYLOAD, effects=effects)
+    assert again.verdict == 'nothing_missing'
+    assert worker.declared(again) == worker.declared(payload)  # so that nothing is to be applied
+
+
+def test_a_joint_offset_is_named_with_its_joint_and_angle(joint_offset):
+    first = joint_offset.findings[0]
+    assert (first.effect.kind, first.effect.where, first.effect.start_s) == ('joint_offset', 'r_shoulder_yaw', None)
+    angle = first.parameters['offset']
+    assert (angle.unit, angle.value) == ('rad', pytest.approx(truth_of(OFFSET)['offset'], rel=0.15))
+    assert abs(angle.value - truth_of(OFFSET)['offset']) < 5.0 * angle.std
+
+
+def test_friction_is_named_with_its_joint_and_coefficient(friction):
+    first = friction.findings[0]
+    assert (first.effect.kind, first.effect.where) == ('viscous_friction', 'r_elbow')
+    assert first.parameters['viscous'].unit == 'N m s/rad'
+    assert first.parameters['viscous'].value == pytest.approx(truth_of(FRICTION)['viscous'], rel=0.05)
+
+
+def test_the_held_out_error_falls_to_the_noise(payload, joint_offset, friction):
+    for diagnosis in (payload, joint_offset, friction):
+        before, after = diagnosis.before.nmse.mean(), diagnosis.after.nmse.mean()
+        assert diagnosis.before.interval()[0] > diagnosis.after.interval()[1]
+        assert diagnosis.after.interval()[0] <= after <= diagnosis.after.interval()[1] < before
+        floor = relative_floor(diagnosis).mean()
+        assert before - after > 0.85 * (before - floor)
+
+
+def test_few_effects_are_added_beside_the_true_one(payload, joint_offset, friction):
+    for diagnosis in (payload, joint_offset, friction):
+        assert len(diagnosis.findings) == 1, [finding.effect.kind for finding in diagnosis.findings]
+
+
+def test_what_is_declared_is_not_missing_any_more(payload):
+    again = found_in(PAYLOAD, effects=payload.final.effects)
+    assert again.verdict == 'nothing_missing'
+    assert again.before.nmse.mean() == pytest.approx(payload.after.nmse.mean(), rel=0.05)
+
+
+def test_only_named_kinds_are_considered():
+    found = found_in(PAYLOAD, only=('sensor_offset', 'viscous_drag'))
+    assert {trial.effect.kind for step in found.steps for trial in step.ranking} <= {'sensor_offset', 'viscous_drag'}
+
+
+class Magnet(Effect):
+    """A kind that the package does not know: pulls along the sensor's x axis near one angle of the elbow."""
+
+    kind = 'magnet'
+    outputs = ('wrench',)
+    sentence = 'a magnet near the table pulls the hand'
+    mistaken_for = ('cable_spring',)
+    separated_by = 'motion farther from the table'
+
+    def coefficients(self, body):
+        from semiparam_ros.effects import Coefficient
+        return (Coefficient('pull', 'N'),)
+
+    def basis(self, body, samples, memory):
+        columns = np.zeros((len(samples), 6, 1))
+        columns[:, 0, 0] = np.exp(-((samples.position[:, 3] - samples.position[0, 3]) / 0.1) ** 2)
+        return columns, None
+
+
+class TurnedMagnet(Magnet):
+    """The same near an angle that is searched, which may be on either side of zero."""
+
+    kind = 'turned_magnet'
+    shape_units = {'angle': 'rad'}  # noqa: RUF012
+
+    @classmethod
+    def searches(cls, body, samples, where, residual):
+        return [{'angle': angle} for angle in (-0.4, -0.2, 0.0)]
+
+    def basis(self, body, samples, memory):
+        columns = np.zeros((len(samples), 6, 1))
+        columns[:, 0, 0] = np.exp(-((samples.position[0, 3] - samples.position[:, 3] - self.value('angle')) / 0.1) ** 2)
+        return columns, None
+
+
+@pytest.mark.parametrize(('kind', 'true'), [(Magnet, {}), (TurnedMagnet, {'angle': -0.3}),
+                                            (TurnedMagnet, {'angle': 0.03})], ids=['fixed', 'below-zero', 'near-zero'])
+def test_a_kind_of_another_package_takes_part(monkeypatch, kind, true):
+    from semiparam_ros.effects import registry
+
+    monkeypatch.setattr(registry, 'BUILT_IN', (*registry.BUILT_IN, kind))
+    registry._all_kinds.cache_clear()
+    try:
+        simulated = simulate(Scenario(samples=800, seed=4))
+        samples = samples_of(simulated)
+        pull, _ = kind(None, true).columns(body_of(simulated), samples, None)
+        pulled = replace(samples, outputs=samples.outputs + 0.8 * pull[:, :, 0])
+        found = diagnose(body_of(simulated), pulled, only=(kind.kind, 'viscous_drag', 'sensor_drift'))
+        assert [finding.effect.kind for finding in found.findings] == [kind.kind]
+        assert found.findings[0].parameters['pull'].value == pytest.approx(0.8, rel=0.1)
+        assert dict(found.findings[0].effect.shape) == pytest.approx(true, abs=0.02)
+    finally:
+        registry._all_kinds.cache_clear()
+
+
+# --- the report ---
+
+KEYS = {'verdict', 'effects', 'before', 'after', 'noise_floor_rmse', 'held_out'}
+EFFECT_KEYS = {'kind', 'where', 'start_s', 'parameters', 'log_evidence_gain', 'indistinguishable_from'}
+ERROR_KEYS = {'nmse', 'rmse', 'eps_force', 'eps_torque'}
+
+
+@pytest.mark.parametrize('name', ['payload', 'joint_offset', 'friction', 'nothing'])
+def test_the_report_is_json_without_nan_and_has_every_key(name, request, tmp_path):
+    diagnosis = request.getfixturevalue(name)
+    write_json(tmp_path / 'report.json', diagnosis.as_dict())  # refuses what is not finite
+    report = json.loads((tmp_path / 'report.json').read_text())
+    assert report['schema'] == 1
+    assert report.keys() >= KEYS
+    assert report['verdict'] in VERDICTS
+    n = diagnosis.first.body.n_outputs
+    for side in ('before', 'after'):
+        assert report[side].keys() >= ERROR_KEYS
+        assert len(report[side]['nmse']) == len(report[side]['rmse']) == len(report['noise_floor_rmse']) == n
+        assert (report[side]['eps_force'] is None) == (diagnosis.first.body.outputs == 'effort')
+        assert report[side]['eps_torque'] > 0.0
+    for effect in report['effects']:
+        assert effect.keys() >= EFFECT_KEYS
+        assert all(quantity.keys() == {'value', 'std', 'unit'} for quantity in effect['parameters'].values())
+        assert all(rival.keys() >= {'kind', 'where', 'odds', 'separated_by'}
+                   for rival in effect['indistinguishable_from'])
+    assert report['held_out']['recording'] is None
+    assert sum(end - start for start, end in report['held_out']['ranges']) == diagnosis.held_out.sum()
+
+
+def test_progress_is_told_in_words_and_shares():
+    told = []
+    found_in(PAYLOAD, only=('payload', 'viscous_drag'), progress=lambda words, share: told.append((words, share)))
+    assert all(0.0 <= share <= 1.0 for _, share in told)
+    assert any(words.startswith('round 1: payload') for words, _ in told)
+    assert told[-1][0] == 'what is left'
+
+
+# --- recordings from which little can be told ---
+
+MOTION = smooth_motion(4, 400)
+BODY = icub()
+NOISE = np.random.default_rng(0)
+RECORDED = replace(MOTION, outputs=BODY.regressors(MOTION) @ BODY.base_parameters
+                   + 0.02 * NOISE.standard_normal((400, 6)))
+
+
+def test_too_short_a_recording_is_refused():
+    with pytest.raises(SemiparamError, match='holds 150 complete samples; a diagnosis needs at least 200'):
+        diagnose(BODY, RECORDED[:150])
+
+
+@pytest.mark.parametrize(('count', 'period_ns', 'every'), [(400, 20_000_000, 10), (250, 1_000_000, 1000)],
+                         ids=['gaps everywhere', 'a quarter of a second at 1 kHz'])
+def test_a_recording_of_which_too_little_is_left_is_refused(count, period_ns, every):
+    samples = [sample._replace(stamp=index * period_ns + index // every * 10**9)
+               for index, sample in enumerate(motion(count))]
+    with pytest.raises(SemiparamError, match='0 samples of the recording, averaged to at least 40 Hz, are left'):
+        diagnose(SMALL_ARM, Samples.from_list(samples))
+
+
+def test_a_recording_without_motion_is_refused():
+    still = replace(RECORDED, position=np.full((400, 4), 0.3), velocity=np.zeros((400, 4)),
+                    acceleration=np.zeros((400, 4)))
+    with pytest.raises(SemiparamError, match='no joint moves'):
+        diagnose(BODY, still)
+
+
+def test_an_unknown_kind_is_refused_by_name():
+    with pytest.raises(SemiparamError, match="'poltergeist' does not act on wrench; expected some of payload"):
+        diagnose(BODY, RECORDED, only=('poltergeist',))
+
+
+def test_a_kind_of_the_other_outputs_is_refused_by_name():
+    with pytest.raises(SemiparamError, match="'viscous_friction' does not act on wrench"):
+        diagnose(BODY, RECORDED, only=('viscous_friction',))
+
+
+def test_a_joint_that_stood_still_is_named_and_blamed_for_nothing():
+    held = {name: getattr(MOTION, name).copy() for name in ('position', 'velocity', 'acceleration')}
+    for name, values in held.items():
+        values[:, 2] = 0.4 if name == 'position' else 0.0
+    samples = replace(MOTION, **held)
+    samples = replace(samples, outputs=BODY.regressors(samples) @ BODY.base_parameters
+                      + 0.02 * np.random.default_rng(1).standard_normal((400, 6)))
+    found = diagnose(BODY, samples, only=('joint_offset', 'cable_spring', 'viscous_drag'))
+    assert any('r_shoulder_yaw stood still' in note for note in found.notes)
+    assert found.verdict == 'nothing_missing'
+
+
+def test_a_gap_is_named_and_what_is_beside_it_takes_no_part():
+    late = replace(RECORDED, stamps=RECORDED.stamps + np.where(np.arange(400) >= 200, 30_000_000_000, 0))
+    found = diagnose(BODY, late, only=('viscous_drag',))
+    assert any('gap' in note for note in found.notes)
+    assert not found.first.train_mask[190:210].any()
+    assert not found.held_out[190:210].any()
+    assert found.verdict == 'nothing_missing'
+
+
+# --- the measured iCub arm ---
+
+PARAMS = """
+estimator:
+  ros__parameters:
+    joints: [r_shoulder_pitch, r_shoulder_roll, r_shoulder_yaw, r_elbow]
+    sensor_frame: r_arm_ft_sensor
+    wrench_convention: reaction
+    variant: P
+    robot_description_file: {urdf}
+"""
+
+
+@pytest.fixture(scope='module')
+def measured(shared_data, repository, tmp_path_factory):
+    """Diagnosed on the training file alone, judged on the test file: the folder and the report."""
+    folder, source = tmp_path_factory.mktemp('icub'), shared_data / 'icub_arm'
+    for name in ('train', 'test'):
+        assert main(['convert', str(source / f'icubdyn_{name}.dat'), str(folder / f'{name}.mcap'),
+                     '--columns', str(repository / 'config/icub_table.yaml')]) == 0
+    (folder / 'icub.yaml').write_text(PARAMS.format(urdf=source / 'iCubGenova01.urdf'))
+    assert main(['diagnose', str(folder / 'train.mcap'), '--judge', str(folder / 'test.mcap'), '--params',
+                 str(folder / 'icub.yaml'), '--json', str(folder / 'report.json'), '--output',
+                 str(folder / 'found.yaml'), '--html', str(folder / 'page.html')]) == 0
+    return folder, json.loads((folder / 'report.json').read_text())
+
+
+@pytest.mark.slow
+def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found():
+    """A force that acts in a small part of the workspace looks a little like many kinds, and like none."""
+    recording = simulate(Scenario(motion='circle_xy', samples=4000, seed=1, effects=(EffectRequest('bump', size=2.0),)))
+    diagnosis = diagnose(body_of(recording), samples_of(recording))
+    assert diagnosis.verdict == 'unexplained'
+    assert diagnosis.structure.formulas and diagnosis.structure.variables
+    assert text_report(diagnosis)[0].startswith('Something is missing that')
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('kind', 'seed'), [('gravity_tilt', 3), ('effort_offset', 6)])
+def test_an_effect_of_half_a_percent_of_the_error_is_found(kind, seed):
+    """The evidence for it is overwhelming, and it helps on every block."""
+    found = found_in(simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=seed,
+                                       effects=(EffectRequest(kind, size=0.5),))))
+    first = found.findings[0]
+    assert kind in {first.effect.kind, *(rival.kind for rival in first.rivals)}
+    assert 0.9 < found.after.nmse.mean() / found.before.nmse.mean() < 1.0
+
+
+@pytest.mark.slow
+def test_friction_that_differs_between_directions_is_not_split_where_that_explains_less():
+    found = found_in(simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=1,
+                                       effects=(EffectRequest('asymmetric_friction', size=0.5),))))
+    assert found.findings[0].effect.kind == 'asymmetric_friction'
+
+
+@pytest.mark.slow
+def test_the_measured_arm_is_explained_better_by_what_was_found(measured):
+    _, report = measured
+    assert report['verdict'] == 'effect_found'
+    assert report['before']['nmse_mean'] == pytest.approx(0.0193, rel=0.05)
+    assert report['after']['nmse_mean'] <= 0.0138
+    assert report['held_out']['recording'].endswith('test.mcap')
+    errors = [report['before']['nmse_mean'], *(step['nmse_mean'] for step in report['by_step'])]
+    assert errors[-1] == report['after']['nmse_mean']
+
+
+@pytest.mark.slow
+def test_offsets_of_joints_and_a_tilt_of_the_base_are_rivals_on_the_measured_arm(measured):
+    """The reference explains as much with joint offsets as with a tilt of the base by three degrees."""
+    _, report = measured
+    first = report['effects'][0]
+    named = {first['kind']} | {rival['kind'] for rival in first['indistinguishable_from']}
+    assert named >= {'joint_offset', 'gravity_tilt'}
+    assert all(rival['separated_by'] for rival in first['indistinguishable_from'])
+
+
+@pytest.mark.slow
+def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured):
+    folder, report = measured
+    assert len(load_params(folder / 'found.yaml').effects) == len(report['effects'])
+    errors = []
+    for name in ('icub.yaml', 'found.yaml'):
+        assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--frozen',
+                     '--params', str(folder / name), '--json', str(folder / 'result.json')]) == 0
+        errors.append(json.loads((folder / 'result.json').read_text())['variants']['P']['nmse_mean'])
+    assert errors[0] == pytest.approx(0.0193, rel=0.02)
+    assert errors[1] < 0.8 * errors[0]
+    assert '<svg' in (folder / 'page.html').read_text()
+
+
+@pytest.mark.slow
+def test_features_with_the_effects_carry_over_better_than_features_alone(measured):
+    """The same draws without and with the effects, judged as the node runs them."""
+    folder, _ = measured
+    settings = load_params(folder / 'icub.yaml')
+    diagnosis = diagnose_bag(argparse.Namespace(bag=folder / 'train.mcap', judge=folder / 'test.mcap', split=None,
+                                                kinds=['joint_offset']), settings)
+    shown = []
+    judged = evaluate_variants(replace(settings, features_count=200), diagnosis, ['P', 'SPK-ML'], 2,
+                               lambda done, total: shown.append((done, total)))
+    assert shown == [(count, 12) for count in range(1, 13)]
+    assert len(judged['P']['draws']['before']) == 1
+    assert judged['P']['after']['nmse_mean'] < 0.8 * judged['P']['before']['nmse_mean']
+    draws = judged['SPK-ML']['draws']
+    assert len(draws['before']) == 5 and np.ptp(draws['before']) > 0.0
+    assert np.mean(draws['after']) < np.mean(draws['before'])
+    assert judged['SPK-ML']['after']['nmse_mean'] == pytest.approx(np.mean(draws['after']))
+
+
+# --- the numbers one by one ---
+
+EVERYTHING = np.ones(len(RECORDED), dtype=bool)
+
+
+def state_of(samples, effects=(), train_mask=EVERYTHING):
+    return fit_model(BODY, samples, list(effects), train_mask, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1]))
+
+
+def test_blocks_cover_everything_and_held_out_ones_span_the_recording():
+    train_mask = interleaved_split(1500)
+    assert train_mask.mean() == pytest.approx(2.0 / 3.0)
+    parts = ranges(~train_mask)
+    assert len(parts) == BLOCKS // 3
+    assert parts[0][0] < 300 and parts[-1][1] > 1200
+    assert leading_split(10, 0.6).tolist() == [True] * 6 + [False] * 4
+    assert ranges(np.array([True, False, False, True, True])) == [(0, 1), (3, 5)]
+
+
+def test_folds_are_contiguous_and_leave_out_what_is_not_in_use():
+    train_mask = interleaved_split(1000)
+    labels = folds(train_mask)
+    assert (labels[~train_mask] == -1).all()
+    assert set(labels[train_mask]) == set(range(FOLDS))
+    assert (np.diff(labels[train_mask]) >= 0).all()
+
+
+def test_the_noise_floor_sees_white_noise_beside_slow_variation():
+    rng, time = np.random.default_rng(2), np.arange(20_000)
+    slow = 40.0 * np.sin(0.02 * time)
+    values = np.column_stack([3.0 * rng.standard_normal(20_000), 3.0 * rng.standard_normal(20_000) + slow])
+    assert noise_floor(values) == pytest.approx([3.0, 3.0], rel=0.03)
+
+
+def test_correlation_times_are_those_of_an_autoregression():
+    """A first-order autoregression with coefficient a has the integrated time (1 + a) / (1 - a)."""
+    rng = np.random.default_rng(3)
+    white = rng.standard_normal((50_000, 2))
+    coloured = white.copy()
+    for index in range(1, len(white)):
+        coloured[index] += np.array([0.0, 0.8]) * coloured[index - 1]
+    assert correlation_times(coloured) == pytest.approx([1.0, 9.0], rel=0.15)
+    assert correlation_times(np.ones((100, 1))).tolist() == [1.0]
+
+
+def test_explaining_by_columns_is_declaring_them():
+    """What added columns would leave is what a fit with them leaves, but for the weak prior on their coefficients."""
+    effect = kinds()['viscous_drag']('r_hand', {})
+    fit = state_of(RECORDED)
+    explained = fit.explain(added_columns(fit, effect))
+    declared = state_of(RECORDED, [effect])
+    np.testing.assert_allclose(explained.residual, declared.residual, atol=1e-5)
+    assert explained.rank == 1
+    assert explained.coefficients[0] == pytest.approx(declared.theta[-1], abs=1e-3)
+
+
+def test_columns_that_the_model_holds_already_explain_nothing():
+    fit = state_of(RECORDED)
+    explained = fit.explain(np.broadcast_to(np.eye(6), (400, 6, 6)).copy())  # a constant offset
+    assert explained.rank == 0
+    np.testing.assert_allclose(explained.residual, fit.residual)
+
+
+def test_the_start_is_where_a_search_over_all_samples_puts_it():
+    true = 251
+    jumped = RECORDED.outputs + 0.3 * (np.arange(400) >= true)[:, None]
+    fit = state_of(replace(RECORDED, outputs=jumped))
+    columns = added_columns(fit, kinds()['sensor_offset'](None, {}))
+    start, gain, always = best_start(fit, columns)
+    late = {index: np.sum(((fit.residual - fit.explain(
+        columns * (np.arange(400) >= index)[:, None, None]).residual) / fit.scale) ** 2)
+        for index in range(true - 3, true + 4)}
+    assert start == max(late, key=late.get) == true
+    assert gain > 10.0 * abs(always)
+
+
+def test_a_calibration_is_settled_by_gauss_newton():
+    offset = kinds()['joint_offset']('r_shoulder_yaw', {'offset': 0.12})
+    moved, _ = CoupledColumns(BODY, [offset]).batch(MOTION)
+    theta = np.concatenate([BODY.base_parameters, np.zeros(6)])
+    samples = replace(MOTION, outputs=moved @ theta)
+    settled = declare(state_of(samples), [offset.with_shape(offset=0.0)])
+    assert settled.effects[0].value('offset') == pytest.approx(0.12, abs=1e-4)
+    assert np.abs(settled.residual).max() < 1e-3 * np.abs(samples.outputs).max()
+
+
+def test_calibrations_are_refined_however_little_their_linear_approximation_explains(friction):
+    first, nothing = friction.first, np.zeros((1, 4))
+    springs = [Trial(kinds()['cable_spring']('r_elbow', {}), nothing, 6, evidence=100.0 - rank) for rank in range(9)]
+    delay, faint = (Trial(kinds()['time_delay'](None, {'delay_s': 0.01}), nothing, 1, evidence=each)
+                    for each in (50.0, 2.0))
+    chosen = worth_refining(replace(first, body=icub()), [*springs, delay, faint])
+    assert delay in chosen and faint not in chosen and springs[0] in chosen and springs[8] not in chosen
+
+
+def test_parameters_cost_evidence_and_correlated_samples_count_less():
+    fit = state_of(RECORDED)
+    trial = Trial(kinds()['viscous_drag']('r_hand', {}), 0.9 * fit.residual, 1)
+    white, slow = np.ones(6), np.full(6, 10.0)
+    one = score(fit, trial, white).evidence
+    assert one == pytest.approx(-6 * 400 * np.log(0.9) - 0.5 * np.log(2400))
+    assert score(fit, replace(trial, n_parameters=5), white).evidence == pytest.approx(one - 2.0 * np.log(2400))
+    assert score(fit, trial, slow).evidence == pytest.approx(-6 * 40 * np.log(0.9) - 0.5 * np.log(240))
+    assert score(fit, replace(trial, residual=fit.residual), white).evidence < 0.0
+
+
+@pytest.mark.parametrize(('tilt', 'offset', 'named'), [
+    ((100.0, 1), (98.0, 1), 'joint_offset'),  # equal but for chance: the kind that comes first
+    ((100.0, 1), (93.0, 1), 'gravity_tilt'),  # more than chance
+    ((100.0, 2), (95.0, 1), 'joint_offset'),  # about as good with fewer values
+    ((100.0, 1), (98.0, 2), 'gravity_tilt')])
+def test_of_equal_explanations_the_plainest_and_then_the_commonest_is_named(tilt, offset, named):
+    fit = state_of(RECORDED)
+    noise = np.random.default_rng(0).standard_normal(fit.residual.shape)  # so that no correlation widens the choice
+    trials = [Trial(kinds()[kind](None, {}), noise, n_parameters, evidence=evidence)
+              for kind, (evidence, n_parameters) in (('gravity_tilt', tilt), ('joint_offset', offset))]
+    assert simplest(fit, trials, ['joint_offset', 'gravity_tilt']).effect.kind == named
+
+
+def test_errors_are_over_the_variance_and_over_the_horizon():
+    fit = state_of(RECORDED)
+    held_out = ~interleaved_split(400)
+    judged = evaluate_here(fit, held_out)
+    assert judged.nmse == pytest.approx(np.mean(fit.residual[held_out]**2, 0) / RECORDED.outputs[held_out].var(0))
+    assert judged.rmse**2 == pytest.approx(np.mean(fit.residual[held_out]**2, axis=0))
+    start = ranges(held_out)[0][0]
+    first = np.sum(fit.residual[start:start + 25]**2, 0) / np.sum(RECORDED.outputs[start:start + 25]**2, 0)
+    part = replace(judged, parts=((0, 25),))
+    assert part.eps == pytest.approx(first)
+    assert sum(end - start for start, end in judged.parts) == held_out.sum()
+
+
+def test_what_belongs_to_one_recording_is_not_carried_to_another():
+    """A drift does not go on in a later recording; a load that was picked up is there from its start."""
+    drift, load = kinds()['sensor_drift'](None, {}), kinds()['payload']('r_hand', {'start_s': 10.0})
+    fit = state_of(RECORDED, [drift, load])
+    blocks = CoupledColumns(BODY, [drift, load]).blocks
+    theta = fit.theta.copy()
+    theta[blocks['0']], theta[blocks['1']] = 5.0, np.eye(10)[0]
+    judged = evaluate_there(replace(fit, theta=theta), RECORDED, EVERYTHING)
+    always, _ = CoupledColumns(BODY, [load.with_shape(start_s=-1.0)]).batch(RECORDED)
+    kept = np.delete(theta, np.arange(blocks['0'].start, blocks['0'].stop))
+    np.testing.assert_allclose(judged.residual, RECORDED.outputs - always @ kept, atol=1e-9)
+
+
+def test_found_effects_are_written_in_the_form_that_parameters_hold(payload, friction):
+    from semiparam_ros.effects import effect_from_text
+
+    for effect in (*payload.final.effects, *friction.final.effects):
+        assert effect_from_text(effect_to_text(effect)) == effect

@@ -1,0 +1,301 @@
+"""What goes wrong before any physics: found where it is, and never where it is not."""
+
+import itertools
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import SHARED_DATA
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.data.identifiability import unidentifiable
+from semiparam_ros.diagnosis.data.outliers import excluded
+from semiparam_ros.diagnosis.setup.checks import setup_problems
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+
+ICUB = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
+UR3 = ('shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', 'wrist_1_joint', 'wrist_2_joint', 'wrist_3_joint')
+DEGREES = 180.0 / np.pi
+ROLES = ('position', 'velocity', 'acceleration')
+
+
+@cache
+def simulated(outputs='wrench', kind=None, motion='fourier', seed=0, samples=1000, rate_hz=20.0, urdf=None):
+    effects = (EffectRequest(kind, size=3.0),) if kind else ()
+    made = simulate(Scenario(motion=motion, samples=samples, rate_hz=rate_hz, outputs=outputs, effects=effects,
+                             seed=seed, urdf=urdf))
+    body = RigidBody.from_urdf(made.urdf, made.joint_names, outputs, made.frame_id or None, made.convention)
+    return body, Samples(made.stamps, made.position, made.velocity, made.acceleration, made.outputs,
+                         int(made.stamps[0]))
+
+
+@cache
+def real_icub():
+    rows = np.loadtxt(SHARED_DATA / 'icub_arm' / 'icubdyn_train.dat')
+    angles = np.radians(rows[:, :12])
+    samples = Samples((np.arange(len(rows)) * 34_500_000).astype(np.int64), angles[:, :4], angles[:, 4:8],
+                      angles[:, 8:], rows[:, 12:], 0)
+    return RigidBody.from_urdf(described('icub_arm/iCubGenova01.urdf'), ICUB, 'wrench', 'r_arm_ft_sensor',
+                               'reaction'), samples
+
+
+@cache
+def real_ur3(name='id2.bag'):
+    """The ROS 1 bag, efforts negated as its notes say; accelerations as differences over five samples."""
+    with open_bag(SHARED_DATA / 'ur3_arm' / name) as bag:
+        messages = list(bag.messages(['/arm']))
+    stamps = np.array([message.log_time for message in messages])
+    position, velocity, effort = (np.array([getattr(message.data, role) for message in messages])
+                                  for role in ('position', 'velocity', 'effort'))
+    time = (stamps - stamps[0]) * 1e-9
+    smooth = np.apply_along_axis(np.convolve, 0, velocity, np.full(5, 0.2), 'same')
+    samples = Samples(stamps, position, velocity, np.gradient(smooth, time, axis=0), -effort, int(stamps[0]))
+    return RigidBody.from_urdf(described('ur3_arm/ur3.urdf'), UR3, 'effort'), samples
+
+
+def described(name: str) -> str:
+    return (Path(SHARED_DATA) / name).read_text()
+
+
+def whats(body, samples):
+    return [problem.what for problem in setup_problems(body, samples)]
+
+
+def found(body, samples):
+    return [(problem.what, problem.where) for problem in setup_problems(body, samples)]
+
+
+# ---- ways to break a recording
+
+
+def scaled(samples, factor, *roles, joint=slice(None)):
+    changed = {role: getattr(samples, role).copy() for role in roles}
+    for values in changed.values():
+        values[:, joint] *= factor
+    return replace(samples, **changed)
+
+
+def swapped(samples, one, other, *roles):
+    order = np.arange(samples.position.shape[1])
+    order[[one, other]] = other, one
+    return replace(samples, **{role: getattr(samples, role)[:, order] for role in roles})
+
+
+def turned(samples, order, signs):
+    force, torque = samples.outputs[:, :3], samples.outputs[:, 3:]
+    return replace(samples, outputs=np.hstack([force[:, order] * signs, torque[:, order] * signs]))
+
+
+def slower(samples, factor):
+    return replace(samples, stamps=samples.origin + ((samples.stamps - samples.origin) * factor).astype(np.int64))
+
+
+MOTION_MISTAKES = {
+    'positions in degrees': (lambda s: scaled(s, DEGREES, 'position'), ('position_units', ICUB[0])),
+    'velocities in degrees': (lambda s: scaled(s, DEGREES, 'velocity'), ('velocity_units', ICUB[0])),
+    'everything in degrees': (lambda s: scaled(s, DEGREES, *ROLES), ('position_units', None)),
+    'velocities in rpm': (lambda s: scaled(s, 30.0 / np.pi, 'velocity', joint=1), ('velocity_units', ICUB[1])),
+    'a velocity negated': (lambda s: scaled(s, -1.0, 'velocity', joint=2), ('velocity_sign', ICUB[2])),
+    'a velocity missing': (lambda s: scaled(s, 0.0, 'velocity', joint=3), ('velocity_missing', ICUB[3])),
+    'velocities swapped': (lambda s: swapped(s, 1, 3, 'velocity'), ('velocity_order', ICUB[1])),
+    'a gear ratio': (lambda s: scaled(s, 3.0, 'velocity', joint=0), ('velocity_scale', ICUB[0])),
+    'a slow clock': (lambda s: slower(s, 2.0), ('clock', None)),
+    'milliseconds for seconds': (lambda s: slower(s, 1e-3), ('clock', None)),
+    'accelerations in degrees': (lambda s: scaled(s, DEGREES, 'acceleration'), ('acceleration_units', ICUB[0])),
+    'an acceleration negated': (lambda s: scaled(s, -1.0, 'acceleration', joint=1), ('acceleration_sign', ICUB[1])),
+}
+WRENCH_MISTAKES = {
+    'sign': (lambda s: replace(s, outputs=-s.outputs), ('wrench_sign', 'r_arm_ft_sensor')),
+    'force in kilograms': (lambda s: replace(s, outputs=s.outputs / 9.81), ('output_units', 'r_arm_ft_sensor')),
+    'torque in N mm': (lambda s: replace(s, outputs=s.outputs * np.repeat([1.0, 1e3], 3)),
+                       ('output_units', 'r_arm_ft_sensor')),
+    'axes turned': (lambda s: turned(s, (1, 2, 0), (1, -1, 1)), ('wrench_axes', 'r_arm_ft_sensor')),
+    'an axis mirrored': (lambda s: turned(s, (0, 1, 2), (1, -1, 1)), ('wrench_axes', 'r_arm_ft_sensor')),
+    'force and torque exchanged': (lambda s: replace(s, outputs=np.roll(s.outputs, 3, axis=1)),
+                                   ('force_torque', 'r_arm_ft_sensor')),
+    **{f'{name} mirrored': (lambda s, j=joint: scaled(s, -1.0, *ROLES, joint=j), ('joint_direction', name))
+       for joint, name in enumerate(ICUB)},
+    **{f'{one} and {other} swapped': (lambda s, i=one, j=other: swapped(s, i, j, *ROLES), ('joint_order', ICUB[one]))
+       for one, other in itertools.combinations(range(4), 2)},
+}
+EVERY_MISTAKE = {**MOTION_MISTAKES, **WRENCH_MISTAKES}
+
+
+@pytest.mark.parametrize('name', EVERY_MISTAKE)
+def test_each_mistake_is_found_in_a_simulated_recording(name):
+    body, samples = simulated()
+    mistake, expected = EVERY_MISTAKE[name]
+    assert expected in found(body, mistake(samples))
+
+
+@pytest.mark.parametrize('name', EVERY_MISTAKE)
+def test_each_mistake_is_found_in_a_real_recording(name, shared_data):
+    body, samples = real_icub()
+    mistake, expected = EVERY_MISTAKE[name]
+    problems = setup_problems(body, mistake(samples))
+    assert expected in [(problem.what, problem.where) for problem in problems]
+    assert all(problem.sentence.endswith('.') for problem in problems)
+
+
+@pytest.mark.parametrize('axes', list(itertools.product(itertools.permutations(range(3)),
+                                                        itertools.product((1, -1), repeat=3)))[1::7])
+def test_axes_are_named_the_way_back(axes):
+    """Applying the axes that the sentence names to the broken copy gives the recording again."""
+    body, samples = simulated()
+    problems = setup_problems(body, turned(samples, *axes))
+    if axes[1] == (-1, -1, -1) and axes[0] == (0, 1, 2):
+        assert problems[0].what == 'wrench_sign'
+        return
+    sign = -1.0 if problems[0].what == 'wrench_sign' else 1.0
+    names = problems[-1].sentence.partition('(')[2].partition(')')[0].split(', ')
+    back = ['xyz'.index(name[-1]) for name in names], [sign * (-1.0 if name[0] == '-' else 1.0) for name in names]
+    np.testing.assert_array_equal(turned(turned(samples, *axes), *back).outputs, samples.outputs)
+
+
+def test_a_base_on_its_head_or_on_a_wall_is_no_wrong_sign():
+    body, samples = simulated()
+    assert whats(body.with_gravity(np.array([0.0, 0.0, 9.81])), samples) == ['base_mounting']
+    assert 'gravity along its -z axis' in setup_problems(body.with_gravity(np.array([0.0, 9.81, 0.0])),
+                                                         samples)[0].sentence
+
+
+def test_a_wrench_that_has_nothing_to_do_with_the_robot_is_said_to():
+    body, samples = simulated()
+    noise = np.random.default_rng(0).standard_normal(samples.outputs.shape)
+    assert whats(body, replace(samples, outputs=noise)) == ['robot_description']
+
+
+@pytest.mark.parametrize(('mistake', 'expected'), [
+    (lambda s: replace(s, outputs=-s.outputs), ('effort_sign', None)),
+    (lambda s: replace(s, outputs=s.outputs * 1e3), ('output_units', None)),
+    (lambda s: scaled(s, -1.0, 'outputs', joint=1), ('effort_sign', UR3[1])),
+    (lambda s: scaled(s, -1.0, 'outputs', joint=5), ('effort_sign', UR3[5])),
+    (lambda s: scaled(s, -1.0, *ROLES, 'outputs', joint=2), ('joint_direction', UR3[2])),
+    (lambda s: swapped(s, 1, 3, *ROLES, 'outputs'), ('joint_order', UR3[1])),
+    (lambda s: scaled(s, DEGREES, *ROLES), ('position_units', None))])
+def test_mistakes_in_the_real_efforts_of_a_ur3(mistake, expected, shared_data):
+    """Joint 5 carries nothing: its sign shows in its friction alone."""
+    body, samples = real_ur3()
+    assert expected in found(body, mistake(samples))
+
+
+# ---- never where it is not
+
+
+def test_the_real_recordings_as_declared_raise_no_alarm(shared_data):
+    assert setup_problems(*real_icub()) == []
+    assert setup_problems(*real_ur3('id1.bag')) == []
+    assert setup_problems(*real_ur3('id2.bag')) == []
+
+
+@pytest.mark.parametrize(('outputs', 'kind', 'motion'), [
+    ('wrench', 'periodic_disturbance', 'circle_xy'), ('wrench', 'time_delay', 'fourier'),
+    ('wrench', 'cable_hysteresis', 'reach'), ('wrench', 'sensor_misalignment', 'mixed'),
+    ('wrench', 'bump', 'circle_xy'), ('wrench', 'joint_offset', 'fourier'), ('effort', 'backlash', 'circle_xy'),
+    ('effort', 'two_mass_flexibility', 'circle_xy'), ('effort', 'time_delay', 'circle_xy'),
+    ('effort', 'transmission_ripple', 'reach'), ('effort', 'coulomb_friction', 'mixed')])
+def test_effects_of_three_times_the_usual_size_raise_no_alarm(outputs, kind, motion):
+    assert setup_problems(*simulated(outputs, kind, motion, 5)) == []
+
+
+def test_dead_outputs_are_said_to_be_dead_and_one_dead_channel_is_noted():
+    body, samples = simulated()
+    assert whats(body, replace(samples, outputs=np.full_like(samples.outputs, 3.0))) == ['outputs_constant']
+    partly = scaled(samples, 0.0, 'outputs', joint=4)
+    assert setup_problems(body, partly) == []
+    assert unidentifiable(body, partly) == ['No change was measured in ty: what acts there cannot be seen.']
+
+
+def test_a_robot_that_stands_still_says_nothing_about_its_setup():
+    body, samples = simulated()
+    assert setup_problems(body, scaled(samples, 0.0, *ROLES)) == []
+
+
+def test_stamps_that_repeat_or_jump_do_no_harm():
+    body, samples = simulated()
+    setup_problems(body, replace(samples, stamps=np.repeat(samples.stamps[::2], 2)))
+    assert setup_problems(body, samples[np.sort(np.random.default_rng(0).choice(1000, 150, replace=False))]) == []
+
+
+def test_too_short_a_recording_is_not_judged():
+    body, samples = simulated()
+    assert setup_problems(body, replace(samples, outputs=-samples.outputs)[:40]) == []
+
+
+# ---- what takes no part
+
+
+def test_a_protective_stop_and_spikes_of_a_real_arm_are_left_out(shared_data):
+    _, samples = real_ur3()
+    mask = excluded(samples)
+    assert mask[-9:].all() and mask[np.searchsorted(samples.time, 12.22)]
+    assert mask.mean() < 0.01
+
+
+def test_other_real_recordings_are_whole(shared_data):
+    assert not excluded(real_icub()[1]).any() and not excluded(real_ur3('id1.bag')[1]).any()
+
+
+def test_samples_beside_a_gap_are_left_out():
+    _, samples = simulated()
+    gapped = samples[np.r_[0:300, 340:1000]]
+    assert np.flatnonzero(excluded(gapped)).tolist() == list(range(290, 310))
+
+
+@pytest.mark.parametrize(('outputs', 'kind'), [
+    ('wrench', None), ('wrench', 'payload'), ('wrench', 'sensor_offset'), ('effort', 'coulomb_friction'),
+    ('effort', 'backlash')])
+@pytest.mark.parametrize('rate', [20.0, 200.0])
+def test_jumps_friction_and_coarse_converters_are_no_shocks(outputs, kind, rate):
+    _, samples = simulated(outputs, kind, 'fourier', 5, 3000, rate)
+    assert excluded(samples).mean() < 0.015
+    for step in (0.2, 1.0):
+        coarse = step * samples.outputs.std(axis=0)
+        assert excluded(replace(samples, outputs=np.round(samples.outputs / coarse) * coarse)).mean() < 0.015
+
+
+def test_a_single_wrong_reading_is_a_shock():
+    _, samples = simulated()
+    outputs = samples.outputs.copy()
+    outputs[500, 2] += 8.0 * outputs[:, 2].std()
+    marked = np.flatnonzero(excluded(replace(samples, outputs=outputs)))
+    assert 500 in marked and len(marked) <= 8
+
+
+# ---- what cannot be told
+
+
+def test_what_a_recording_cannot_show_is_said_by_name():
+    body, samples = simulated()
+    still = np.array([1.0, 1.0, 1.0, 0.0])
+    frozen = replace(samples, **{role: getattr(samples, role) * still for role in ROLES})
+    notes = unidentifiable(body, frozen[np.r_[0:100, 140:200]])
+    assert any('160 samples' in note for note in notes)
+    assert any('r_elbow stood still' in note for note in notes)
+    assert any('1 gap in time' in note and '2.05 s from 4.95 s' in note for note in notes)
+    assert any('masses or centres of mass' in note and 'r_arm_ft_sensor' in note for note in notes)
+
+
+def test_a_joint_that_hardly_moves_is_named():
+    body, samples = simulated()
+    held = replace(samples, position=samples.position * np.array([1.0, 0.01, 1.0, 1.0]))
+    assert any(note.startswith('r_shoulder_roll (0.0') and 'hardly moved' in note
+               for note in unidentifiable(body, held))
+
+
+@pytest.mark.parametrize('count', [1, 2, 5])
+def test_the_shortest_recordings_are_answered(count):
+    body, samples = simulated()
+    assert unidentifiable(body, samples[:count]) and excluded(samples[:count]).shape == (count,)
+    assert setup_problems(body, samples[:count]) == []
+
+
+def test_rich_motion_leaves_nothing_to_say(shared_data):
+    for outputs in ('wrench', 'effort'):
+        assert unidentifiable(*simulated(outputs)) == []
+    assert unidentifiable(*real_icub()) == [] and unidentifiable(*real_ur3()) == []

@@ -1,0 +1,215 @@
+"""What no kind explains: whether anything is left, what it depends on, and a formula for it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.residual.flexible import (
+    BLOCKS,
+    FOLDS,
+    block_sums,
+    fold_labels,
+    predictions,
+    random_features,
+)
+from semiparam_ros.diagnosis.residual.formula import find_formula, library
+from semiparam_ros.diagnosis.residual.noise import coloured_noise
+from semiparam_ros.diagnosis.residual.structure import remaining_structure
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
+from semiparam_ros.effects import effect_from_text, effect_to_text
+from semiparam_ros.effects.terms import parse_term
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+from support.arms import ICUB_OWN, icub, smooth_motion
+
+MOTIONS = ('circle_xy', 'fourier', 'reach', 'mixed')
+
+
+@cache
+def fitted(kind=None, motion='mixed', outputs='wrench', size=1.0, seed=0, samples=2000):
+    """The declared model fitted to a simulated recording with one hidden effect."""
+    effects = (EffectRequest(kind, size=size),) if kind else ()
+    made = simulate(Scenario(motion=motion, samples=samples, outputs=outputs, effects=effects, seed=seed))
+    body = RigidBody.from_urdf(made.urdf, made.joint_names, outputs, made.frame_id or None, made.convention)
+    recording = Samples(made.stamps, made.position, made.velocity, made.acceleration, made.outputs,
+                        int(made.stamps[0]))
+    return body, starting_fit(body, recording, [], np.ones(samples, dtype=bool)), made.truth
+
+
+def structure_of(*case, **more):
+    body, fit, _ = fitted(*case, **more)
+    return remaining_structure(body, fit.samples, fit.residual, fit.train_mask, fit.scale)
+
+
+def noise(samples, seed=0, n=6):
+    return np.random.default_rng(seed).standard_normal((len(samples), n))
+
+
+# ---- is anything left?
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_nothing_is_found_where_nothing_is_missing(seed):
+    """The first few of the hundred and more on which the thresholds stand."""
+    found = structure_of(motion=MOTIONS[seed % 4], outputs=('wrench', 'effort')[seed // 4], seed=500 + seed)
+    assert not found.significant and found.share < 0.01
+    assert found.formulas == () and 'Nothing is left' in found.sentence
+
+
+@pytest.mark.parametrize(('kind', 'motion', 'outputs'), [
+    ('bump', 'mixed', 'wrench'), ('bump', 'circle_xy', 'effort'), ('drifting_friction', 'fourier', 'effort'),
+    ('two_mass_flexibility', 'mixed', 'wrench')])
+def test_effects_of_no_kind_are_seen_at_half_size(kind, motion, outputs):
+    found = structure_of(kind, motion, outputs, 0.5, 3)
+    assert found.significant and found.share > 0.08
+    assert found.variables and found.channels
+
+
+def test_only_the_channel_that_is_touched_is_named():
+    body, fit, truth = fitted('drifting_friction', 'fourier', 'effort', 1.0, 3)
+    joint = truth[0]['where']
+    found = remaining_structure(body, fit.samples, fit.residual, fit.train_mask, fit.scale)
+    assert found.channels == (joint,)
+    assert {each.name for each in found.variables} == {f'dq_{joint}', 'time'}
+
+
+def test_white_noise_has_no_structure_in_any_seed():
+    samples, body = smooth_motion(4, 1500), icub()
+    train_mask = np.ones(1500, dtype=bool)
+    found = [remaining_structure(body, samples, noise(samples, seed), train_mask, np.ones(6)) for seed in range(8)]
+    assert not any(each.significant for each in found)
+
+
+@pytest.mark.parametrize('memory', [0.97, 0.99])
+def test_noise_that_is_correlated_over_many_samples_has_no_structure(memory):
+    """A function of the motion predicts a little of such noise on the next block, though nothing is missing."""
+    samples, body = smooth_motion(4, 3000), icub()
+    train_mask = np.ones(3000, dtype=bool)
+    coloured = [lfilter([1.0], [1.0, -memory], noise(samples, seed), axis=0) for seed in range(6)]
+    found = [remaining_structure(body, samples, each / each.std(axis=0), train_mask, np.ones(6)) for each in coloured]
+    assert max(each.share for each in found) > 0.06  # the plain share alone would be an alarm
+    assert not any(each.significant for each in found)
+
+
+def test_coloured_noise_has_the_residual_s_power_and_autocorrelation():
+    values = lfilter([1.0], [1.0, -1.6, 0.8], noise(range(20000), 1, 2), axis=0) * [1.0, 30.0]
+    drawn = coloured_noise(values, 3, seed=2)
+    assert drawn.shape == (3, *values.shape)
+    for lag in (0, 1, 5, 19):
+        moment = np.mean(values[lag:] * values[:len(values) - lag], axis=0)
+        again = np.mean(drawn[:, lag:] * drawn[:, :len(values) - lag], axis=1)
+        np.testing.assert_allclose(again, np.broadcast_to(moment, again.shape), atol=0.08 * values.var(axis=0).max(),
+                                   rtol=0.1)
+    assert np.all(coloured_noise(np.zeros((100, 1)), 2) == 0.0)
+
+
+def test_samples_that_are_not_in_use_are_not_looked_at():
+    samples, body = smooth_motion(4, 1500), icub()
+    residual, train_mask = noise(samples), np.arange(1500) < 900
+    residual[900:] += 50.0 * samples.position[900:, :1]
+    assert not remaining_structure(body, samples, residual, train_mask, np.ones(6)).significant
+
+
+def test_too_few_samples_give_no_verdict():
+    samples, body = smooth_motion(4, 200), icub()
+    found = remaining_structure(body, samples, noise(samples), np.ones(200, dtype=bool), np.ones(6))
+    assert not found.significant and found.share == 0.0
+
+
+# ---- what it depends on, and the formula
+
+
+@pytest.mark.parametrize(('formula', 'names'), [
+    ({'sin(q_r_elbow)': 2.0}, {'q_r_elbow'}), ({'dq_r_elbow*abs(dq_r_elbow)': 1.0}, {'dq_r_elbow'}),
+    ({'time*dq_r_shoulder_yaw': 0.05}, {'dq_r_shoulder_yaw', 'time'}),
+    ({'q_r_elbow*dq_r_shoulder_roll': 2.0}, {'q_r_elbow', 'dq_r_shoulder_roll'})])
+def test_a_hidden_formula_is_found_again(formula, names):
+    samples, body = smooth_motion(4, 2500), icub()
+    hidden = effect_from_text(effect_to_text(type(found_effect())('fy', formula)))
+    columns = hidden.columns(body, samples, None)[0]
+    signal = columns @ np.array(list(formula.values()))
+    residual = signal + 0.5 * signal[:, 1].std() * noise(samples)
+    found = remaining_structure(body, samples, residual, np.ones(2500, dtype=bool), np.ones(6))
+    assert found.significant and found.channels == ('fy',)
+    assert {each.name for each in found.variables[:len(names)]} == names
+    left = signal[:, 1] - prediction(found.effects[0], body, samples)
+    assert np.var(left) < 0.05 * np.var(signal[:, 1])
+
+
+def found_effect():
+    return find_formula(['q_r_elbow'], icub(), MOTION, MOTION.position[:, 3], 1).effect
+
+
+MOTION = smooth_motion(4, 400)
+
+
+def prediction(effect, body, samples):
+    """(N,) the channel fy with the coefficients that were found."""
+    return effect.columns(body, samples, None)[0][:, 1] @ np.array(list(effect.shape.values()))
+
+
+def test_a_formula_is_sparse_has_units_and_can_be_declared():
+    body = icub()
+    values = 3.0 * MOTION.velocity[:, 2] + 0.1 * noise(MOTION)[:, 0]
+    found = find_formula(['dq_r_shoulder_yaw', 'q_r_elbow'], body, MOTION, values, 4)
+    assert [each.term for each in found.summands] == ['dq_r_shoulder_yaw']
+    assert found.summands[0].coefficient == pytest.approx(3.0, rel=0.02)
+    assert found.text == f'ty = {found.summands[0].coefficient:.3g} N m s/rad dq_r_shoulder_yaw'
+    assert effect_from_text(effect_to_text(found.effect)) == found.effect
+
+
+def test_noise_gets_no_formula():
+    found = find_formula(['q_r_elbow', 'time'], icub(), MOTION, noise(MOTION, 5)[:, 0], 0)
+    assert found is None or found.share < 0.05
+
+
+def test_what_depends_on_no_variable_gets_no_formula():
+    assert find_formula([], icub(), MOTION, noise(MOTION, 5)[:, 0], 0) is None
+
+
+def test_every_term_of_the_library_is_in_the_grammar():
+    names = library(['q_r_elbow', 'dq_r_elbow', 'ddq_r_shoulder_yaw', 'time'], icub(), MOTION)
+    assert len(set(names)) == len(names) > 40
+    for name in names:
+        parse_term(name)
+
+
+def test_a_real_recording_in_words_and_for_programs(shared_data):
+    """On the real iCub the plain rigid body leaves structure; the report is whole and without NaN."""
+    rows = np.loadtxt(shared_data / 'icub_arm' / 'icubdyn_train.dat')
+    angles = np.radians(rows[:, :12])
+    samples = Samples((np.arange(len(rows)) * 34_500_000).astype(np.int64), angles[:, :4], angles[:, 4:8],
+                      angles[:, 8:], rows[:, 12:], 0)
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), icub().joints, 'wrench', 'r_arm_ft_sensor', 'reaction')
+    fit = starting_fit(body, samples, [], np.ones(len(rows), dtype=bool))
+    found = remaining_structure(body, samples, fit.residual, fit.train_mask, fit.scale)
+    assert found.significant and found.share > 0.2
+    report = found.as_dict()
+    assert report['variables'] and np.isfinite(report['share']) and report['sentence'].endswith('.')
+    assert all(np.isfinite(term['coefficient']) for formula in report['formulas'] for term in formula['terms'])
+
+
+# ---- the regression itself
+
+
+def test_blocks_are_dealt_out_in_turn():
+    labels = fold_labels(1200)
+    assert set(labels) == set(range(FOLDS)) and np.count_nonzero(np.diff(labels)) == BLOCKS - 1
+    np.testing.assert_allclose(block_sums(np.ones((1200, 2))), np.full((BLOCKS, 2), 20.0))
+
+
+def test_predictions_come_from_other_blocks_and_may_be_nothing():
+    samples = smooth_motion(4, 1000)
+    features = random_features(samples.position, 60, 1.0, 0)
+    targets = np.column_stack([np.sin(2.0 * samples.position[:, 0]), noise(samples, n=1)[:, 0]])
+    found = predictions(features, targets)
+    assert np.var(targets[:, 0] - found[:, 0]) < 0.05 * np.var(targets[:, 0])
+    assert np.var(found[:, 1]) < 0.02
+    spoilt = targets.copy()
+    spoilt[fold_labels(1000) == 0] = 100.0
+    held = fold_labels(1000) == 0
+    assert np.abs(predictions(features, spoilt)[held, 0]).max() < 5.0

@@ -1,0 +1,620 @@
+"""Effects: one check that every kind passes at every place, their text form, kinds of other packages, and physics.
+
+The physics is checked against the simulator, which shares no code with the effects: columns times the true parameters
+must be the difference that the hidden cause makes there.
+"""
+
+import importlib
+import json
+import math
+import re
+import sys
+import textwrap
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.frames import nearest_link
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds, registry
+from semiparam_ros.effects.application_point import AtPoint
+from semiparam_ros.effects.base import FLAGS
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.report.effects_table import BEGIN, END, with_tables
+from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR
+from support.effect_cases import BODIES, CASES, MOTION, NAMES
+
+UNITS = {'N', 'm', 'kg', 's', 'rad', 'Hz', 'or'}
+START_S = 1.0
+SMALL = 0.01
+UNSEEN = ('joint_offset', 'lift')
+"""No effort tells where a sliding joint stands on the fixed base."""
+
+
+@pytest.mark.parametrize(('outputs', 'effect'), CASES, ids=NAMES)
+def test_every_kind_at_every_place(outputs, effect):
+    check_effect(BODIES[outputs], effect)
+
+
+def check_effect(body: RigidBody, effect: Effect) -> None:
+    """Whatever every effect must satisfy; those of other packages too."""
+    for check in (check_text_form, check_sentences, check_coefficients, check_live_equals_offline, check_start,
+                  check_neutral_calibration, check_candidate_columns, check_carried_shapes_have_units):
+        check(body, effect)
+
+
+def check_text_form(body: RigidBody, effect: Effect) -> None:
+    back = effect_from_text(effect_to_text(effect))
+    assert back == effect
+    assert type(back) is type(effect)
+
+
+def check_sentences(body: RigidBody, effect: Effect) -> None:
+    for text in (effect.sentence, effect.separated_by):
+        assert len(text) > 10
+        assert not text.endswith('.')  # it is put into a longer sentence
+    assert effect.mistaken_for or effect.kind == 'terms'
+    assert set(effect.mistaken_for) <= set(kinds()) - {effect.kind}
+    assert not effect.mistaken_for or any(body.outputs in kinds()[name].outputs for name in effect.mistaken_for)
+
+
+def check_coefficients(body: RigidBody, effect: Effect) -> None:
+    named = [*effect.coefficients(body), *effect.calibrations]
+    assert len({name for name, _ in named}) == len(named) > 0
+    columns, _ = effect.columns(body, MOTION, None)
+    assert len(effect.coefficients(body)) == columns.shape[2] == len(effect.prior_scale(body))
+    assert (effect.prior_scale(body) > 0).all()
+    assert effect.is_calibration == (columns.shape[2] == 0)
+    for name, unit in named:
+        assert set(re.findall('[A-Za-z]+', unit)) <= UNITS, f'{name} [{unit}]'
+
+
+def check_live_equals_offline(body: RigidBody, effect: Effect) -> None:
+    """Columns of one sample at a time, or of pieces, are those of the whole recording."""
+    moved = disturbed(effect)
+    assembly = CoupledColumns(body, [moved])
+    expected, _ = assembly.batch(MOTION)
+    assert expected.shape == (len(MOTION), body.n_outputs, assembly.n_columns)
+    scale = np.abs(expected).max()
+    memory, rows = None, []
+    for sample in MOTION:
+        row, memory = assembly.one(sample, MOTION.origin, memory)
+        rows.append(row)
+    np.testing.assert_allclose(np.array(rows), expected, rtol=0, atol=1e-10 * scale)
+    first, memory = assembly.batch(MOTION[:7])
+    second, _ = assembly.batch(MOTION[7:], memory)
+    np.testing.assert_allclose(np.concatenate([first, second]), expected, rtol=0, atol=1e-10 * scale)
+
+
+def check_start(body: RigidBody, effect: Effect) -> None:
+    """Columns are zero before the start, and from there on what they always were."""
+    always, _ = effect.columns(body, MOTION, None)
+    late, _ = effect.with_shape(start_s=START_S).columns(body, MOTION, None)
+    begun = MOTION.time >= START_S
+    assert np.isfinite(always).all()
+    np.testing.assert_array_equal(late[~begun], 0.0)
+    np.testing.assert_array_equal(late[begun], always[begun])
+
+
+def check_neutral_calibration(body: RigidBody, effect: Effect) -> None:
+    """A calibration of zero changes nothing, one that is not zero does; a kind with columns leaves the arm alone."""
+    plain, _ = CoupledColumns(body).batch(MOTION)
+    scale = np.abs(plain).max()
+    zero = effect.with_shape(**dict.fromkeys((name for name, _ in effect.calibrations), 0.0))
+    found, _ = CoupledColumns(body, [zero]).batch(MOTION)
+    np.testing.assert_allclose(found[:, :, :plain.shape[2]], plain, rtol=0, atol=1e-10 * scale)
+    if effect.is_calibration and (effect.kind, effect.where) != UNSEEN:
+        changed, _ = CoupledColumns(body, [disturbed(effect)]).batch(MOTION)
+        assert np.abs(changed - plain).max() > 1e-5 * scale
+
+
+def check_candidate_columns(body: RigidBody, effect: Effect) -> None:
+    """What a diagnosis would regress on: finite, one for each unknown, and none of them empty in general motion."""
+    everything = np.ones(len(MOTION), dtype=bool)
+    outputs = body.regressors(MOTION) @ body.base_parameters
+    state = fit_model(body, replace(MOTION, outputs=outputs), [], everything, np.ones(body.n_outputs))
+    columns = added_columns(state, effect)
+    assert columns.shape == (len(MOTION), body.n_outputs, len(effect.coefficients(body)) or len(effect.calibrations))
+    assert np.isfinite(columns).all()
+    assert np.abs(columns).max() > 0.0 or (effect.kind, effect.where) == UNSEEN
+
+
+def check_carried_shapes_have_units(body: RigidBody, effect: Effect) -> None:
+    assert effect.unit_of('start_s') == 's'
+    columns = {name for name, _ in effect.coefficients(body)}
+    for name in set(effect.shape) - {*FLAGS, *columns, *(name for name, _ in effect.calibrations)}:
+        assert effect.unit_of(name), name
+        assert set(re.findall('[A-Za-z]+', effect.unit_of(name))) <= UNITS, name
+
+
+def disturbed(effect: Effect) -> Effect:
+    """With calibrations that are not zero, each another one."""
+    names = [name for name, _ in effect.calibrations]
+    return effect.with_shape(**{name: SMALL * (1 + 0.3 * index) for index, name in enumerate(names)})
+
+
+def test_both_outputs_have_the_kinds_that_the_design_lists():
+    both = {'payload', 'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'periodic_disturbance',
+            'terms'}
+    assert set(kinds('wrench')) == both | {
+        'sensor_offset', 'sensor_drift', 'thermal_drift', 'sensor_gain', 'sensor_crosstalk', 'sensor_misalignment',
+        'viscous_drag', 'quadratic_drag', 'cable_spring', 'cable_hysteresis'}
+    assert set(kinds('effort')) == both | {
+        'viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmetric_friction', 'load_friction',
+        'rotor_inertia', 'joint_spring', 'effort_offset', 'effort_gain', 'transmission_ripple', 'backlash'}
+
+
+@pytest.mark.parametrize(('outputs', 'effect'), [case for case in CASES if case[1].where], ids=[
+    name for name, case in zip(NAMES, CASES, strict=True) if case[1].where])
+def test_an_unknown_place_is_refused_by_name(outputs, effect):
+    astray = replace(effect, where='r_tentacle')
+    with pytest.raises(SemiparamError, match=r"'r_tentacle'.* expected .* with one of"):
+        CoupledColumns(BODIES[outputs], [disturbed(astray)])
+
+
+BARE = [(outputs, kind(where)) for outputs, body in BODIES.items() for kind in kinds(outputs).values()
+        for where in kind.permitted(body)]
+
+
+@pytest.mark.parametrize(('outputs', 'effect'), BARE, ids=[f'{outputs}-{effect.kind}@{effect.where}'
+                                                           for outputs, effect in BARE])
+@pytest.mark.parametrize('start', [{}, {'start_s': START_S}, {'start_stamp_s': START_S}], ids=['always', 's', 'stamp'])
+def test_every_kind_can_be_declared_without_values_wherever_it_is_permitted(outputs, effect, start):
+    assembly = CoupledColumns(BODIES[outputs], [replace(effect, shape=start)])
+    columns, _ = assembly.batch(MOTION[:5])
+    assert columns.shape[2] == assembly.n_columns == assembly.n_own + len(effect.coefficients(BODIES[outputs]))
+    assert np.isfinite(columns).all()
+
+
+@pytest.mark.parametrize('outputs', BODIES)
+def test_every_text_is_answered_with_columns_or_a_sentence(outputs):
+    """Each kind at no place, at a joint, at a link, on a channel, in the wrong outputs."""
+    body = BODIES[outputs]
+    links = sorted({place for kind in kinds().values() for place in kind.permitted(body)} - {None, *body.joints},
+                   key=str)
+    for name, kind in kinds().items():
+        for where in (None, body.joints[0], links[0], body.output_names[0], 'base_link', 'r_tentacle'):
+            effect = effect_from_text(name + (f'@{where}' if where else ''))
+            if outputs in kind.outputs and where in kind.permitted(body):
+                columns, _ = CoupledColumns(body, [effect]).batch(MOTION[:3])
+                assert np.isfinite(columns).all()
+            else:
+                with pytest.raises(SemiparamError, match=f"effect '{name}' .*expected"):
+                    CoupledColumns(body, [effect])
+
+
+MISDECLARED = {
+    'periodic_disturbance@r_elbow': 'cannot act at .r_elbow.; expected periodic_disturbance@PLACE with one of',
+    'cable_spring': 'names no place; expected cable_spring@PLACE with one of .*r_hand',
+    'sensor_drift@r_hand': 'expected none, for it has no place',
+    'viscous_friction@r_elbow': 'does not act on outputs wrench; expected outputs effort',
+    'thermal_drift{"time_constant_s": 0}': 'has time_constant_s 0; expected more than 0',
+    'cable_hysteresis@r_hand{"slip": -0.1}': 'has slip -0.1; expected more than 0',
+    'payload@r_hand{"start_s": 3, "start_stamp_s": 1.7e9}': 'has start_s and start_stamp_s; expected one of them',
+    'payload@r_hand{"reference": [1, 2]}': 'has a reference of 2 values; expected 17',
+    'terms@fx{"sin(q_elbow)": 1}': "names the joint 'elbow'; expected one of r_shoulder_pitch",
+}
+
+
+@pytest.mark.parametrize('text', MISDECLARED)
+def test_what_cannot_be_is_refused_where_it_is_declared(text):
+    from semiparam_ros.core.estimator import Estimator
+
+    with pytest.raises(SemiparamError, match=MISDECLARED[text]):
+        Estimator(BODIES['wrench'], effects=[effect_from_text(text)])
+
+
+def test_a_file_of_earlier_versions_may_hold_what_now_follows_from_the_place():
+    assert effect_from_text('periodic_disturbance@r_hand{"frequency_hz": 3, "directions": 3, "link_axes": 1}') == \
+        effect_from_text('periodic_disturbance@r_hand{"frequency_hz": 3, "link_axes": 1}')
+    assert effect_from_text('cable_spring@r_hand{"at_link": 1}') == effect_from_text('cable_spring@r_hand')
+
+
+def test_columns_of_another_package_that_do_not_fit_its_coefficients_are_refused():
+    class Wide(type(effect_from_text('external_force'))):
+        def basis(self, body, samples, memory):
+            return np.zeros((len(samples), body.n_outputs, 4)), None
+
+    with pytest.raises(SemiparamError, match=r"'external_force' gives columns of shape \(6, 4\); expected \(6, 3\)"):
+        CoupledColumns(BODIES['wrench'], [Wide('r_hand')]).batch(MOTION)
+
+
+ORIGIN = 1_750_000_000_123_456_789
+STAMPED = replace(MOTION, stamps=MOTION.stamps - MOTION.stamps[0] + ORIGIN, origin=ORIGIN)
+
+
+@pytest.mark.parametrize('row', range(0, 40, 3))
+def test_a_start_may_be_told_as_a_stamp(row):
+    """To the sample, whoever counts time from wherever: a double holds such a stamp to 0.24 us."""
+    payload = kinds()['payload']('r_hand', {'start_s': float(STAMPED.time[row])})
+    stamped = payload.at_stamp(ORIGIN)
+    assert set(stamped.shape) == {'start_stamp_s'}
+    expected, _ = payload.columns(BODIES['wrench'], STAMPED, None)
+    assert np.abs(expected[row]).max() > 0.0
+    for origin in (ORIGIN, ORIGIN + 10**9, 0):
+        columns, _ = stamped.columns(BODIES['wrench'], replace(STAMPED, origin=origin), None)
+        np.testing.assert_array_equal(columns, expected)
+    back = effect_from_text(effect_to_text(stamped)).in_recording(ORIGIN)
+    assert back.start_s == pytest.approx(payload.start_s, abs=1e-6)
+    assert back.at_stamp(ORIGIN) == stamped  # to the last digit, however often it goes to and fro
+
+
+def test_without_a_start_an_effect_is_always_there():
+    effect = kinds()['external_force']('r_hand', {'x': 0.1})
+    assert effect.at_stamp(ORIGIN) == effect.in_recording(ORIGIN) == effect
+    for start in ('start_s', 'start_stamp_s'):
+        assert effect.with_shape(**{start: 3.0}).without_start() == effect
+    terms = kinds()['terms']('fx', {'sin(q_r_elbow)': 1.0, 'start_stamp_s': 3.0})
+    assert terms.names == ('sin(q_r_elbow)',)
+
+
+BAD_TEXTS = {
+    'unknown kind': ('payloda', 'payloda'),
+    'nothing': ('', 'no known kind'),
+    'only a place': ('@r_hand', 'no known kind'),
+    'open brace': ('payload@r_hand{"start_s": 1', 'JSON'),
+    'trailing text': ('payload{"start_s": 1} and more', 'JSON'),
+    'not a number': ('payload{"start_s": NaN}', 'start_s'),
+    'infinite': ('payload{"start_s": 1e999}', 'start_s'),
+    'beyond any time': ('time_delay{"delay_s": 1e300}', 'delay_s'),
+    'beyond any float': ('payload{"start_s": 1' + '0' * 400 + '}', 'start_s'),
+    'text': ('payload{"start_s": "3"}', 'start_s'),
+    'truth value': ('payload{"start_s": true}', 'start_s'),
+    'nothing as value': ('payload{"start_s": null}', 'start_s'),
+    'list': ('payload{"start_s": [3]}', 'start_s'),
+    'reference of text': ('load_friction@turn{"reference": ["1"]}', 'reference'),
+    'reference no list': ('load_friction@turn{"reference": 3}', 'reference'),
+    'bottomless': ('payload' + '{"a":' * 100_000, 'JSON'),
+    'code': ('payload{"start_s": __import__("os").getpid()}', 'JSON'),
+    'misspelt value': ('joint_offset@r_elbow{"offest": 0.1}', 'offest'),
+}
+
+
+@pytest.mark.parametrize('name', BAD_TEXTS)
+def test_bad_text_is_refused_in_one_sentence(name):
+    text, expected = BAD_TEXTS[name]
+    with pytest.raises(SemiparamError, match=re.escape(expected)) as refusal:
+        effect_from_text(text)
+    message = str(refusal.value)
+    assert '\n' not in message
+    assert len(message) < 1000
+
+
+@pytest.mark.parametrize('text', ['payload', 'payload@r_hand', ' payload@r_hand {"start_s": 3} ',
+                                  'sensor_drift{}', 'joint_offset@r_elbow{"offset": -0.0279}'])
+def test_text_as_a_person_writes_it(text):
+    effect = effect_from_text(text)
+    assert effect_from_text(effect_to_text(effect)) == effect
+    assert effect.kind == text.strip().partition('@')[0].partition('{')[0]
+
+
+def test_values_survive_the_text_form_to_the_last_digit():
+    values = {'offset': 0.1 + 0.2, 'start_s': 1e-17 / 3.0}
+    effect = kinds()['joint_offset']('r_elbow', values)
+    assert dict(effect_from_text(effect_to_text(effect)).shape) == values
+
+
+OWN_KIND = '''
+    from semiparam_ros.effects import Coefficient, Effect
+    import numpy as np
+
+
+    class Magnet(Effect):
+        """A force along the sensor's x axis that falls off with the elbow's angle."""
+
+        kind = 'magnet'
+        outputs = ('wrench',)
+        sentence = 'a magnet near the table pulls the hand'
+        mistaken_for = ('cable_spring',)
+        separated_by = 'motion farther from the table'
+        shape_units = {'reach': 'rad'}
+
+        @classmethod
+        def searches(cls, body, samples, where, residual):
+            return [{'reach': 0.3}, {'reach': 1.0}]
+
+        def coefficients(self, body):
+            return (Coefficient('pull', 'N'),)
+
+        def basis(self, body, samples, memory):
+            columns = np.zeros((len(samples), 6, 1))
+            columns[:, 0, 0] = np.exp(-np.abs(samples.position[:, 3]) / self.value('reach', 1.0))
+            return columns, None
+
+
+    class Impostor(Effect):
+        kind = 'payload'
+
+
+    class Nameless(Effect):
+        pass
+
+
+    NOT_A_KIND = 3
+'''
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Puts a package with entry points where an installer would; gone again after the test."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def installed(code: str = textwrap.dedent(OWN_KIND), **points: str) -> None:
+        (tmp_path / 'own_effects.py').write_text(code)
+        monkeypatch.delitem(sys.modules, 'own_effects', raising=False)
+        info = tmp_path / 'own_effects-1.0.dist-info'
+        info.mkdir()
+        (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: own-effects\nVersion: 1.0\n')
+        lines = [f'{name} = own_effects:{target}' for name, target in points.items()]
+        (info / 'entry_points.txt').write_text('\n'.join([f'[{registry.GROUP}]', *lines, '']))
+        importlib.invalidate_caches()
+        registry._all_kinds.cache_clear()
+
+    yield installed
+    monkeypatch.undo()
+    registry._all_kinds.cache_clear()
+
+
+def test_another_package_adds_a_kind(install):
+    install(magnet='Magnet')
+    assert 'magnet' in kinds('wrench')
+    assert 'magnet' not in kinds('effort')
+    effect = effect_from_text('magnet{"reach": 0.5}')
+    assert effect.value('reach') == 0.5
+    check_effect(BODIES['wrench'], effect)
+
+
+@pytest.mark.parametrize(('target', 'expected'), [
+    ('Impostor', "defines the kind 'payload', which exists already"), ('Nameless', 'expected a subclass'),
+    ('NOT_A_KIND', 'expected a subclass'), ('Missing', "entry point 'wrong'")])
+def test_a_wrong_entry_point_is_refused_by_name(install, target, expected):
+    install(wrong=target)
+    with pytest.raises(SemiparamError, match=re.escape(expected)):
+        kinds()
+
+
+# --- physics: the simulator's causes, which share no code with the effects ---
+
+def vector(parameters: dict, name: str) -> list[float]:
+    value = parameters[name]['value']
+    return list(value) if isinstance(value, list) else [value]
+
+
+def ball(parameters: dict) -> list[float]:
+    """Mass, first moment and inertia about the link's origin of the simulator's solid ball."""
+    (mass,), centre = vector(parameters, 'mass'), np.array(vector(parameters, 'centre'))
+    inertia = mass * (0.4 * PAYLOAD_RADIUS_M**2 * np.eye(3) + centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return [mass, *(mass * centre), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+
+
+def sine(parameters: dict) -> list[float]:
+    (phase,), force = vector(parameters, 'phase'), np.array(vector(parameters, 'force'))
+    return [*(math.cos(phase) * force), *(math.sin(phase) * force)]
+
+
+def spring(parameters: dict) -> list[float]:
+    (stiffness,), (rest,) = vector(parameters, 'stiffness'), vector(parameters, 'rest_position')
+    return [stiffness, -stiffness * rest]
+
+
+def ripple(parameters: dict) -> list[float]:
+    (amplitude,), (phase,) = vector(parameters, 'amplitude'), vector(parameters, 'phase')
+    return [amplitude * math.cos(phase), amplitude * math.sin(phase)]
+
+
+def crosstalk(parameters: dict) -> dict[str, float]:
+    channels = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
+    matrix = parameters['crosstalk']['value']
+    return {f'{to}_from_{by}': matrix[i][j] for i, to in enumerate(channels) for j, by in enumerate(channels)
+            if i != j}
+
+
+def same(*names: str):
+    """Coefficients that both call by these names, in this order."""
+    return lambda parameters: [value for name in names for value in vector(parameters, name)]
+
+
+SIZE = 0.1
+"""RMS of the effects over the outputs' standard deviation."""
+EXACT = 5e-3
+"""Share of a difference that the steps of the simulator's encoders and converters leave."""
+BRISTLE = {'presliding': 1e-3}
+"""The simulator's friction is carried by bristles that need this way to turn over [rad]."""
+
+# kind: (nonlinear parameters from the truth, coefficients from the truth, share of the difference left unexplained)
+COLUMNS = {
+    'payload': (lambda p: {}, ball, EXACT),
+    'external_force': (lambda p: {}, same('force'), EXACT),
+    'viscous_drag': (lambda p: {}, same('drag'), EXACT),
+    'quadratic_drag': (lambda p: {}, same('drag'), EXACT),
+    'sensor_offset': (lambda p: {}, same('offset'), EXACT),
+    'sensor_drift': (lambda p: {}, same('rate'), EXACT),
+    'thermal_drift': (lambda p: {'time_constant_s': p['time_constant_s']['value']}, same('drift'), EXACT),
+    'periodic_disturbance': (lambda p: {'frequency_hz': p['frequency']['value'], 'link_axes': 1.0}, sine, EXACT),
+    'viscous_friction': (lambda p: {}, same('viscous'), EXACT),
+    'rotor_inertia': (lambda p: {}, same('inertia'), EXACT),
+    'joint_spring': (lambda p: {}, spring, EXACT),
+    'effort_offset': (lambda p: {}, same('offset'), EXACT),
+    'transmission_ripple': (lambda p: {'order': p['order']['value']}, ripple, EXACT),
+    'coulomb_friction': (lambda p: BRISTLE, same('coulomb'), 0.05),
+    'load_friction': (lambda p: BRISTLE, same('load_coefficient'), 0.05),
+    'stribeck_friction': (lambda p: {**BRISTLE, 'stribeck_speed': p['stribeck_velocity']['value']},
+                          same('coulomb', 'stiction'), 0.2),  # LuGre's bristle is stiffer where it may bend farther
+    'asymmetric_friction': (lambda p: BRISTLE, same('coulomb_forward', 'coulomb_backward', 'viscous_forward',
+                                                 'viscous_backward'), 0.05),
+}
+
+@pytest.mark.parametrize(('kind', 'outputs'), [(name, outputs) for name, kind in kinds().items()
+                                               if issubclass(kind, AtPoint) for outputs in kind.outputs])
+def test_at_a_point_of_a_link_where_another_link_stands_a_kind_does_the_same(kind, outputs):
+    """The gripper is fixed to the hand."""
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
+    hand, gripper = (body.arm.frames[body.arm.getFrameId(name)].placement for name in ('r_hand', 'r_gripper'))
+    shift = hand.actInv(gripper.translation)
+    assert np.linalg.norm(shift) > 0.01
+    link, point = nearest_link(body, 'r_hand', shift)
+    np.testing.assert_allclose(point, 0.0, atol=1e-12)
+    assert link == 'r_gripper'
+    moved = kinds()[kind]('r_hand', dict(zip('xyz', shift.tolist(), strict=True)))
+    columns, plain = (effect.columns(body, MOTION, None)[0] for effect in (moved, kinds()[kind]('r_hand')))
+    np.testing.assert_allclose(columns, kinds()[kind]('r_gripper').columns(body, MOTION, None)[0], atol=1e-9)
+    assert np.abs(columns - plain).max() > 1e-3
+
+
+# kind: (calibrations from the truth, share of the difference left unexplained)
+CALIBRATIONS = {
+    'joint_offset': (lambda p: {'offset': p['offset']['value']}, EXACT),
+    'gravity_tilt': (lambda p: {name: p[name]['value'] for name in ('tilt_x', 'tilt_y')}, EXACT),
+    'sensor_misalignment': (lambda p: dict(zip(('rotation_x', 'rotation_y', 'rotation_z'),
+                                               p['rotation_vector']['value'], strict=True)), EXACT),
+    'sensor_crosstalk': (crosstalk, EXACT),
+    'sensor_gain': (None, EXACT),
+    'effort_gain': (lambda p: {'gain': p['gain']['value']}, EXACT),
+    'time_delay': (lambda p: {'delay_s': p['delay_s']['value']}, 0.05),
+}
+
+# Share left when the coefficients and an offset are fitted at the best place. The simulator's mechanism is another one
+# there (a taut rope, strands that rub), which the columns can only resemble.
+RESEMBLANCES = {'cable_spring': 0.02, 'cable_hysteresis': 0.4}
+
+# The simulator's disturbance shakes a link, which moves every joint's effort; as an effect it acts on one joint.
+NOT_ALIKE = {('periodic_disturbance', 'effort')}
+
+
+def acting(table: dict) -> list[tuple[str, str]]:
+    """(kind, outputs) for every output on which a kind of the table acts alike in both."""
+    return [(kind, outputs) for kind in table for outputs in kinds()[kind].outputs
+            if (kind, outputs) not in NOT_ALIKE]
+
+
+def simulated(kind: str, outputs: str, rate_hz: float = 20.0):
+    """The same motion without noise, with the cause and without: body, samples without, difference, truth."""
+    scenario = Scenario(motion='circle_xy', samples=600, rate_hz=rate_hz, outputs=outputs, noise=0.0,
+                        encoder_noise=0.0, seed=3,
+                        effects=(EffectRequest(kind, size=2.0),))  # far above the converter's step
+    changed, plain = simulate(scenario), simulate(replace(scenario, effects=()))
+    np.testing.assert_array_equal(changed.position, plain.position)
+    return body_of(plain), samples_of(plain), changed.outputs - plain.outputs, changed.truth[0]
+
+
+def share(left: np.ndarray, whole: np.ndarray) -> float:
+    return float(np.linalg.norm(left) / np.linalg.norm(whole))
+
+
+@pytest.mark.parametrize(('kind', 'outputs'), acting(COLUMNS))
+def test_columns_times_true_coefficients_are_what_the_simulator_adds(kind, outputs):
+    shape, coefficients, accuracy = COLUMNS[kind]
+    body, samples, difference, truth = simulated(kind, outputs, 200.0 if 'friction' in kind else 20.0)
+    parameters = truth['parameters']
+    start = {} if truth['start_s'] is None else {'start_s': truth['start_s']}
+    effect = kinds()[kind](truth['where'], {**shape(parameters), **start}, rigid_body_of(body, samples))
+    columns, _ = effect.columns(body, samples, None)
+    assert share(columns @ coefficients(parameters) - difference, difference) < accuracy
+
+
+@pytest.mark.parametrize(('kind', 'outputs'), acting(CALIBRATIONS))
+def test_true_calibrations_give_what_the_simulator_changes(kind, outputs):
+    calibrations, accuracy = CALIBRATIONS[kind]
+    body, samples, difference, truth = simulated(kind, outputs)
+    where = None if kind == 'sensor_gain' else truth['where']
+    values = {f'gain_{truth["where"]}': truth['parameters']['gain']['value']} if calibrations is None \
+        else calibrations(truth['parameters'])
+    parameters = np.array(rigid_body_of(body, samples))
+    with_it, _ = CoupledColumns(body, [kinds()[kind](where, values)]).batch(samples)
+    without = body.regressors(samples)
+    found = with_it[:, :, :body.n_parameters] @ parameters - without @ parameters
+    assert share(found - difference, difference) < accuracy
+
+
+@pytest.mark.parametrize('kind', RESEMBLANCES)
+def test_columns_can_resemble_what_the_simulator_does_otherwise(kind):
+    body, samples, difference, _ = simulated(kind, 'wrench')
+    left = [share_left(kinds()[kind](where, dict(shape)), body, samples, difference)
+            for where in kinds()[kind].places(body)
+            for shape in kinds()[kind].searches(body, samples, where, difference)]
+    assert min(left) < RESEMBLANCES[kind]
+
+
+def share_left(effect: Effect, body: RigidBody, samples, difference: np.ndarray) -> float:
+    """What the effect and an offset leave of a difference, its mean aside.
+
+    The first second is left out: the simulator's cable was bent before the recording began.
+    """
+    columns, _ = effect.columns(body, samples, None)
+    columns, wanted = (values[20:] - values[20:].mean(axis=0) for values in (columns, difference))
+    columns, wanted = columns.reshape(-1, columns.shape[2]), wanted.ravel()
+    return share(wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0], wanted)
+
+
+def rigid_body_of(body: RigidBody, samples) -> tuple[float, ...]:
+    """(p,) base parameters of the simulated arm, whose inertias are not those of the description."""
+    offset = np.broadcast_to(np.eye(6), (len(samples), 6, 6)) if body.outputs == 'wrench' \
+        else np.zeros((len(samples), body.n_outputs, 0))
+    columns = np.concatenate([body.regressors(samples), offset], axis=2)
+    columns = columns.reshape(-1, columns.shape[2])
+    theta, *_ = np.linalg.lstsq(columns, samples.outputs.ravel(), rcond=1e-13)
+    assert share(samples.outputs.ravel() - columns @ theta, samples.outputs) < EXACT * SIZE
+    return tuple(theta[:body.n_parameters].tolist())
+
+
+def test_text_forms_are_json_of_numbers():
+    text = effect_to_text(kinds()['thermal_drift'](None, {'time_constant_s': 12.5}))
+    assert text == 'thermal_drift{"time_constant_s": 12.5}'
+    assert json.loads(text.removeprefix('thermal_drift')) == {'time_constant_s': 12.5}
+
+
+# --- docs/diagnosis.md ---
+
+@pytest.fixture(scope='module')
+def page(repository):
+    return (repository / 'docs' / 'diagnosis.md').read_text(encoding='utf-8')
+
+
+def test_the_documented_tables_are_those_of_the_classes(page):
+    assert with_tables(page) == page, 'run python -m semiparam_ros.report.effects_table'
+    tried = {name for name in {**kinds('wrench'), **kinds('effort')} if name != 'terms'}
+    assert set(re.findall(r'^\| `(\w+)` \|', page[page.index(BEGIN):page.index(END)], re.MULTILINE)) == tried
+
+
+def test_the_documented_kind_is_one(repository, install):
+    page = (repository / 'docs' / 'tutorials' / '4_own_effect.md').read_text(encoding='utf-8')
+    install(re.search(r'```python\n(.*?)```', page, re.DOTALL)[1], table_magnet='TableMagnet')
+    assert '[project.entry-points."semiparam_ros.effects"]\ntable_magnet = ' in page
+    effect = kinds('wrench')['table_magnet'](None, {'angle': 0.3})
+    check_effect(BODIES['wrench'], effect)
+
+
+def test_the_documented_texts_are_read(page):
+    texts = re.findall(r"'([^']*)'", page[page.index('effects: ['):page.index("'sensor_drift']") + 16])
+    assert len(texts) == 5
+    assembly = CoupledColumns(BODIES['wrench'], [effect_from_text(text) for text in texts])
+    columns, _ = assembly.batch(MOTION)
+    assert columns.shape[2] == assembly.n_columns
+    assert effect_from_text(re.search(r'`(terms@fx\{.*?\})`', page)[1]).coefficients(BODIES['wrench'])
+
+
+@pytest.mark.parametrize('size', [1.0, 2.0])
+def test_a_delay_is_not_drawn_to_whole_samples_by_noise_of_the_encoders(size):
+    clean = Scenario(motion='circle_xy', samples=1500, rate_hz=20.0, seed=1)
+    recording = simulate(replace(clean, effects=(EffectRequest('time_delay', size=size),)))
+    body, samples = body_of(recording), samples_of(recording)
+    scale = samples.outputs.std(axis=0)
+    offset = np.broadcast_to(np.eye(6), (len(samples), 6, 6))
+
+    def left(delay_s: float) -> float:
+        columns, _ = CoupledColumns(body, [kinds()['time_delay'](None, {'delay_s': delay_s})]).batch(samples)
+        matrix = (np.concatenate([columns, offset], axis=2) / scale[:, None])[2:].reshape(-1, columns.shape[2] + 6)
+        outputs = (samples.outputs / scale)[2:].ravel()
+        return share(outputs - matrix @ np.linalg.lstsq(matrix, outputs, rcond=None)[0], outputs)
+
+    delays = np.arange(0.0, 0.0501, 0.001)
+    assert abs(delays[np.argmin([left(delay) for delay in delays])] - recording.truth[0]['parameters']['delay_s'][
+        'value']) < 0.0015

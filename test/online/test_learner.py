@@ -1,0 +1,557 @@
+"""What the node does around the estimator, without ROS: order, background work, switches, gate, tare, state files."""
+
+import os
+import pickle
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.bags.readings import Reading
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import state_file
+from semiparam_ros.online.contact_gate import ContactGate
+from semiparam_ros.online.history import History
+from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
+from semiparam_ros.online.model_switcher import same_model
+from semiparam_ros.online.worker import InlineBackground, ProcessBackground, new_estimator
+from semiparam_ros.ros.estimator.inputs import ClockWatch
+from semiparam_ros.settings import Settings
+from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
+from support.learner_stage import Stage
+from support.node_helpers import BODY, SETTINGS, URDF, motion
+
+VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML')
+
+
+def offline(samples, settings=SETTINGS, learnt=None):
+    """The estimator alone, and its predictions."""
+    estimator, steps = steps_of(samples, settings, learnt)
+    return estimator, np.array([step.mean for step in steps])
+
+
+def steps_of(samples, settings=SETTINGS, learnt=None):
+    estimator, flags = build_estimator(settings), learnt or [True] * len(samples)
+    return estimator, [estimator.step(sample, flag) for sample, flag in zip(samples, flags, strict=True)]
+
+
+def test_samples_that_come_while_hyperparameters_are_estimated_are_answered_in_order():
+    samples, stage = motion(150), Stage()
+    stage.offer(samples[:100])
+    assert len(stage.answers) == SETTINGS.initial_samples
+    assert len(stage.learner.waiting) == 40 and stage.learner.busy
+    stage.background.run()
+    stage.offer(samples[100:])
+    assert [answer.prediction.sample.stamp for answer in stage.answers] == [sample.stamp for sample in samples]
+    steps = steps_of(samples)[1]
+    np.testing.assert_array_equal(stage.means, [step.mean for step in steps])
+    horizons = [step.horizon for step in steps if step.horizon is not None]
+    assert [errors.origin for errors in stage.errors] == [errors.origin for errors in horizons]
+    np.testing.assert_array_equal([errors.eps for errors in stage.errors], [errors.eps for errors in horizons])
+    assert stage.learner.estimator.ready
+
+
+def test_a_window_without_motion_keeps_the_provisional_model_and_says_why():
+    stage = Stage()
+    stage.offer(still(90))
+    stage.background.run()
+    assert len(stage.answers) == 90 and not stage.learner.estimator.ready
+    assert 'gives no hyperparameters' in stage.news[0]
+    stage.offer([sample._replace(stamp=sample.stamp + 10**10) for sample in motion(100)])
+    stage.background.run()
+    assert stage.learner.estimator.ready
+
+
+@pytest.mark.parametrize('after', VARIANTS)
+def test_a_switch_misses_no_sample_and_equals_a_node_started_with_that_variant(after):
+    samples, stage = motion(260), Stage()
+    stage.offer(samples[:150])
+    stage.background.run()
+    sentence = stage.learner.change(replace(SETTINGS, variant=after))
+    stage.offer(samples[150:200])
+    assert len(stage.answers) == 200, 'the old variant answers meanwhile'
+    stage.background.run()
+    stage.offer(samples[200:])
+    stage.background.run()
+    assert len(stage.answers) == 260
+    expected = offline(samples, replace(SETTINGS, variant=after))[1]
+    np.testing.assert_allclose(stage.means[200:], expected[200:], atol=1e-8)
+    np.testing.assert_array_equal(stage.means[:200], offline(samples[:200])[1])
+    assert stage.learner.built.variant == after
+    assert after == SETTINGS.variant or 'is being built from 150 samples' in sentence
+
+
+def test_hyperparameters_are_estimated_once_for_each_model():
+    samples, stage = motion(120), Stage()
+    stage.offer(samples)
+    stage.background.run()
+    stage.learner.change(replace(SETTINGS, horizon_length=7))
+    assert len(stage.background.jobs) == 1
+    stage.background.run()
+    assert stage.learner.estimator.options.hyperparameters is not None, 'the known ones were handed over'
+    assert stage.learner.estimator.horizon.length == 7
+
+
+def test_the_last_wish_wins_when_switches_follow_each_other():
+    samples, stage = motion(120), Stage()
+    stage.offer(samples)
+    stage.background.run()
+    for variant in ('P', 'NP-ML', 'SPK-ML', 'SP-ML'):
+        stage.learner.change(replace(SETTINGS, variant=variant))
+    stage.background.run()
+    assert stage.learner.built.variant == 'SP-ML'
+    stage.learner.change(replace(SETTINGS, variant='P'))
+    assert stage.learner.change(replace(SETTINGS, variant='SP-ML')) == 'SP-ML goes on.'
+    stage.background.run()
+    assert stage.learner.built.variant == 'SP-ML'
+
+
+def test_a_switch_within_the_initial_window_keeps_its_samples():
+    samples, stage = motion(130), Stage()
+    stage.offer(samples[:30])
+    stage.learner.change(replace(SETTINGS, variant='SP-ML'))
+    stage.background.run()
+    stage.offer(samples[30:])
+    stage.background.run()
+    np.testing.assert_allclose(stage.means, offline(samples, replace(SETTINGS, variant='SP-ML'))[1], atol=1e-10)
+
+
+def test_a_model_that_cannot_be_built_is_refused_beforehand_or_reverted():
+    stage = Stage()
+    with pytest.raises(SemiparamError, match='nowhere'):
+        stage.learner.check(replace(SETTINGS, effects=('external_force@nowhere',)))
+    stage.offer(motion(120))
+    stage.background.run()
+    with pytest.raises(SemiparamError, match='nowhere'):
+        stage.learner.check(replace(SETTINGS, effects=('external_force@nowhere',)))
+    stage.learner.change(replace(SETTINGS, effects=('external_force@nowhere',)))  # as if it had got past the check
+    stage.background.run()
+    assert stage.reverted == [SETTINGS]
+    assert 'could not be built' in stage.news[-1]
+    stage.offer(motion(130)[120:])
+    assert len(stage.answers) == 130
+
+
+def test_effects_are_added_live():
+    samples, stage = motion(200), Stage()
+    stage.offer(samples[:150])
+    stage.background.run()
+    settings = replace(SETTINGS, effects=('sensor_drift',))
+    stage.learner.change(settings)
+    stage.background.run()
+    stage.offer(samples[150:])
+    np.testing.assert_allclose(stage.means[150:], offline(samples, settings)[1][150:], atol=1e-8)
+    names = [quantity.name for quantity in quantities(stage.learner.estimator)]
+    assert any(name.startswith('sensor_drift') for name in names) and 'offset_fx' in names
+
+
+def test_shadows_learn_the_same_samples_and_take_over_at_once():
+    samples = motion(220)
+    stage = Stage(replace(SETTINGS, shadow_variants=('P', 'NP-ML')))
+    stage.offer(samples[:150])
+    stage.background.run()
+    stage.offer(samples[150:180])
+    assert {variant for variant, _ in stage.horizons} == {'P', 'NP-ML'}
+    sentence = stage.learner.change(replace(stage.learner.settings, variant='NP-ML'))
+    assert 'learnt as a shadow' in sentence and stage.learner.built.variant == 'NP-ML'
+    stage.offer(samples[180:])
+    expected = offline(samples, replace(SETTINGS, variant='NP-ML'))[1]
+    np.testing.assert_allclose(stage.means[180:], expected[180:], atol=1e-8)
+    stage.learner.change(replace(stage.learner.settings, shadow_variants=()))
+    assert not stage.learner.switcher.shadows
+
+
+def still(count, start=0):
+    """Samples of a robot that does not move and a sensor that says nothing."""
+    return [sample._replace(outputs=np.full(6, 1.0)) for sample in motion(start + count)[start:]]
+
+
+def later(samples, seconds):
+    return [sample._replace(stamp=sample.stamp + round(seconds * 1e9)) for sample in samples]
+
+
+@pytest.mark.parametrize('wish', [{'variant': 'NP-ML'}, {'effects': ('sensor_drift',)}, {'shadow_variants': ('P',)}])
+def test_nothing_is_built_from_a_window_that_gave_no_hyperparameters(wish):
+    stage, moving = Stage(), later(motion(130), 60.0)
+    stage.offer(still(90))
+    stage.background.run()
+    assert not stage.learner.estimator.ready
+    settings = replace(SETTINGS, **wish)
+    stage.learner.change(settings)
+    stage.background.run()
+    stage.offer(moving)
+    stage.background.run()
+    assert same_model(stage.learner.built, settings) and stage.learner.estimator.ready
+    assert not any('could not be built' in sentence for sentence in stage.news)
+    assert all(model.estimator.ready for model in stage.learner.switcher.shadows.values())
+    # The window holds what followed the dead one: 30 still samples, then motion.
+    expected = new_estimator(settings, BODY, origin=motion(1)[0].stamp)
+    for sample in [*still(30, 60), *moving]:
+        expected.step(sample)
+    np.testing.assert_allclose(stage.learner.estimator.predict(moving[-1]).mean, expected.predict(moving[-1]).mean,
+                               atol=1e-8)
+
+
+def test_a_shadow_gathers_another_window_with_the_active_model():
+    stage = Stage(replace(SETTINGS, shadow_variants=('NP-ML',)))
+    stage.offer(still(90))
+    stage.background.run()
+    assert len(stage.answers) == 90 and not stage.background.jobs
+    stage.offer(later(motion(100), 60.0))
+    stage.background.run()
+    assert stage.learner.switcher.shadows['NP-ML'].estimator.ready
+
+
+def test_a_shadow_that_fails_while_a_successor_is_built_leaves_one_successor():
+    samples, stage = motion(200), Stage()
+    stage.offer(samples[:100])
+    stage.background.run()
+    shadowed = replace(SETTINGS, shadow_variants=('NP-ML',))
+    stage.learner.change(shadowed)
+    shadow_job = stage.background.jobs.popleft()
+    stage.learner.change(replace(shadowed, variant='P'))
+    successor = stage.learner.switcher.successor
+    shadow_job.done(None, MemoryError('worker'))
+    assert stage.learner.switcher.successor is successor and len(stage.background.jobs) == 1
+    assert not stage.learner.switcher.shadows and 'NP-ML could not be built' in stage.news[-1]
+    assert [place for place, _ in stage.failures] == ['the model NP-ML beside the active one']
+    stage.offer(samples[100:])
+    stage.background.run()
+    assert stage.learner.built.variant == 'P' and stage.learner.switcher.successor is None
+    np.testing.assert_allclose(stage.learner.estimator.predict(samples[-1]).mean,
+                               offline(samples, replace(SETTINGS, variant='P'))[0].predict(samples[-1]).mean, atol=1e-8)
+
+
+def test_a_retired_successor_never_takes_over():
+    samples, stage = motion(100), Stage()
+    stage.offer(samples)
+    stage.background.run()
+    stage.learner.change(replace(SETTINGS, variant='P'))
+    orphan = stage.background.jobs.popleft()
+    stage.learner.change(replace(SETTINGS, variant='NP-ML'))
+    function, arguments = pickle.loads(orphan.packed)
+    orphan.done(function(*arguments), None)
+    assert stage.learner.built.variant == SETTINGS.variant
+    stage.background.run()
+    assert stage.learner.built.variant == 'NP-ML'
+
+
+def break_down(estimator, how):
+    """Damage a model as a fault in the numerics would."""
+    if how == 'not finite':
+        estimator.model.recursion.theta = np.full_like(estimator.model.recursion.theta, np.nan)
+    else:
+        estimator.model.recursion = None
+
+
+@pytest.mark.parametrize('how', ['not finite', 'errors'])
+def test_a_broken_model_is_replaced_by_p(how):
+    samples, stage = motion(250), Stage(replace(SETTINGS, effects=('sensor_drift',)), InlineBackground())
+    stage.offer(samples[:100])
+    break_down(stage.learner.estimator, how)
+    stage.offer(samples[100:])
+    assert stage.learner.built.variant == 'P' and stage.learner.built.effects == ()
+    assert stage.reverted[-1] == stage.learner.settings == stage.learner.built
+    assert 'SPK-ML is broken' in stage.news[-2] and 'P begins anew' in stage.news[-2]
+    assert stage.failures and stage.failures[0][0] == 'the active model'
+    unanswered = 0 if how == 'not finite' else 2
+    assert len(stage.answers) == 250 - unanswered == 250 - stage.learner.lost
+    assert stage.learner.estimator.ready and np.isfinite(stage.means).all()
+
+
+def test_a_broken_model_is_replaced_by_the_last_checkpoint():
+    samples, kept = motion(250), []
+    stage = Stage(background=InlineBackground(), checkpoint=lambda: kept[-1])
+    stage.offer(samples[:150])
+    kept.append(pickle.loads(pickle.dumps(stage.learner.state())))
+    stage.offer(samples[150:200])
+    break_down(stage.learner.estimator, 'not finite')
+    stage.offer(samples[200:])
+    assert 'SPK-ML of the last checkpoint goes on' in stage.news[-1]
+    expected = offline([*samples[:150], *samples[200:]])[1]
+    np.testing.assert_allclose(stage.means[200:], expected[150:], atol=1e-10)
+
+
+def test_a_sample_that_cannot_be_learnt_ends_nothing(monkeypatch):
+    samples, stage = motion(200), Stage(background=InlineBackground())
+    stage.offer(samples[:100])
+    monkeypatch.setattr(stage.learner.estimator.horizon, 'score', lambda *_: 1 / 0)
+    stage.offer(samples[100:])
+    assert len(stage.answers) == 200 and stage.learner.built.variant == 'P'
+    assert stage.failures[0][0] == 'learning'
+
+
+def test_time_goes_on_after_a_reset_and_after_jumps_of_the_clock():
+    samples = motion(300)
+    stage = Stage(replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 1.0}',)), InlineBackground())
+    stage.offer(samples[:100])
+    stage.learner.reset()
+    stage.offer(samples[100:200])
+    assert stage.learner.estimator.origin == samples[0].stamp
+    assert stage.learner.estimator.predict(samples[200]).columns[:, -10:].any(), 'the load is there'
+    for jump in (365 * 86400.0, -365 * 86400.0):
+        moved = later(samples[200:], jump)
+        prediction = stage.learner.estimator.predict(moved[0])
+        assert prediction.columns[:, -10:].any()
+        stage.offer(moved)
+    drift = build_estimator(replace(SETTINGS, variant='P', effects=('sensor_drift',)))
+    for sample in [*samples[:100], *later(samples[100:110], 1e8), *later(samples[110:120], -1e8)]:
+        columns = drift.step(sample).columns[:, -6:]
+        assert 0.0 <= columns.max() < 5.0, 'seconds since the start, without those that the clock jumped'
+
+
+def test_a_span_begins_after_the_last_jump_of_the_clock():
+    history, samples = History(5, 100, 2, 6), motion(60)
+    for sample in [*later(samples[:30], 500.0), *samples[30:]]:
+        history.append(sample, True)
+    assert history.span(1000.0).stamps.tolist() == [sample.stamp for sample in samples[30:]]
+    assert len(history.span(0.1)) == 6
+
+
+def test_a_pause_predicts_without_learning():
+    samples, stage = motion(160), Stage()
+    stage.offer(samples[:100])
+    stage.background.run()
+    stage.learner.change(replace(SETTINGS, learning=False))
+    stage.offer(samples[100:])
+    flags = [True] * 100 + [False] * 60
+    np.testing.assert_array_equal(stage.means, offline(samples, learnt=flags)[1])
+    assert stage.learner.learnt == 100
+
+
+def test_contacts_are_flagged_not_learnt_and_seen_in_the_residual():
+    settings = replace(SETTINGS, gate_enabled=True, gate_hold=0.1)
+    samples, push = motion(300), np.array([5.0, 0, 0, 0, 0, 0])
+    touched = [sample._replace(outputs=sample.outputs + push) if 200 <= index < 230 else sample
+               for index, sample in enumerate(samples)]
+    stage = Stage(settings, InlineBackground())
+    stage.offer(touched)
+    contact = np.array([answer.contact for answer in stage.answers])
+    assert contact[200:230].all() and not contact[:200].any() and not contact[240:].any()
+    assert [answer.learnt for answer in stage.answers] == (~contact).tolist()
+    force = np.mean([answer.residual[0] for answer in stage.answers[200:230]])
+    assert force == pytest.approx(5.0, abs=0.5)
+    assert stage.learner.gate.refused == contact.sum()
+
+
+def test_the_gate_gives_way_to_a_lasting_change():
+    settings, gate = replace(SETTINGS, gate_enabled=True, gate_timeout=1.0), ContactGate()
+    closed = [gate.judge(int(second * 1e9), 100.0, settings) for second in np.arange(0.0, 3.0, 0.1)]
+    assert closed[0] and closed[9] and not any(closed[11:])
+    gate.judge(int(4e9), 0.5, settings)
+    assert gate.judge(int(5e9), 100.0, settings), 'armed again'
+
+
+def test_tare_takes_off_the_bias_and_leaves_the_weight():
+    samples = motion(400)
+    drifted = samples[:200] + [sample._replace(outputs=sample.outputs + 2.0) for sample in samples[200:]]
+    stage = Stage(replace(SETTINGS, learning=True), InlineBackground())
+    stage.offer(drifted[:200])
+    stage.learner.change(replace(SETTINGS, learning=False))
+    stage.offer(drifted[200:300])
+    assert stage.learner.tare.take() == 51
+    np.testing.assert_allclose(stage.learner.tare.bias, 2.0, atol=0.1)
+    stage.offer(drifted[300:])
+    residual = np.array([answer.residual for answer in stage.answers[300:]])
+    assert np.abs(residual.mean(axis=0)).max() < 0.4, 'two newtons before'
+    published = np.array([answer.prediction.mean for answer in stage.answers[300:]])
+    measured = np.array([sample.outputs for sample in drifted[300:]])
+    np.testing.assert_allclose(published + residual, measured, atol=1e-12)
+    with pytest.raises(SemiparamError, match='no prediction of the last second'):
+        Stage().learner.tare.take()
+
+
+@pytest.mark.parametrize('count', [40, 200], ids=['provisional', 'learnt'])
+@pytest.mark.parametrize('variant', ['SPK-ML', 'SP-ML', 'P'])
+def test_a_saved_state_goes_on_bit_for_bit(tmp_path, count, variant):
+    settings = replace(SETTINGS, variant=variant, effects=('time_delay{"delay_s": 0.005}',))
+    samples, before = motion(count + 60), Stage(settings, InlineBackground())
+    before.offer(samples[:count])
+    state_file.save(tmp_path / 's.npz', before.learner.state())
+    after = Stage(replace(SETTINGS, variant='NP-ML'), InlineBackground())
+    after.offer(motion(80, seed=1))
+    saved = state_file.load(tmp_path / 's.npz', SETTINGS, BODY)
+    after.learner.restore(saved)
+    assert saved.settings == settings, 'variant and effects come with the file'
+    assert os.listdir(tmp_path) == ['s.npz']
+    del after.answers[:]
+    after.offer(samples[count:])
+    before.offer(samples[count:])
+    np.testing.assert_array_equal(after.means, before.means[count:])
+    other = replace(settings, variant='NP-ML')
+    after.learner.change(other)
+    np.testing.assert_allclose(after.learner.estimator.predict(samples[-1]).mean,
+                               offline(samples, other)[0].predict(samples[-1]).mean, atol=1e-8)
+
+
+def test_files_that_do_not_fit_are_refused_and_change_nothing(tmp_path):
+    stage = Stage(SETTINGS, InlineBackground())
+    stage.offer(motion(100))
+    path = tmp_path / 's.npz'
+    state_file.save(path, stage.learner.state())
+    heavier = replace(SETTINGS, robot_description=URDF.replace('0 0 0.3', '0 0 0.4'))
+    for settings, body, sentence in (
+            (heavier, build_rigid_body(heavier), 'another robot'),
+            (replace(SETTINGS, wrench_convention='reaction'),
+             build_rigid_body(replace(SETTINGS, wrench_convention='reaction')), 'another robot'),
+            (replace(SETTINGS, features_count=60), BODY, 'features.count 40; this node has 60')):
+        with pytest.raises(SemiparamError, match=sentence):
+            state_file.load(path, settings, body)
+    whole = path.read_bytes()
+    for damaged in (whole[:len(whole) // 2], b'', b'text', whole[:2000] + bytes(200) + whole[2200:]):
+        path.write_bytes(damaged)
+        with pytest.raises(SemiparamError, match=r'cannot be read|damaged|no saved state'):
+            state_file.load(path, SETTINGS, BODY)
+    np.savez(path, meta=np.array('{"format": "semiparam_ros state", "version": 99}'))
+    with pytest.raises(SemiparamError, match='version 99'):
+        state_file.load(path, SETTINGS, BODY)
+    np.savez(path, meta=np.array([{'x': 1}], dtype=object))
+    with pytest.raises(SemiparamError, match='cannot be read'):
+        state_file.load(path, SETTINGS, BODY)
+    with pytest.raises(SemiparamError, match='there is no file'):
+        state_file.load(tmp_path / 'none.npz', SETTINGS, BODY)
+
+
+def test_reset_forgets_and_drops_what_the_background_still_does():
+    samples, stage = motion(200), Stage()
+    stage.offer(samples[:70])
+    assert stage.learner.busy
+    stage.learner.reset()
+    stage.background.run()
+    assert not stage.learner.estimator.ready and len(stage.learner.estimator.window) == 10
+    stage.offer(samples[70:])
+    stage.background.run()
+    assert len(stage.answers) == 200 and stage.learner.estimator.ready
+
+
+def test_a_switch_counts_samples_since_the_reset():
+    samples, stage = motion(300), Stage()
+    stage.offer(samples[:200])
+    stage.background.run()
+    stage.learner.reset()
+    stage.offer(samples[200:])
+    stage.background.run()
+    assert 'is being built from 100 samples' in stage.learner.change(replace(SETTINGS, variant='P'))
+    stage.background.run()
+    assert stage.news[-1] == 'P takes over from SPK-ML after 100 samples.'
+
+
+def test_after_a_jump_of_the_clock_the_model_stays():
+    samples, stage = motion(200), Stage(SETTINGS, InlineBackground())
+    stage.offer(samples[:150])
+    before = stage.learner.estimator.predict(samples[150]).mean
+    stage.learner.clear_pending()
+    np.testing.assert_array_equal(stage.learner.estimator.predict(samples[150]).mean, before)
+    del stage.errors[:]
+    stage.offer(samples[:30])
+    assert [errors.origin for errors in stage.errors] == [sample.stamp for sample in samples[:25]]
+
+
+def test_history_keeps_the_first_and_the_latest():
+    history, samples = History(5, 10, 2, 6), motion(40)
+    for sample in samples:
+        history.append(sample, True)
+    batch = history.batch()
+    kept = [*samples[:5], *samples[30:]]
+    assert batch.samples.stamps.tolist() == [sample.stamp for sample in kept]
+    np.testing.assert_array_equal(batch.samples.outputs, [sample.outputs for sample in kept])
+    assert history.latest().stamp == samples[-1].stamp
+    assert len(history.span(0.08)) == 5
+
+
+def test_the_clock_has_jumped_when_several_messages_agree():
+    def went_back(topic, stamp, name):
+        return [held.reading.frame_id for held in watch.refused(topic, Reading(stamp, name, ()))]
+
+    watch = ClockWatch(needed=3)
+    assert not went_back('wrench', 10, 'w1')
+    watch.accepted('wrench')
+    assert not went_back('wrench', 10, 'w2')
+    assert not went_back('joint_states', 10, 'j1')
+    assert not went_back('wrench', 5, 'w3'), 'not later than the one before: no clock'
+    assert not went_back('wrench', 6, 'w4')
+    assert went_back('wrench', 7, 'w5') == ['j1', 'w3', 'w4', 'w5']
+
+
+def test_joints_that_stand_still_are_named_and_the_conditioning_tells_so():
+    moving, excitation = motion(200), Excitation(('a', 'b'))
+    assert excitation.sentences() == []
+    still = [sample._replace(position=sample.position * [1, 0], velocity=sample.velocity * [1, 0],
+                             acceleration=sample.acceleration * [1, 0]) for sample in moving]
+    for sample in still:
+        excitation.add(sample)
+    assert excitation.sentences() == [
+        'joint b has moved 0.000 rad only, not enough to identify what depends on it']
+    found = []
+    for samples in (moving, still):
+        estimator = Estimator(BODY, model_options(replace(SETTINGS, variant='P')))
+        for sample in samples:
+            estimator.step(sample)
+        found.append(conditioning(estimator.model, estimator.columns.prior_scale))
+    assert found[1].undetermined > found[0].undetermined
+
+
+def test_what_the_hand_carries_is_found():
+    settings = replace(SETTINGS, variant='P')
+    heavy = build_rigid_body(replace(settings, robot_description=URDF.replace('mass value="0.5"', 'mass value="0.9"')))
+    estimator = build_estimator(settings)
+    for sample in motion(400):
+        row = (sample.position, sample.velocity, sample.acceleration)
+        outputs = heavy.regressor(*row) @ heavy.base_parameters
+        estimator.step(sample._replace(outputs=outputs + 1e-3 * np.random.default_rng(0).standard_normal(6)))
+    carried = payload(estimator)
+    assert carried.link == 'ft' and carried.mass == pytest.approx(0.4, rel=0.02)
+    np.testing.assert_allclose(carried.centre, [0.02, 0.0, 0.1], atol=0.01)
+
+
+def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies():
+    import queue
+
+    tasks = queue.Queue()
+    background, results = ProcessBackground(tasks.put), []
+
+    def run(function, *arguments):
+        background.submit(function, *arguments, done=lambda result, error: results.append((result, error)))
+        while not results:
+            tasks.get(timeout=60)()
+        return results.pop()
+
+    assert run(max, 1, 3) == (3, None)
+    assert run(os.getpid)[0] != os.getpid()
+    assert isinstance(run(int, 'x')[1], ValueError)
+    assert 'died 2 times' in str(run(os._exit, 1)[1])
+    assert run(max, 4, 5) == (5, None)
+    background.close()
+
+
+def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(tmp_path):
+    import queue
+
+    tasks = queue.Queue()
+    background, results = ProcessBackground(tasks.put), []
+    for name in ('first', 'second', 'dropped', 'third'):
+        job = background.submit(append_and_perhaps_die, tmp_path / name, name == 'first',
+                                done=lambda result, error: results.append((result, error)))
+        if name == 'dropped':
+            job.cancel()
+    while len(results) < 3:
+        tasks.get(timeout=60)()
+    background.close()
+    assert results == [('first', None), ('second', None), ('third', None)]
+    counts = {path.name: len(path.read_text()) for path in tmp_path.iterdir()}
+    assert counts == {'first': 2, 'second': 1, 'third': 1}
+
+
+def append_and_perhaps_die(path, die):
+    """In the background process: leave a mark of each run; die in the first one, as by the system's hand."""
+    with path.open('a') as stream:
+        stream.write('x')
+    if die and len(path.read_text()) == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return path.name
+
+
+def test_defaults_describe_an_estimator():
+    assert Settings().variant in VARIANTS

@@ -1,0 +1,242 @@
+"""A learner driven through random lives: whatever happens in whatever order, samples are answered once and in order.
+
+    pytest test/online/test_learner_states.py --hypothesis-profile full
+
+runs four hundred lives instead of twenty.
+"""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import hypothesis
+import numpy as np
+from hypothesis import Phase
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.learner import Learner
+from semiparam_ros.online.model_switcher import State, same_model
+from semiparam_ros.online.state_file import load, save
+from semiparam_ros.online.worker import new_estimator
+from support.node_helpers import BODY, PERIOD_NS, SETTINGS, DelayedBackground, motion
+
+SMALL = replace(SETTINGS, features_count=4, initial_samples=20, horizon_length=3, variant='P')
+MOTION = motion(400)
+VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS')
+EFFECTS = ('sensor_drift', 'payload@ft', 'payload@ft{"start_s": 0.5}', 'time_delay{"delay_s": 0.005}',
+           'sensor_gain{"fx": 0.1}', 'periodic_disturbance{"frequency_hz": 1.3}', 'viscous_drag@ft')
+YEAR_NS = 365 * 86400 * 10**9
+
+
+class Lives(RuleBasedStateMachine):
+    """Listens to the learner as the node does, and keeps what the active model has been given."""
+
+    def __init__(self):
+        super().__init__()
+        self.background = DelayedBackground()
+        self.offered, self.answers, self.given, self.saved = [], [], [], []
+        self.stamp, self.place = MOTION[0].stamp, 0
+        self.learner = None
+
+    @initialize()
+    def begin(self):
+        self.learner = Learner(SMALL, BODY, self.background, self)
+
+    # What the learner tells
+
+    def answered(self, answer):
+        self.answers.append(answer.prediction.sample.stamp)
+        self.given.append((answer.prediction.sample, answer.learnt))
+        assert np.isfinite(answer.prediction.mean).all() and np.isfinite(answer.prediction.std).all()
+
+    def horizon_completed(self, errors):
+        assert np.isfinite(errors.eps).all()
+
+    def shadow_horizon_completed(self, variant, errors):
+        assert variant in self.learner.settings.shadow_variants and np.isfinite(errors.eps).all()
+
+    def told(self, sentence):
+        if 'another one is gathered' in sentence:
+            self.given.clear()
+
+    def model_switched(self, success, sentence):
+        if success:
+            assert same_model(self.learner.built, self.learner.settings), 'nobody asked for this model any more'
+
+    def settings_reverted(self, settings):
+        assert settings == self.learner.settings
+
+    def failed(self, place, error):
+        raise AssertionError(f'internal error at {place}') from error
+
+    # Samples
+
+    def offer(self, sample):
+        self.stamp += PERIOD_NS
+        self.place += 1
+        sample = sample._replace(stamp=self.stamp)
+        self.offered.append(sample.stamp)
+        self.learner.offer(sample)
+
+    @rule(count=st.integers(1, 40))
+    def moves(self, count):
+        for _ in range(count):
+            self.offer(MOTION[self.place % len(MOTION)])
+
+    @rule(count=st.integers(1, 25))
+    def stands_still(self, count):
+        for _ in range(count):
+            self.offer(MOTION[0]._replace(outputs=np.full(6, 1.0)))
+
+    @rule(jump=st.sampled_from([-YEAR_NS, -10**10, 2 * 3600 * 10**9, YEAR_NS]))
+    def clock_jumps(self, jump):
+        self.run_tasks()
+        if not self.learner.waiting:  # those that wait came before the jump
+            self.stamp += jump
+            self.learner.clear_pending()
+
+    # Settings, as the node checks and applies them
+
+    def change(self, **values):
+        settings = replace(self.learner.settings, **values)
+        try:
+            self.learner.check(settings)
+        except SemiparamError:
+            return
+        self.learner.change(settings)
+
+    @rule(variant=st.sampled_from(VARIANTS))
+    def chooses(self, variant):
+        self.change(variant=variant)
+
+    @rule(effects=st.lists(st.sampled_from(EFFECTS), max_size=2, unique=True))
+    def declares(self, effects):
+        self.change(effects=tuple(effects))
+
+    @rule(forgetting=st.sampled_from([1.0, 0.99, 0.9]), horizon=st.sampled_from([1, 3, 7]),
+          noise=st.sampled_from(['one', 'output']))
+    def tunes(self, forgetting, horizon, noise):
+        self.change(forgetting=forgetting, horizon_length=horizon, noise=noise)
+
+    @rule(shadows=st.lists(st.sampled_from(VARIANTS), max_size=2, unique=True))
+    def shadows(self, shadows):
+        self.change(shadow_variants=tuple(shadows))
+
+    @rule(learning=st.booleans(), gate=st.booleans())
+    def pauses(self, learning, gate):
+        self.change(learning=learning, gate_enabled=gate, gate_timeout=0.3)
+
+    @rule(ago=st.integers(0, 60))
+    def applies_a_diagnosis(self, ago):
+        start = (self.stamp - ago * PERIOD_NS) * 1e-9
+        self.change(effects=(f'payload@ft{{"start_stamp_s": {start!r}}}',))
+
+    # Services
+
+    @rule()
+    def resets(self):
+        self.given.clear()
+        self.learner.reset()  # which answers those that waited
+
+    @rule()
+    def tares(self):
+        try:
+            self.learner.tare.take()
+        except SemiparamError as error:
+            assert 'no prediction of the last second' in str(error)
+
+    @rule()
+    def saves(self):
+        try:
+            state = self.learner.state()
+        except SemiparamError:
+            assert self.learner.busy
+            return
+        self.saved[:] = [(pickle.loads(pickle.dumps(state)), list(self.given))]
+
+    @precondition(lambda self: self.saved)
+    @rule()
+    def loads(self):
+        state, given = self.saved[0]
+        self.given[:] = given
+        self.learner.restore(pickle.loads(pickle.dumps(state)))
+
+    # The background
+
+    def run_tasks(self):
+        self.background.run(0)
+
+    @rule(count=st.integers(1, 3))
+    def works(self, count):
+        self.background.run(count)
+
+    @precondition(lambda self: self.background.jobs)
+    @rule()
+    def loses_its_worker(self):
+        job = self.background.jobs.popleft()
+        if not job.cancelled:
+            job.done(None, SemiparamError('the background process died 2 times over it.'))
+
+    # What always holds
+
+    @invariant()
+    def answers_in_order(self):
+        assert self.answers == self.offered[:len(self.answers)]
+
+    @invariant()
+    def has_one_successor_at_most_and_no_orphans(self):
+        if self.learner is None:
+            return
+        switcher = self.learner.switcher
+        working = [model for model in switcher.models if model.state is not State.LIVE]
+        jobs = [job for job in self.background.jobs if not job.cancelled]
+        assert len(jobs) <= len(working) + self.learner.busy
+        if switcher.successor is not None:
+            assert same_model(switcher.successor.settings, self.learner.settings)
+
+    @rule()
+    def comes_to_rest(self):
+        """When all is quiet, the model is that of a fresh estimator that was given the same."""
+        self.background.run()
+        learner = self.learner
+        assert self.answers == self.offered and not learner.waiting and learner.switcher.successor is None
+        assert same_model(learner.built, learner.settings)
+        fresh = new_estimator(learner.built, BODY, origin=learner.history.origin)
+        for sample, learnt in self.given:
+            fresh.step(sample, learnt)
+        assert fresh.ready == learner.estimator.ready
+        if not fresh.ready:
+            return  # the provisional model has also learnt from windows that gave no hyperparameters
+        for sample in MOTION[::80]:
+            sample = sample._replace(stamp=self.stamp + PERIOD_NS)
+            expected, found = fresh.predict(sample), learner.estimator.predict(sample)
+            np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(found.std, expected.std, rtol=1e-6, atol=1e-6)
+
+    def teardown(self):
+        if self.learner is not None:
+            self.comes_to_rest()
+
+
+Lives.TestCase.settings = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 5,
+                                              stateful_step_count=40, deadline=None,
+                                              phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
+                                              suppress_health_check=list(hypothesis.HealthCheck))
+TestLives = Lives.TestCase
+
+
+def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
+    """The state that the lives above keep in memory is the one that the file gives back."""
+    life = Lives()
+    life.begin()
+    life.chooses('SPK-ML')
+    life.declares(['time_delay{"delay_s": 0.005}'])
+    life.moves(40)
+    life.background.run()
+    save(tmp_path / 's.npz', life.learner.state())
+    life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, BODY))
+    life.moves(40)
+    life.comes_to_rest()

@@ -1,0 +1,114 @@
+"""The comparison page in a real browser: no error in its console, nothing fetched, light and dark."""
+
+import functools
+import re
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.experiments.comparison import (
+    Comparison,
+    Followed,
+    Learnt,
+    Scenario,
+    Trace,
+    TrainedModel,
+    figures_of,
+    findings_of,
+)
+from semiparam_ros.report.comparison_page import page
+from semiparam_ros.settings import Settings
+
+SEEDS = (3, 4)
+
+
+def trace(rng, level, steps=800, outputs=6):
+    """A plausible run: errors and indices around a level."""
+    measured = rng.normal(size=(steps, outputs))
+    eps = level * np.exp(0.3 * rng.normal(size=(steps, outputs)))
+    return Trace(np.sqrt(level) * rng.normal(size=(steps, outputs)), measured, np.full((steps, outputs), level**0.5),
+                 rng.normal(size=steps), 0.1 * np.arange(steps), eps)
+
+
+def comparison(outputs='wrench', seeds=SEEDS):
+    """All variants on invented runs of two subsets."""
+    rng = np.random.default_rng(0)
+    n = 6 if outputs == 'wrench' else 3
+    settings = Settings(outputs=outputs, joints=() if outputs == 'wrench' else ('<one>', 'two', 'three'))
+    samples = Samples(np.arange(1200), *[np.zeros((1200, 4))] * 3, np.zeros((1200, n)), 0)
+    scenario = Scenario(settings, samples, samples, None, ((0, 600), (600, 1200)), tuple(VARIANTS), tuple(seeds))
+    figures = {}
+    for level, variant in enumerate(VARIANTS, start=1):
+        own = [trace(rng, 0.01 * level, outputs=n) for _ in seeds]
+        learnt = [Learnt(TrainedModel(variant, seed, settings, {}),
+                         Hyperparameters(0.1, 1.0, (1.0, 2.0, 3.0), 0.1, (1.0,) * n, None, 0.3, 20.0), 1.5, run)
+                  for seed, run in zip(seeds, own, strict=True)]
+        followed = [Followed(variant, seed, subset, trace(rng, 0.01 * level, outputs=n), trace(rng, 0.02, outputs=n))
+                    for seed in seeds for subset in (0, 1)]
+        figures[variant] = figures_of(outputs, learnt, followed)
+    return Comparison(scenario, figures, findings_of(figures))
+
+
+@functools.cache
+def wrench_page():
+    return page(comparison(), 'a<b.mcap', 'c&d.mcap', "semiparam compare 'a<b.mcap' 'c&d.mcap'")
+
+
+def test_the_page_opens_without_an_error_in_the_console(browse):
+    document, console = browse(wrench_page(), '--dump-dom')
+    assert console == []
+    assert document.count('<svg') == 4
+    assert all(f'</span>{variant}</th>' in document for variant in VARIANTS)
+
+
+def test_an_error_in_the_console_would_be_noticed(browse):
+    broken = wrench_page().replace('</body>', '<script>console.error("broken"); nothing()</script></body>')
+    _, console = browse(broken, '--dump-dom')
+    assert len(console) == 2
+
+
+@pytest.mark.parametrize(('flags', 'dark'), [([], False), (['--force-dark-mode'], True)])
+def test_the_page_is_light_or_dark_as_the_reader_is(browse, tmp_path, flags, dark):
+    image = pytest.importorskip('matplotlib.image')
+    browse(wrench_page(), *flags, f'--screenshot={tmp_path / "shot.png"}')
+    pixels = image.imread(tmp_path / 'shot.png')[..., :3]
+    assert (float(np.median(pixels)) < 0.3) == dark
+    assert pixels.std() > 0.05  # something is written on it
+
+
+def test_nothing_is_fetched():
+    addresses = re.findall(r'(?:src|href)="([^"]*)"', wrench_page()) + re.findall(r'url\(([^)]*)\)', wrench_page())
+    assert all(address.startswith(('#', 'data:')) for address in addresses), addresses
+    assert '<script' not in wrench_page()
+
+
+def test_references_inside_pictures_are_met_on_the_page_and_unique():
+    defined = re.findall(r'\bid="([^"]*)"', wrench_page())
+    used = re.findall(r'(?:href="|url\()#([^")]*)', wrench_page())
+    assert len(defined) == len(set(defined))
+    assert used
+    assert set(used) <= set(defined)
+
+
+def test_names_are_text_not_markup():
+    assert '<h1>a&lt;b.mcap' in wrench_page()
+    assert 'c&amp;d.mcap' in wrench_page()
+
+
+def test_the_same_figures_give_the_same_page():
+    assert page(comparison(), 'a', 'b', 'c') == page(comparison(), 'a', 'b', 'c')
+
+
+def test_efforts_have_one_index_and_the_joints_names():
+    text = page(comparison('effort'), 'a', 'b', 'c')
+    assert 'Efforts' in text
+    assert 'Torques' not in text
+    assert '&lt;one&gt;' in text
+
+
+def test_one_draw_has_no_spread():
+    assert 'class="spread"' in wrench_page()
+    assert 'class="spread"' not in page(comparison(seeds=(0,)), 'a', 'b', 'c')

@@ -1,0 +1,58 @@
+"""Checkpoints of real processes: one that is killed, and a node that goes on from its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.settings import dump_params
+from support import checkpoint_kills
+from support.node_client import Client, NodeProcess
+from support.node_helpers import SETTINGS, motion
+
+
+@pytest.mark.slow
+def test_a_learner_killed_at_any_moment_leaves_a_good_checkpoint():
+    assert checkpoint_kills.main(['--kills', '4', '--features', '100', '--seed', '3']) == 0
+
+
+def test_a_node_goes_on_from_its_checkpoint(tmp_path, ros_domain):
+    settings = replace(SETTINGS, acceleration_source='measured', state_folder=str(tmp_path / 'states'),
+                       checkpoint_period=0.2, checkpoint_resume=True)
+    dump_params(settings, tmp_path / 'p.yaml', node='/**')
+    samples, means = motion(300), []
+    path = tmp_path / 'states' / 'left.estimator.checkpoint.npz'
+    for part in (samples[:150], samples[150:]):
+        with (NodeProcess(tmp_path, tmp_path / 'p.yaml', '-r', '__ns:=/left') as node,
+              Client(namespace='/left') as client):
+            client.offer('joint_states', 'joint_accelerations', 'wrench')
+            client.connect()
+            client.play(part, SETTINGS.joints)
+            means += client.values('predicted_wrench')
+            client.wait(path.exists, 'a checkpoint')
+            assert 'Traceback' not in node.output
+            if part[0] is samples[0]:
+                assert 'there is no checkpoint to go on from' in node.output
+            else:
+                assert 'the checkpoint is loaded: SPK-ML with 150 samples' in node.output
+            assert node.stop()[0] == 0
+    whole = checkpoint_kills.Stage(settings, checkpoint_kills.InlineBackground())
+    whole.offer(samples)
+    np.testing.assert_array_equal(means, whole.means)
+
+
+def test_a_folder_that_cannot_be_written_is_told_once_and_the_node_goes_on(tmp_path, ros_domain):
+    (tmp_path / 'states').write_text('no folder')
+    dump_params(replace(SETTINGS, acceleration_source='measured', state_folder=str(tmp_path / 'states'),
+                        checkpoint_period=0.1, checkpoint_resume=True), tmp_path / 'p.yaml')
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+        client.connect()
+        client.play(motion(150), SETTINGS.joints)
+        client.wait_report('inputs', lambda level, message, values: values.get('refused: checkpoints') == '1')
+        reply = client.trigger('save_state')
+        assert not reply.success and 'there is no folder' in reply.message and reply.message.endswith('.')
+        assert client.trigger('load_state').success is False
+        client.play([sample._replace(stamp=sample.stamp + 10**11) for sample in motion(50)], SETTINGS.joints)
+        assert node.stop()[0] == 0
+        assert 'Traceback' not in node.output

@@ -1,0 +1,29 @@
+"""The live benchmark: a node of its own, answers counted and timed, and an empty loop beside it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+import live_benchmark
+from live_benchmark import empty_loop, quantiles
+
+
+def test_a_slow_robot_is_answered_every_time():
+    result = subprocess.run([sys.executable, live_benchmark.__file__, '--rate', '50', '--seconds', '2',
+                             '--features', '40'], capture_output=True, text=True, timeout=180, check=False,
+                            env={**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'})
+    assert result.returncode == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found['sent'] == found['answered'] == 100 and found['lost'] == 0
+    assert 0.0 < found['latency_ms']['median'] <= found['latency_ms']['p99'] <= found['latency_ms']['max']
+    assert found['memory_mb']['end'] > 50.0 and 0.0 < found['cpu_percent'] < 200.0
+    assert found['empty_loop']['busy_share'] <= 0.95
+
+
+def test_an_empty_loop_is_late_by_its_own_work_at_least():
+    late = empty_loop(200.0, 0.4, 0.2)
+    assert len(late) == 40 and np.all(late >= 0.4 * 5.0)
+    assert quantiles(np.array([1.0, 3.0]))['median'] == 2.0

@@ -1,0 +1,49 @@
+"""Every pair of settings with a few hundred samples; `make matrix` runs 20000."""
+
+import pytest
+
+pytest.importorskip('covertable')
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.effects import effect_to_text, kinds
+from semiparam_ros.effects.base import FLAGS
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.worker import new_estimator
+from support import settings_matrix as matrix
+
+SAMPLES = 260
+
+
+def test_every_pair_of_settings_is_in_a_row_and_only_the_listed_ones_are_left_out():
+    tested = set().union(*map(matrix.pairs_of, matrix.rows()))
+    assert tested == matrix.possible_pairs()
+    assert len(tested) > 1500 and all(map(matrix.is_possible, matrix.rows()))
+
+
+@pytest.mark.parametrize('name', kinds())
+def test_an_effect_with_all_of_its_values_has_them_all(name):
+    kind = kinds()[name]
+    for outputs in kind.outputs:
+        for place in ('first', 'last') if name != 'terms' else ():
+            effect = matrix.effect_of({'effect': name, 'outputs': outputs, 'values': 'all', 'start': 'late',
+                                       'place': place}, 3.0)
+            assert {*effect.shape, 'start_stamp_s'} >= set(kind.value_names()) - set(FLAGS)
+
+
+@pytest.mark.parametrize(('effect', 'outputs'), matrix.IMPOSSIBLE)
+def test_an_impossible_pair_is_refused_with_a_sentence(effect, outputs):
+    other = 'effort' if outputs == 'wrench' else 'wrench'
+    declared = matrix.effect_of({'effect': effect, 'outputs': other, 'values': 'bare', 'start': 'none',
+                                 'place': 'last'}, 3.0)
+    settings = matrix.settings_of({**matrix.rows()[0], 'effect': 'none', 'outputs': outputs}, SAMPLES)
+    settings = settings.changed({'effects': [effect_to_text(declared)]})
+    with pytest.raises(SemiparamError, match=effect):
+        new_estimator(settings, matrix.body_of(outputs))
+
+
+@pytest.mark.parametrize('variant', VARIANTS)
+def test_live_offline_and_loaded_are_the_same_and_finite(variant):
+    mine = [number for number, row in enumerate(matrix.rows()) if row['variant'] == variant]
+    found = [matrix.outcome(number, SAMPLES) for number in mine]
+    failed = [result for result in found if 'error' in result]
+    assert not failed, '\n'.join(f"{result['error']} in {result['settings']}" for result in failed)
+    assert len(found) > 20

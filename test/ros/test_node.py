@@ -1,0 +1,392 @@
+"""The live node in a process of its own, over real DDS on this machine."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import ParameterType
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from conftest import _free_domain
+from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.core.robot.feedforward import Desired
+from semiparam_ros.settings import Settings, dump_params
+from semiparam_ros.settings.build import build_estimator
+from semiparam_ros.settings.table import PARAMETERS
+from support.node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
+from support.node_faults import Fuzzer, counts_in, with_gaps
+from support.node_helpers import JOINTS, SETTINGS, URDF, motion, write_bag
+
+LIVE = replace(SETTINGS, acceleration_source='measured', features_count=500)
+
+
+@pytest.fixture(scope='module', autouse=True)
+def domain(tmp_path_factory):
+    """One ROS domain for the module, on loopback."""
+    patch = pytest.MonkeyPatch()
+    with _free_domain() as number:
+        patch.setenv('ROS_DOMAIN_ID', str(number))
+        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_log')))
+        yield number
+    patch.undo()
+
+
+@pytest.fixture(scope='module')
+def node(tmp_path_factory):
+    """One node for all tests that do not need their own; each begins with a reset."""
+    folder = tmp_path_factory.mktemp('node')
+    dump_params(replace(LIVE, state_file='state.npz', state_folder=str(folder / 'states')), folder / 'p.yaml')
+    with NodeProcess(folder, folder / 'p.yaml') as process:
+        yield process
+        code, took = process.stop()
+    assert code == 0 and took < 5.0
+    assert 'Traceback' not in process.output and 'internal error' not in process.output
+
+
+@pytest.fixture(scope='module')
+def connected(node):
+    with Client() as client:
+        client.connect()
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+        yield client
+
+
+@pytest.fixture
+def client(connected):
+    """The client, with a node that has learnt nothing and its parameters as at the start."""
+    results = connected.set(learning=True, variant=LIVE.variant, gate__enabled=False, horizon__length=5,
+                            gate__release=3.0, gate__threshold=6.0)
+    assert all(result.successful for result in results)
+    assert connected.trigger('reset').success
+    connected.forget()
+    return connected
+
+
+class Clock:
+    """Stamps that go on from test to test, for the node refuses what lies in the past."""
+
+    now = 10**9
+
+
+def fresh(count, seed=0):
+    """Samples later than all before."""
+    samples = motion(count, seed)
+    shift = Clock.now - samples[0].stamp
+    Clock.now += count * 20_000_000 + 10**9
+    return [sample._replace(stamp=sample.stamp + shift) for sample in samples]
+
+
+def expected(samples, settings=LIVE):
+    """Predictions of the estimator alone."""
+    estimator = build_estimator(settings)
+    return np.array([estimator.step(sample).mean for sample in samples])
+
+
+def rejections(client):
+    """How many messages the node has refused so far, for each reason."""
+    return counts_in(client.report('inputs')[2])
+
+
+def replay(bag, *options):
+    return subprocess.run([sys.executable, '-m', 'semiparam_ros.cli.main', 'replay', str(bag), '--as-fast-as-followed',
+                           '--disable-keyboard-controls', '--quiet', *options], capture_output=True, text=True,
+                          timeout=120, check=False)
+
+
+@pytest.mark.parametrize('bag_options', [{}, {'measured': False, 'wrench_late_ns': 4_000_000}],
+                         ids=['measured accelerations', 'filtered, interpolated'])
+def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path, bag_options):
+    """Every sample answered, in order, with the robot's description from the bag."""
+    settings = replace(SETTINGS, robot_description='')
+    bag = write_bag(tmp_path / 'a.mcap', motion(400), **bag_options)
+    dump_params(settings, tmp_path / 'p.yaml')
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
+        client.connect()
+        played = replay(bag)
+        assert played.returncode == 0, played.stderr
+        client.wait(lambda: len(client.heard['horizon_error']) >= 385, 'the last horizon')
+        loaded = load_samples(bag, settings)
+        estimator = build_estimator(settings, loaded.robot_description)
+        predictions = [estimator.step(sample) for sample in loaded.samples]
+        for topic, wanted in (('predicted_wrench', [each.mean for each in predictions]),
+                              ('predicted_wrench_std', [each.std for each in predictions]),
+                              ('residual', [each.sample.outputs - each.mean for each in predictions])):
+            assert client.stamps(topic) == [each.sample.stamp for each in predictions]
+            np.testing.assert_allclose(client.values(topic), wanted, rtol=0, atol=1e-9)
+            assert {message.header.frame_id for message in client.heard[topic]} == {'ft'}
+        horizons = [each.horizon for each in predictions if each.horizon is not None]
+        assert client.stamps('horizon_error') == [errors.origin for errors in horizons]
+        last, errors = client.heard['horizon_error'][-1], horizons[-1]
+        assert list(last.name) == ['fx', 'fy', 'fz', 'tx', 'ty', 'tz', 'eps_F', 'eps_T', 'fx_centred', 'fy_centred',
+                                   'fz_centred', 'tx_centred', 'ty_centred', 'tz_centred', 'eps_F_centred',
+                                   'eps_T_centred']
+        np.testing.assert_allclose(last.position, [
+            *errors.eps, errors.eps[:3].mean(), errors.eps[3:].mean(), *errors.eps_centred,
+            errors.eps_centred[:3].mean(), errors.eps_centred[3:].mean()], rtol=1e-6)
+
+
+def test_every_parameter_of_the_table_is_declared(client):
+    values = dict(zip([row.name for row in PARAMETERS], client.get(*[row.name for row in PARAMETERS]), strict=True))
+    assert values['variant'].string_value == 'SPK-ML'
+    assert values['effects'].type == ParameterType.PARAMETER_STRING_ARRAY
+    assert values['hyperparameters.tau'].type == ParameterType.PARAMETER_DOUBLE_ARRAY
+    for row, found in zip(PARAMETERS, client.describe(*[row.name for row in PARAMETERS]), strict=True):
+        assert found.description == row.description and found.read_only == (not row.live)
+
+
+def test_refused_values_leave_everything_as_it_was_and_say_why(client):
+    def refusal(**values):
+        results = client.set(**values)
+        assert not any(result.successful for result in results)
+        assert not client.set_together(**values, learning=False).successful
+        assert client.get('learning')[0].bool_value is True
+        return results[0].reason
+
+    assert refusal(variant='SPK') == "variant is 'SPK'; expected one of P, NP-ML, SP-ML, SP2-ML, SPK-ML, NP-VS, SP2-VS."
+    assert refusal(forgetting=2.0) == 'forgetting is 2.0; expected 0.5 to 1.'
+    assert refusal(forgetting=float('nan')).startswith('forgetting is nan')
+    assert refusal(horizon__length='25') == "horizon.length is '25'; expected an integer, 1 to 10000."
+    assert refusal(features__count=100) == 'features.count cannot change while the node runs; start it again with ' \
+                                           'the new value.'
+    assert "nearest is 'variant'" in refusal(varaint='P')
+    assert 'gate.release is 3 and gate.threshold 2' in refusal(gate__threshold=2.0)
+    assert 'names no known kind' in refusal(effects=['paylod'])
+    assert 'nowhere' in refusal(effects=['external_force@nowhere'])
+    assert client.get('variant')[0].string_value == 'SPK-ML'
+    assert client.set_together(gate__threshold=2.0, gate__release=1.0).successful
+    assert client.set_together(gate__threshold=6, gate__release=3).successful, 'an integer does for a double'
+    assert client.get('gate.threshold')[0].double_value == 6.0
+    assert client.set(effects=[])[0].successful, 'an empty list of no type'
+
+
+def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
+    samples, before = with_gaps(fresh(400)), rejections(client)
+    Clock.now = samples[-1].stamp + 10**9
+    fuzzer = Fuzzer(client, JOINTS, samples[0].stamp, seed=1)
+    for sample in samples:
+        fuzzer.throw(sample, bad=2)
+        time.sleep(0.001)
+    client.wait(lambda: len(client.heard['predicted_wrench']) >= 400, 'every good sample is answered')
+    np.testing.assert_allclose(client.values('predicted_wrench'), expected(samples), rtol=0, atol=1e-9)
+    wanted = {reason: count + before[reason] for reason, count in fuzzer.rejections().items()}
+    _, _, values = client.wait_report('inputs', lambda level, message, values: all(
+        counts_in(values)[reason] >= count for reason, count in wanted.items()))
+    assert {reason: counts_in(values)[reason] for reason in wanted} == wanted
+
+
+def test_pause_tare_save_and_load(client):
+    samples = fresh(300)
+    assert 'no prediction of the last second' in client.trigger('tare').message
+    client.play(samples[:150], JOINTS)
+    client.wait_report('learning', lambda level, message, values: values['samples learnt'].isdigit()
+                       and message == 'learning with SPK-ML.')
+    assert client.pause(True).success
+    client.play(samples[150:160], JOINTS)
+    assert client.report('learning')[1] and client.get('learning')[0].bool_value is False
+    assert client.pause(False).success
+    saved = client.trigger('save_state')
+    assert saved.success and saved.message.endswith('state.npz is written.')
+    client.play(samples[160:200], JOINTS)
+    first = client.values('predicted_wrench')[-40:]
+    assert client.trigger('reset').success
+    loaded = client.trigger('load_state')
+    assert loaded.success, loaded.message
+    later = [sample._replace(stamp=sample.stamp + 10**11) for sample in samples[160:200]]
+    Clock.now += 2 * 10**11
+    client.play(later, JOINTS)
+    assert client.values('predicted_wrench')[-40:] == first, 'bit for bit'
+    tared = client.trigger('tare')
+    assert tared.success and 'the bias is now [' in tared.message
+    assert client.set(state_file='none.npz')[0].successful
+    assert client.trigger('load_state').message.endswith('states/none.npz; save_state writes it.')
+    refused = client.set(state_file='/none/here.npz')[0]
+    assert not refused.successful and 'expected a plain name' in refused.reason
+
+
+def test_a_clock_that_jumps_back_keeps_the_model(client):
+    samples = fresh(220)
+    client.play(samples, JOINTS)
+    client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+    client.play(samples[:100], JOINTS)
+    assert client.stamps('residual') == [sample.stamp for sample in [*samples, *samples[:100]]]
+    residuals = np.array(client.values('residual'))
+    assert np.abs(residuals[-90:]).mean() < 1.1 * np.abs(residuals[120:220]).mean(), 'the model was kept'
+    client.wait_report('learning', lambda level, message, values: 'the clock jumped' in values['last news'])
+
+
+def test_a_simulated_clock_that_jumps_back_keeps_the_model(client):
+    samples = fresh(130)
+    client.play(samples, JOINTS)
+    client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+    clock = client.node.create_publisher(ClockMessage, '/clock', 10)
+    assert client.set(use_sim_time=True)[0].successful
+    client.wait(clock.get_subscription_count, 'the node follows the clock')
+    for second in (50, 51, 20):
+        clock.publish(ClockMessage(clock=Time(sec=second)))
+        time.sleep(0.05)
+    client.wait(lambda: client.heard['/diagnostics'][-1].header.stamp.sec == 20, 'reports by the simulated clock')
+    client.wait_report('learning', lambda level, message, values: 'the clock jumped' in values['last news'])
+    client.play(samples, JOINTS)
+    assert client.stamps('residual') == [sample.stamp for sample in [*samples, *samples]]
+    assert client.set(use_sim_time=False)[0].successful
+    found = np.array(client.values('predicted_wrench'))
+    np.testing.assert_allclose(found[:130], expected(samples), rtol=0, atol=1e-9)
+    estimator = build_estimator(LIVE)
+    for sample in samples:
+        estimator.step(sample)
+    estimator.clear_pending()
+    np.testing.assert_allclose(found[130:], [estimator.step(sample).mean for sample in samples], rtol=0, atol=1e-9)
+
+
+def test_contact_is_flagged_and_diagnostics_tell_the_state(client):
+    samples = fresh(360)
+    client.play(samples[:300], JOINTS)
+    assert client.set_together(gate__enabled=True, gate__hold=0.1, gate__threshold=50.0, gate__release=25.0).successful
+    push = np.array([30.0, 0, 0, 0, 0, 0])
+    client.play([sample._replace(outputs=sample.outputs + push) for sample in samples[300:330]], JOINTS)
+    level, _, values = client.wait_report('learning', lambda level, message, values: 'in contact' in message)
+    assert values['samples not learnt for contact'] == '30' and values['in contact'] == 'True'
+    client.play(samples[330:], JOINTS)
+    client.wait_report('learning', lambda level, message, values: values['in contact'] == 'False')
+    _, _, timing = client.wait_report('timing', lambda level, message, values: 'latency p99 [ms]' in values)
+    assert 0.0 < float(timing['latency median [ms]']) < 1000.0
+    level, _, inputs = client.wait_report('inputs', lambda level, message, values: 'for more than' in message)
+    assert level == b'\x01' and inputs['wrench received'].isdigit() and inputs['wrench publishers'] == '1'
+    _, _, parameters = client.report('parameters')
+    assert '+-' in parameters['base_parameter_0'] and parameters['offset_fx'].endswith(' N')
+    statuses = [status for heard in client.heard['/diagnostics'][-5:] for status in heard.status]
+    assert len({status.name for status in statuses}) == 5, 'each in its turn'
+    assert all(status.hardware_id == 'two' for status in statuses)
+
+
+def test_shadow_variants_publish_their_errors(client):
+    samples = fresh(200)
+    client.listen(JointState, 'shadow/p/horizon_error')
+    assert client.set(shadow_variants=['P'])[0].successful
+    client.play(samples[:100], JOINTS)
+    client.wait(lambda: client.report('learning')[2]['shadow variants'] == 'P', 'the shadow learns')
+    client.play(samples[100:], JOINTS)
+    client.wait(lambda: client.heard['shadow/p/horizon_error'], 'its errors')
+    assert client.set(shadow_variants=[''])[0].successful
+
+
+def test_feedforward_answers_a_desired_trajectory(client):
+    samples = fresh(100)
+    client.listen(WrenchStamped, 'feedforward')
+    client.listen(JointTrajectory, 'feedforward_trajectory')
+    client.play(samples, JOINTS)
+    client.offer('desired_trajectory')
+    client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+    estimator = build_estimator(LIVE)
+    for sample in samples:
+        estimator.step(sample)
+    wish = JointTrajectory(joint_names=['b', 'a'])
+    for sample in samples[:3]:
+        wish.points.append(JointTrajectoryPoint(**{f'{name}s'.replace('ys', 'ies'): value[::-1].tolist() for name, value
+                                                   in sample._asdict().items() if name.endswith(('tion', 'city'))}))
+    client.outputs['desired_trajectory'].publish(JointTrajectory(joint_names=['a']))
+    client.outputs['desired_trajectory'].publish(wish)
+    client.wait(lambda: client.heard['feedforward_trajectory'], 'the answer')
+    desired = [Desired(estimator, *sample[1:4]) for sample in samples[:3]]
+    np.testing.assert_allclose(client.values('feedforward'), [each.outputs for each in desired], rtol=0, atol=1e-9)
+    efforts = [list(point.effort)[::-1] for point in client.heard['feedforward_trajectory'][0].points]
+    np.testing.assert_allclose(efforts, [each.efforts for each in desired], rtol=0, atol=1e-9)
+    assert client.stamps('residual') == [sample.stamp for sample in samples], 'wishes are not learnt'
+
+
+@pytest.fixture
+def quiet(tmp_path):
+    """A node of the test's own that is not started yet: a function of settings and ROS arguments."""
+    opened = []
+
+    def start(settings, *ros_arguments):
+        folder = tmp_path / str(len(opened))
+        folder.mkdir()
+        dump_params(settings, folder / 'p.yaml', node='/**')
+        opened.append(NodeProcess(folder, folder / 'p.yaml', *ros_arguments))
+        return opened[-1]
+
+    yield start
+    for process in opened:
+        process.__exit__()
+
+
+def test_efforts_best_effort_publishers_and_a_late_description(quiet):
+    """Outputs effort; a driver that offers best effort only; samples that came before the URDF are answered too."""
+    settings = replace(SETTINGS, outputs='effort', robot_description='', sensor_frame='', initial_samples=60)
+    node = quiet(settings, '-r', '__node:=effort_estimator', '-r', '__ns:=/joints')
+    samples = motion(120)
+    with Client('effort_estimator', '/joints') as client:
+        client.connect('effort')
+        client.outputs['joint_states'] = client.node.create_publisher(JointState, 'joint_states', BEST_EFFORT)
+        client.wait(client.outputs['joint_states'].get_subscription_count, 'the node asks for best effort')
+        efforts = [sample._replace(outputs=sample.outputs[:2]) for sample in samples]
+        for sample in efforts[:20]:
+            client.state(sample, JOINTS, effort=sample.outputs.tolist())
+            time.sleep(0.005)
+        client.wait_report('learning', lambda level, message, values: message == 'waiting for a robot description.')
+        client.offer('robot_description')
+        client.outputs['robot_description'].publish(String(data='<robot'))
+        client.outputs['robot_description'].publish(String(data=URDF))
+        for sample in efforts[20:]:
+            client.state(sample, JOINTS, effort=sample.outputs.tolist())
+            time.sleep(0.005)
+        client.wait(lambda: len(client.heard['residual']) >= 120, 'every joint state is answered')
+        assert client.stamps('predicted_effort') == [sample.stamp for sample in samples]
+        assert list(client.heard['residual'][0].name) == list(JOINTS)
+        np.testing.assert_allclose(np.array(client.values('predicted_effort')) + client.values('residual'),
+                                   [sample.outputs for sample in efforts], atol=1e-9)
+    code, took = node.stop(signal.SIGTERM)
+    assert code == 0 and took < 5.0 and 'Traceback' not in node.output
+
+
+def test_two_arms_in_two_namespaces_learn_from_one_replay(quiet, tmp_path):
+    bag = write_bag(tmp_path / 'a.mcap', motion(150))
+    topics = ('joint_states', 'joint_accelerations', 'wrench')
+    for side in ('left', 'right'):
+        quiet(replace(LIVE, initial_samples=60, features_seed=len(side)), '-r', f'__ns:=/{side}',
+              *(part for topic in topics for part in ('-r', f'{topic}:=/{topic}')))
+    with Client('estimator', '/left') as left, Client('estimator', '/right') as right:
+        left.connect()
+        right.connect()
+        played = replay(bag, '--follow', '/left/estimator/residual', '/right/estimator/residual')
+        assert played.returncode == 0, played.stderr
+        for client, seed in ((left, 4), (right, 5)):
+            client.wait(lambda client=client: len(client.heard['predicted_wrench']) == 150, 'all answers')
+            wanted = expected(load_samples(bag, LIVE).samples, replace(LIVE, features_seed=seed))
+            np.testing.assert_allclose(client.values('predicted_wrench'), wanted, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(('text', 'sentence'), [
+    ('estimator: {ros__parameters: {sensor_frame: ft, features.cuont: 3}}', "nearest is 'features.count'"),
+    ('estimator: {ros__parameters: {sensor_frame: ft, variant: SPK}}', "variant is 'SPK'; expected one of"),
+    ('estimator: {ros__parameters: {}}', 'sensor_frame is empty'),
+    ('estimator: {ros__parameters: {sensor_frame: ft, robot_description_file: /none.urdf}}', 'cannot read /none.urdf'),
+    ('estimator: {ros__parameters: {sensor_frame: [1.0, 2]}}', 'mixes types'),
+    ('estimator: [', 'not valid YAML in line 1'),
+])
+def test_a_start_that_cannot_succeed_ends_with_one_sentence(tmp_path, text, sentence):
+    (tmp_path / 'p.yaml').write_text(text)
+    result = subprocess.run([sys.executable, '-m', 'semiparam_ros.cli.main', 'run', '--params', tmp_path / 'p.yaml'],
+                            capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 2
+    assert sentence in result.stderr and 'Traceback' not in result.stderr
+    assert result.stderr.count('\n') == 1
+
+
+def test_helpers_read_what_they_write():
+    message = JointState(position=[1.0])
+    message.header.stamp.sec = 3
+    assert stamp_of(message) == 3 * 10**9 and values_of(message) == [1.0]
+    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST' and Settings().outputs == 'wrench'

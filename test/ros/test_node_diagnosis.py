@@ -1,0 +1,96 @@
+"""The loop closed live: the node says what its model lacks, adds it, and the horizon error falls."""
+
+import json
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from conftest import _free_domain
+from semiparam_ros.settings import dump_params
+from semiparam_ros.settings.build import build_rigid_body
+from support.node_client import Client, NodeProcess
+from support.node_helpers import JOINTS, SETTINGS, motion
+
+LIVE = replace(SETTINGS, outputs='effort', sensor_frame='', variant='P', acceleration_source='measured',
+               diagnosis_window=1000.0)
+FRICTION = np.array([0.8, 0.5])
+
+
+@pytest.fixture(scope='module', autouse=True)
+def domain(tmp_path_factory):
+    patch = pytest.MonkeyPatch()
+    with _free_domain() as number:
+        patch.setenv('ROS_DOMAIN_ID', str(number))
+        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_log')))
+        yield number
+    patch.undo()
+
+
+def rubbing(count):
+    """An arm as described but for the viscous friction of its joints."""
+    body, rng = build_rigid_body(LIVE), np.random.default_rng(0)
+    return [sample._replace(outputs=body.regressor(*sample[1:4]) @ body.base_parameters + FRICTION * sample.velocity
+                            + 0.02 * rng.standard_normal(2)) for sample in motion(count, body=body)]
+
+
+def play(client, samples):
+    for sample in samples:
+        client.accelerations(sample, JOINTS)
+        client.state(sample, JOINTS, effort=sample.outputs.tolist())
+        time.sleep(0.002)
+    client.wait(lambda: client.stamps('residual')[-1:] == [samples[-1].stamp], 'all answers')
+
+
+def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
+    dump_params(LIVE, tmp_path / 'p.yaml')
+    samples = rubbing(1300)
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
+        client.connect('effort')
+        client.listen(String, 'diagnosis')
+        client.offer('joint_states', 'joint_accelerations')
+        assert client.trigger('diagnose').message == 'there are no samples to diagnose yet.'
+        assert 'no diagnosis yet' in client.trigger('apply_diagnosis').message
+        play(client, samples[:100])
+        assert 'needs at least' in client.trigger('diagnose').message
+        play(client, samples[100:900])
+        player = threading.Thread(target=play, args=(client, samples[900:1000]))
+        player.start()
+        running = client.begin(Trigger, 'diagnose', Trigger.Request())
+        refused = client.trigger('apply_diagnosis')
+        assert not refused.success and 'a diagnosis is running' in refused.message
+        player.join()
+        client.wait(running.done, 'the diagnosis')
+        answer = running.result()
+        assert answer.success, answer.message
+        assert answer.message.startswith('With no effects declared: ')
+        assert 'viscous_friction at a' in answer.message and 'viscous_friction at b' in answer.message
+        report = json.loads(client.heard['diagnosis'][0].data)
+        assert report['schema'] == 1 and report['verdict'] == 'effect_found'
+        assert {effect['kind'] for effect in report['effects']} == {'viscous_friction'}
+        before = np.mean([message.position[2] for message in client.heard['horizon_error'][-50:]])
+        applied = client.trigger('apply_diagnosis')
+        assert applied.success and 'effects are now' in applied.message, applied.message
+        again = client.trigger('apply_diagnosis')
+        assert again.success and 'are declared already' in again.message, again.message
+        # Their model may still be being built: a diagnosis looks for what is missing beside them.
+        beside = client.trigger('diagnose').message
+        assert beside.startswith('With viscous_friction@'), beside
+        assert 'nothing to add' in client.trigger('apply_diagnosis').message
+        client.wait_report('learning', lambda level, message, values: message == 'learning with P.'
+                           and 'viscous_friction@a' in values['effects'])
+        play(client, samples[1000:])
+        after = np.mean([message.position[2] for message in client.heard['horizon_error'][-50:]])
+        assert after < 0.2 * before
+        _, _, values = client.wait_report('parameters', lambda level, message, values: 'viscous_friction@a' in ''.join(
+            values))
+        found = next(value for name, value in values.items() if name.startswith('viscous_friction@a'))
+        assert abs(float(found.split()[0]) - FRICTION[0]) < 0.05, found
+        assert client.stamps('residual') == [sample.stamp for sample in samples]
+        code, _ = node.stop()
+    assert code == 0 and 'internal error' not in node.output

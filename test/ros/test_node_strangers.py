@@ -1,0 +1,79 @@
+"""What others publish on the node's topics: a gripper's joint states, optional accelerations, messages of any size."""
+
+import time
+from dataclasses import replace
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
+from semiparam_ros.ros.cdr import MOST_BYTES, joint_state_layout
+from support.node_fuzz import resident_mb
+from support.node_helpers import JOINTS, SETTINGS, URDF, motion
+
+GRIPPER = ('left_finger', 'right_finger')
+
+
+def play(client, samples, gripper=False):
+    """Joint states with efforts, and the gripper's own between them."""
+    for sample in samples:
+        if gripper:
+            client.state(sample, GRIPPER)
+        client.state(sample, JOINTS, effort=sample.position.tolist())
+    client.wait(lambda: client.stamps('residual')[-1:] == [samples[-1].stamp], 'every sample is answered')
+
+
+def test_a_gripper_and_absent_accelerations_are_nothing_to_warn_of(start_node):
+    """The node said WARN for good: nothing on the optional topic, and two thousand refusals of a gripper's messages."""
+    _, client = start_node(replace(SETTINGS, outputs='effort', sensor_frame='', variant='P'))
+    client.offer('joint_states')
+    samples = motion(400)
+    play(client, samples[:60], gripper=True)
+    client.wait_report('inputs', lambda level, message, values: values.get('ignored: other_joints') == '60')
+    client.forget()
+    for sample in samples[60:360]:  # the robot moves while the reports come
+        play(client, [sample], gripper=True)
+        time.sleep(0.01)
+    reports = [(status.level, status.message, {entry.key for entry in status.values}) for heard
+               in client.heard['/diagnostics'] for status in heard.status if status.name == 'estimator: inputs']
+    assert (DiagnosticStatus.OK, 'receiving.') in [report[:2] for report in reports]
+    assert not [report for report in reports if 'accelerations' in report[1] or 'refused' in report[1] + str(report[2])]
+    assert len(client.stamps('residual')) == 300
+    client.state(samples[360], JOINTS[:1], position=[0.0], velocity=[0.0])
+    _, message, _ = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.WARN
+                                           and 'refused' in message)
+    assert "must name joint 'b' once" in message
+
+
+def test_messages_of_any_size_leave_nothing_behind(start_node):
+    """A joint state of a million joints left 650 MB; two hundred thousand leave none here."""
+    node, client = start_node(replace(SETTINGS, outputs='effort', sensor_frame='', variant='P', robot_description=''))
+    client.offer('joint_states', 'robot_description')
+    for count in (MOST_CHARACTERS + 1, 5 * MOST_CHARACTERS):
+        client.outputs['robot_description'].publish(String(data='<' * count))
+        client.wait_report('inputs', lambda level, message, values: f'expected at most {MOST_CHARACTERS}' in values[
+            'last refusal'])
+    client.outputs['robot_description'].publish(String(data=URDF))
+    client.wait_report('learning', lambda level, message, values: message.startswith('gathering'))
+    samples = motion(100)
+    play(client, samples[:50])
+    before = resident_mb(node.process.pid)
+    names = [f'joint_{index}' for index in range(200_000)]
+    raw = joint_state_layout('', [*JOINTS, *names], 0, 0, 0).write(samples[50].stamp)
+    for _ in range(5):
+        client.outputs['joint_states'].publish(raw)
+    _, _, values = client.wait_report('inputs', lambda level, message, values: values.get(
+        'refused: joint_states') == '5')
+    assert values['last refusal'] == f'a JointState of {len(raw)} bytes is too long; expected at most {MOST_BYTES}.'
+    play(client, samples[50:])
+    assert resident_mb(node.process.pid) < before + 60.0
+    some = JointState(name=[JOINTS[0], *names[:2000]])
+    client.outputs['joint_states'].publish(some)
+    _, _, values = client.wait_report('inputs', lambda level, message, values: 'missing_joint' in str(values))
+    assert len(values['last refusal']) < 700
+    for value in ({'variant': 'x' * 100_000}, {'effects': ['payload@' + 'x' * 100_000]}, {'x' * 100_000: 1}):
+        result = client.set(**value)[0]
+        assert not result.successful
+        assert 0 < len(result.reason) < 700
+    assert all(len(line) < 1000 for line in node.output.splitlines())

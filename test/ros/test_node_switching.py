@@ -1,0 +1,80 @@
+"""Every variant of the paper, one after the other, while a bag plays at ten times real time.
+
+`pytest -s test/ros/test_node_switching.py` prints how long the node took to answer each switch, and to have the model.
+"""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from std_srvs.srv import Trigger
+
+from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.settings import dump_params, load_params
+from semiparam_ros.settings.build import build_estimator
+from support.node_client import Client, NodeProcess
+from support.node_helpers import write_bag
+
+COMPARED, SLOW_MACHINE_S = 20, 120.0
+ORDER = [*(variant for variant in VARIANTS if variant != 'SPK-ML'), 'SPK-ML']
+
+
+def in_turn(*recordings):
+    """Their samples as one motion at 20 Hz, one recording after the other."""
+    samples, start = [], 0
+    for recording in recordings:
+        shift = start - recording.samples.stamps[0]
+        samples += [sample._replace(stamp=int(sample.stamp + shift)) for sample in recording.samples]
+        start = samples[-1].stamp + 50_000_000
+    return samples
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_every_variant_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_path, ros_domain, repository):
+    """No sample lost, no prediction missing, each model as if it had been there from the start."""
+    settings = replace(load_params(repository / 'config/icub_right_arm.yaml'), features_count=500, initial_samples=100)
+    dump_params(settings, tmp_path / 'p.yaml')
+    circles = [load_samples(repository / f'bags/icub_{plane}.mcap', settings) for plane in ('xy', 'xz')]
+    samples = in_turn(*circles, *circles)  # longer than a busy machine needs
+    bag = write_bag(tmp_path / 'both.mcap', samples, settings.joints, circles[0].robot_description,
+                    settings.sensor_frame)
+    switched = []
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
+        client.connect()
+        player = subprocess.Popen([sys.executable, '-m', 'semiparam_ros.cli.main', 'replay', str(bag), '--rate', '10',
+                                   '--wait-for-subscribers', '--disable-keyboard-controls', '--quiet', '--json',
+                                   str(tmp_path / 'played.json')],
+                                  stderr=subprocess.PIPE, text=True)
+        client.wait(lambda: len(client.heard['residual']) > settings.initial_samples + 50, 'the first model')
+        for variant in ORDER:
+            start = time.monotonic()
+            answer, = client.set(variant=variant)
+            replied = time.monotonic() - start
+            assert answer.successful and replied < 2.0
+            if 'is being built' in answer.reason:
+                client.wait_report('learning', lambda level, message, values, v=variant:
+                                   message == f'learning with {v}.', SLOW_MACHINE_S)
+            took = time.monotonic() - start
+            print(f'{variant}: answered after {1e3 * replied:.0f} ms, takes over within {took:.1f} s')
+            switched.append((variant, len(client.heard['residual']) + 3))
+            client.wait(lambda: len(client.heard['residual']) > switched[-1][1] + COMPARED, 'more data')
+            assert player.poll() is None, 'the bag ended before the last switch'
+        assert client.call(Trigger, '/bag_replay/pause', Trigger.Request()).success
+        client.wait_report('inputs', lambda level, message, values: message.startswith('nothing received'))
+        player.send_signal(signal.SIGINT)
+        assert player.wait(timeout=20) == 0, player.stderr.read()
+        played = json.loads((tmp_path / 'played.json').read_text())['published']['/wrench']
+        client.wait(lambda: len(client.heard['residual']) >= played, 'the last answers')
+        found, stamps = np.array(client.values('predicted_wrench')), client.stamps('residual')
+    assert len(stamps) == played and stamps == [sample.stamp for sample in samples[:len(stamps)]]
+    for variant, since in switched:
+        estimator = build_estimator(replace(settings, variant=variant), circles[0].robot_description)
+        wanted = [estimator.step(sample).mean for sample in samples[:since + COMPARED]]
+        np.testing.assert_allclose(found[since:since + COMPARED], wanted[since:], rtol=0, atol=1e-6)

@@ -1,0 +1,176 @@
+"""`semiparam record` as a process: what it picks, when it ends, and what a reader finds in the file."""
+
+import json
+import signal
+import time
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.message_types import message_class
+from semiparam_ros.ros.record.options import Limits, RecordOptions, parse_count
+from support.replay_peers import EVERYTHING, LATCHED, STATES, TEXT, WRENCH, Peer, Tool, write_robot
+
+pytestmark = pytest.mark.usefixtures('ros_domain')
+
+
+class Source(Peer):
+    """A node that publishes on demand, and waits until a recorder listens."""
+
+    def offer(self, topic, type_name, qos=EVERYTHING):
+        return self.node.create_publisher(message_class(type_name), topic, qos)
+
+    def wait_for_listeners(self, *outputs):
+        self.wait_for(lambda: all(output.get_subscription_count() for output in outputs), 'nobody records')
+
+
+def topics_of(path):
+    with open_bag(path) as bag:
+        return {topic: info.count for topic, info in bag.topics.items()}
+
+
+def test_a_nodes_outputs_beside_its_inputs_byte_for_byte(tmp_path):
+    """Three processes: the node answers what the replay plays, and the record holds all of it."""
+    bag, out = write_robot(tmp_path / 'a.mcap', 800), tmp_path / 'out.mcap'
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH)
+        peer.listen('/joint_states', STATES)
+        peer.listen('/robot_description', TEXT, LATCHED)
+        with Tool(tmp_path, 'record', out, '--count', '/estimator/residual=800',
+                  '--json', tmp_path / 'r.json') as record:
+            peer.wait_for(lambda: record.said('recording 4 topics: /estimator/residual, /joint_states, '
+                                              '/robot_description, /wrench.'))
+            assert not out.exists()
+            with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--wait-for-subscribers', 2) as replay:
+                assert replay.wait() == 0, replay.output
+            assert record.wait() == 0, record.output
+    with open_bag(bag) as before, open_bag(out) as after:
+        for topic in before.topics:
+            recorded = [message.raw for message in after.messages([topic])]
+            # The count ends with the last answer; a joint state may come after it on another thread.
+            assert recorded == [message.raw for message in before.messages([topic])][:len(recorded)]
+            assert len(recorded) >= before.topics[topic].count - 1
+        assert after.topics['/estimator/residual'].count == 800 and not after.losses
+        assert after.topics['/robot_description'].qos.latched and not after.topics['/wrench'].qos.latched
+    account = json.loads((tmp_path / 'r.json').read_text())
+    assert account['recorded']['/estimator/residual'] == 800 and account['messages'] >= 2398
+    with AnyReader([out]) as reader:
+        forces = [reader.deserialize(raw, connection.msgtype).wrench.force.x
+                  for connection, _, raw in reader.messages() if connection.topic == '/estimator/residual']
+    assert forces == [float(k) for k in range(800)]
+
+
+def test_it_ends_when_nothing_comes_any_more(tmp_path):
+    out = tmp_path / 'out.mcap'
+    with Source() as source:
+        wrench, chatter = source.offer('/wrench', WRENCH), source.offer('/diagnostics', TEXT)
+        source.node.create_timer(0.1, lambda: chatter.publish(message_class(TEXT)()))
+        with Tool(tmp_path, 'record', out, '--topics', '/wrench', '/diagnostics', '--until-idle', 0.5) as record:
+            source.wait_for_listeners(wrench, chatter)
+            for _ in range(20):
+                wrench.publish(message_class(WRENCH)())
+            assert record.wait() == 0, record.output
+    assert topics_of(out)['/wrench'] == 20 and topics_of(out)['/diagnostics'] > 2
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_and_the_file_is_whole(tmp_path, number):
+    out = tmp_path / 'out.mcap'
+    with Source() as source:
+        wrench = source.offer('/wrench', WRENCH)
+        with Tool(tmp_path, 'record', out, '--topics', '/wrench') as record:
+            source.wait_for_listeners(wrench)
+            source.wait_for(lambda: record.said('recording 1 topics'))
+            for _ in range(50):
+                wrench.publish(message_class(WRENCH)())
+            record.interrupt(number)
+            assert record.wait() == 0, record.output
+    assert topics_of(out) == {'/wrench': 50}
+    assert record.said('recorded 50 messages') and not list(tmp_path.glob('*.partial'))
+
+
+def test_a_killed_recorder_leaves_what_it_had_under_another_name(tmp_path):
+    out = tmp_path / 'out.mcap'
+    with Source() as source:
+        wrench = source.offer('/wrench', WRENCH)
+        with Tool(tmp_path, 'record', out, '--topics', '/wrench') as record:
+            source.wait_for_listeners(wrench)
+            timer = source.node.create_timer(0.01, lambda: wrench.publish(message_class(WRENCH)()))
+            partial = tmp_path / 'out.mcap.partial'
+            # The file grows with each flush, every two seconds.
+            source.wait_for(lambda: partial.exists() and partial.stat().st_size > 1000)
+            record.process.kill()
+            record.wait()
+            timer.cancel()
+    assert not out.exists() and topics_of(partial)['/wrench'] > 10
+
+
+def test_all_topics_less_some_and_one_that_comes_later(tmp_path):
+    out = tmp_path / 'out.mcap'
+    with Source() as source:
+        wrench, other = source.offer('/arm/wrench', WRENCH), source.offer('/arm/noise', TEXT)
+        with Tool(tmp_path, 'record', out, '--all', '--exclude', '/arm/noise', '--count', '/late=5') as record:
+            source.wait_for_listeners(wrench)
+            wrench.publish(message_class(WRENCH)())
+            late = source.offer('/late', STATES)
+            source.wait_for_listeners(late)
+            for _ in range(5):
+                late.publish(message_class(STATES)())
+            assert record.wait() == 0, record.output
+            assert other.get_subscription_count() == 0
+    assert topics_of(out) == {'/arm/wrench': 1, '/late': 5}
+
+
+def test_a_best_effort_publisher_that_comes_later_is_heard(tmp_path):
+    """Subscribed before anybody publishes, the recorder expects a reliable publisher and mends that when it must."""
+    out = tmp_path / 'out.mcap'
+    with Source() as source:
+        source.listen('/wrench', WRENCH)
+        with Tool(tmp_path, 'record', out, '--topics', '/wrench', '--count', 3) as record:
+            source.wait_for(lambda: record.said('recording 1 topics'))
+            quick = source.offer('/wrench', WRENCH, rclpy_sensor_data())
+            source.wait_for_listeners(quick)
+            source.node.create_timer(0.05, lambda: quick.publish(message_class(WRENCH)()))
+            assert record.wait() == 0, record.output
+    with open_bag(out) as bag:
+        assert bag.topics['/wrench'].qos.reliability == 'best_effort' and bag.topics['/wrench'].count == 3
+
+
+def rclpy_sensor_data():
+    from rclpy.qos import qos_profile_sensor_data
+    return qos_profile_sensor_data
+
+
+@pytest.mark.parametrize(('arguments', 'sentence'), [
+    (['--node', '/estimatr', '--wait-timeout', 0.3], '/estimatr was not found within 0.3 s'),
+    (['--topics', '/wrench', '--wait-timeout', 0.3], '/wrench was not found within 0.3 s'),
+    (['--all', '--duration', 0.3], 'nothing was recorded'),
+    (['--count', 'many'], "'many' is no count: expected N or TOPIC=N"),
+    (['--until-idle', 0], 'the idle time must be above 0'),
+])
+def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, sentence):
+    out = tmp_path / 'out' / 'out.mcap'
+    out.parent.mkdir()
+    with Tool(tmp_path, 'record', out, *arguments) as record:
+        assert record.wait() == 2, record.output
+    assert record.said(sentence) and 'Traceback' not in record.output
+    assert not list(out.parent.glob('*'))
+
+
+def test_an_older_file_is_not_replaced_unless_asked(tmp_path):
+    out = tmp_path / 'out.mcap'
+    out.write_bytes(b'old')
+    with pytest.raises(SemiparamError, match='exists already'):
+        RecordOptions(out, topics=('/wrench',))
+    RecordOptions(out, topics=('/wrench',), overwrite=True)
+    with pytest.raises(SemiparamError, match='expected a node, a topic'):
+        RecordOptions(tmp_path / 'new.mcap')
+
+
+def test_counts_and_limits_as_written():
+    assert parse_count('12') == (12, None) and parse_count('/a=3') == (3, '/a')
+    assert Limits(idle_s=1.0).idle_s == 1.0
+    with pytest.raises(SemiparamError, match='duration must be above 0'):
+        Limits(duration_s=-time.monotonic())

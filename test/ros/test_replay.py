@@ -1,0 +1,344 @@
+"""`bag_replay` as a process on real DDS, with listening and answering nodes on the other side."""
+
+import json
+import os
+import pty
+import select
+import signal
+import sys
+import time
+
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from std_srvs.srv import Trigger
+
+from semiparam_ros.bags.qos import Qos
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.ros.cdr import read_stamp
+from support.replay_peers import (
+    EVERYTHING,
+    LATCHED,
+    PATIENCE_S,
+    SECOND,
+    START,
+    STATES,
+    TEXT,
+    WRENCH,
+    Peer,
+    Tool,
+    stamp,
+    write_robot,
+)
+
+pytestmark = pytest.mark.usefixtures('ros_domain')
+
+
+def raw_messages(path, topic):
+    with open_bag(path) as bag:
+        return [message.raw for message in bag.messages([topic], decode=False)]
+
+
+def test_lossless_with_a_short_queue_and_every_byte_as_recorded(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 3000)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH, depth=20)
+        peer.listen('/joint_states', STATES, raw=True)
+        peer.listen('/robot_description', TEXT, LATCHED, raw=True)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--window', 20, '--json',
+                  tmp_path / 'a.json') as tool:
+            assert tool.wait() == 0, tool.output
+        for topic, heard in peer.heard.items():
+            assert heard == raw_messages(bag, topic)
+    account = json.loads((tmp_path / 'a.json').read_text())
+    assert account['ending'] == 'finished' and account['messages'] == 6001
+    assert account['answers'][0] == {'topic': '/estimator/residual', 'request_topic': '/wrench', 'requests': 3000,
+                                     'answers': 3000, 'unexpected': 0, 'unanswered': 0,
+                                     'first_unanswered_stamp_ns': None}
+    assert tool.said('/estimator/residual answered 3000 of 3000 messages on /wrench.')
+
+
+def test_a_follower_that_falls_silent_ends_the_playback_with_a_sentence(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 400)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH, refuses=lambda count: count > 150)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--window', 50, '--answer-timeout', 0.5) as tool:
+            assert tool.wait() == 1, tool.output
+    assert tool.said('while 50 messages on /wrench wait for it; it answered 150 of 200')
+    assert tool.said('answered 150 of 200 messages on /wrench; 50 unanswered, the first stamped 1700000001.500000000 s')
+    assert 'Traceback' not in tool.output
+
+
+def test_a_subscriber_that_takes_nothing_ends_a_lossless_playback_with_a_sentence(tmp_path):
+    # More than the queues of both sides hold: 5000 each.
+    bag = write_robot(tmp_path / 'a.mcap', 10500)
+    with Peer('estimator') as peer, Peer('idle') as idle:
+        peer.answer('/wrench', WRENCH)
+        idle.executor.remove_node(idle.node)
+        idle.listen('/joint_states', STATES)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--answer-timeout', 1) as tool:
+            assert tool.wait() == 1, tool.output
+    assert tool.said('failed: /joint_states cannot be published: a reliable subscriber has taken nothing for 1 s')
+
+
+def test_a_follower_that_leaves_ends_the_playback_at_once(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 400)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH, refuses=lambda count: count > 150)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
+            peer.wait_for(lambda: len(peer.heard['/wrench']) > 150)
+            peer.node.destroy_node()
+            assert tool.wait() == 1, tool.output
+    assert tool.said('failed: the follower has left while ') and tool.said('it answered 150 of 250')
+
+
+def test_refused_samples_are_counted_and_told(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 300)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH, refuses=lambda count: count % 100 == 50)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
+            assert tool.wait() == 1, tool.output
+    assert tool.said('3 of 300 messages on /wrench were not answered')
+
+
+def test_two_followers_in_two_namespaces_answer_one_playback(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 500)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH, '/left/residual')
+        peer.answer('/joint_states', STATES, '/right/residual')
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--follow', '/left/residual',
+                  '/right/residual=/joint_states', '--window', 30) as tool:
+            assert tool.wait() == 0, tool.output
+    assert tool.said('/left/residual answered 500 of 500') and tool.said('/right/residual answered 500 of 500')
+
+
+def test_paced_playback_offers_what_the_bag_recorded_and_the_overrides_change_it(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 60, wrench=Qos(reliability='best_effort'), joint_states=Qos(depth=3))
+    overrides = tmp_path / 'overrides.yaml'
+    overrides.write_text('/joint_states: {durability: transient_local, depth: 50}\n')
+    with Peer() as peer:
+        peer.listen('/wrench', WRENCH, 10)  # asks for more than best effort: nothing will come, and a sentence says so
+        peer.listen('/joint_states', STATES, QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=1,
+                                                        durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        with Tool(tmp_path, 'replay', bag, '--rate', 2, '--wait-for-subscribers', '--qos-overrides', overrides) as tool:
+            peer.wait_for(lambda: len(peer.heard['/joint_states']) > 0)
+            offer = {topic: peer.node.get_publishers_info_by_topic(topic)[0].qos_profile for topic in peer.heard}
+            assert tool.wait() == 0, tool.output
+    assert offer['/wrench'].reliability.name == 'BEST_EFFORT' and offer['/wrench'].durability.name == 'VOLATILE'
+    assert offer['/joint_states'].durability.name == 'TRANSIENT_LOCAL'
+    assert tool.said('/peer receives nothing on /wrench') and len(peer.heard['/wrench']) == 0
+    assert len(peer.heard['/joint_states']) == 60
+
+
+def test_messages_come_at_their_time(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 101, rate_hz=100)
+    with Peer() as peer:
+        arrivals = []
+        peer.node.create_subscription(peer_type(WRENCH), '/wrench', lambda _: arrivals.append(time.monotonic()), 10)
+        with Tool(tmp_path, 'replay', bag, '--wait-for-subscribers', '--topics', '/wrench') as tool:
+            assert tool.wait() == 0, tool.output
+    assert len(arrivals) == 101
+    assert arrivals[-1] - arrivals[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_recording_of_a_follower_is_played_to_it_without_its_old_answers(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 50)
+    with open_bag(bag) as source, BagWriter(tmp_path / 'b.mcap') as copy:
+        for message in source.messages():
+            copy.write(message.topic, message.type, message.data, message.log_time)
+            if message.topic == '/wrench':
+                copy.write('/estimator/residual', WRENCH, message.data, message.log_time)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH)
+        with Tool(tmp_path, 'replay', tmp_path / 'b.mcap', '--as-fast-as-followed') as tool:
+            assert tool.wait() == 0, tool.output
+    assert tool.said('/estimator/residual is not played: the follower publishes there.')
+    assert tool.said('answered 50 of 50')
+
+
+def test_a_follower_that_needs_the_description_first_gets_it_first(tmp_path):
+    """The estimator offers no answers before it knows its robot, which only the bag describes."""
+    bag = write_robot(tmp_path / 'a.mcap', 50)
+    with Peer('estimator') as peer:
+        peer.heard['/robot_description'] = descriptions = []
+
+        def begin(message):
+            descriptions.append(message)
+            peer.answer('/wrench', WRENCH)
+        peer.node.create_subscription(peer_type(TEXT), '/robot_description', begin, LATCHED)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
+            assert tool.wait() == 0, tool.output
+    assert len(descriptions) == 1 and tool.said('answered 50 of 50') and tool.said('/robot_description 1,')
+
+
+def test_a_long_run_of_refused_samples_is_passed_when_the_follower_keeps_all(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 40)
+    with Peer('estimator') as peer:
+        peer.node.declare_parameter('queue_depth', 0)
+        peer.answer('/wrench', WRENCH, refuses=lambda count: count <= 15)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--window', 10) as tool:
+            assert tool.wait() == 1, tool.output
+    assert tool.said('answered 25 of 40 messages on /wrench; 15 unanswered')
+    assert tool.said('failed: 15 of 40 messages on /wrench were not answered.')
+
+
+def peer_type(name):
+    from semiparam_ros.ros.message_types import message_class
+    return message_class(name)
+
+
+def test_another_name_new_stamps_and_the_clock(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 200)
+    before = time.time_ns()
+    with Peer() as peer:
+        peer.listen('/force', WRENCH, raw=True)
+        peer.listen('/joint_states', STATES)
+        peer.listen('/clock', 'rosgraph_msgs/msg/Clock')
+        with Tool(tmp_path, 'replay', bag, '--rate', 4, '--wait-for-subscribers', '--remap', '/wrench:=/force',
+                  '--restamp', '--clock', 100, '--regex', 'wrench', '--start-offset', 0.5) as tool:
+            assert tool.wait() == 0, tool.output
+    assert len(peer.heard['/force']) == 150 and peer.heard['/joint_states'] == []
+    stamps = [read_stamp(raw) for raw in peer.heard['/force']]
+    assert stamps == sorted(stamps) and before < stamps[0] < stamps[-1] < time.time_ns()
+    clock = [message.clock.sec * SECOND + message.clock.nanosec for message in peer.heard['/clock']]
+    assert len(clock) > 10 and clock == sorted(clock)
+    assert clock[0] >= START + SECOND // 2 and clock[-1] <= stamp(199, 100)
+
+
+def set_parameter(peer, name, value):
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value) if isinstance(value, float) \
+        else ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=value)
+    request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+    return peer.call(SetParameters, '/bag_replay/set_parameters', request).results[0]
+
+
+def test_services_and_parameters_steer_a_playback(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 1000)
+    with Peer() as peer:
+        peer.listen('/wrench', WRENCH, raw=True)
+        wrenches = peer.heard['/wrench']
+        with Tool(tmp_path, 'replay', bag, '--start-paused', '--wait-for-subscribers', '--topics', '/wrench') as tool:
+            def trigger(service):
+                return peer.call(Trigger, f'/bag_replay/{service}')
+
+            assert trigger('is_paused').success
+            assert trigger('play_next').success and trigger('play_next').success
+            peer.wait_for(lambda: len(wrenches) == 2)
+            refused = set_parameter(peer, 'rate', -1.0)
+            assert not refused.successful and 'above 0' in refused.reason
+            refused = set_parameter(peer, 'seek_to', 12.0)
+            assert not refused.successful and 'lasts from 0 to 9.990 s' in refused.reason
+            assert set_parameter(peer, 'seek_to', 5.0).successful
+            assert trigger('play_next').success
+            peer.wait_for(lambda: len(wrenches) == 3)
+            assert trigger('seek').success and trigger('play_next').success
+            peer.wait_for(lambda: len(wrenches) == 4)
+            assert [read_stamp(raw) for raw in wrenches] == [stamp(k, 100) for k in (0, 1, 500, 500)]
+            assert set_parameter(peer, 'rate', 50.0).successful and set_parameter(peer, 'loop', True).successful
+            assert trigger('resume').success and not trigger('is_paused').success and not trigger('play_next').success
+            peer.wait_for(lambda: len(wrenches) >= 600)
+            assert trigger('toggle_paused').success
+            values = peer.call(GetParameters, '/bag_replay/get_parameters',
+                               GetParameters.Request(names=['rate', 'paused', 'loop'])).values
+            assert (values[0].double_value, values[1].bool_value, values[2].bool_value) == (50.0, True, True)
+            assert trigger('stop').success
+            assert tool.wait() == 0 and tool.said('stopped after')
+    looped = [read_stamp(raw) for raw in wrenches[3:505]]
+    assert looped == [stamp(k, 100) for k in [*range(500, 1000), 0, 1]]
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_an_account(tmp_path, number):
+    bag = write_robot(tmp_path / 'a.mcap', 1000, rate_hz=10)
+    with Peer() as peer:
+        peer.listen('/wrench', WRENCH)
+        with Tool(tmp_path, 'replay', bag, '--wait-for-subscribers') as tool:
+            peer.wait_for(lambda: len(peer.heard['/wrench']) >= 3)
+            tool.interrupt(number)
+            assert tool.wait() == 0
+    assert tool.said('stopped after') and 'Traceback' not in tool.output
+
+
+def test_a_signal_to_a_lossless_playback_is_no_success(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 400)
+    with Peer('estimator') as peer:
+        peer.answer('/wrench', WRENCH, refuses=lambda count: count > 150)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
+            peer.wait_for(lambda: len(peer.heard['/wrench']) > 150)
+            tool.interrupt()
+            assert tool.wait() == 130, tool.output
+    assert tool.said('stopped after') and tool.said('answered 150 of')
+
+
+def test_a_damaged_bag_plays_as_far_as_it_goes(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 400, rate_hz=1000)
+    bag.write_bytes(bag.read_bytes()[:bag.stat().st_size // 2])
+    with open_bag(bag) as damaged:
+        left = sum(1 for _ in damaged.messages(['/wrench'], decode=False))
+    with Peer() as peer:
+        peer.listen('/wrench', WRENCH)
+        with Tool(tmp_path, 'replay', bag, '--wait-for-subscribers', '--wait-for-all-acked', 5, '--json',
+                  tmp_path / 'a.json') as tool:
+            assert tool.wait() == 0, tool.output
+    assert 0 < left < 400 and len(peer.heard['/wrench']) == left
+    assert tool.said('is damaged') and 'is damaged' in json.loads((tmp_path / 'a.json').read_text())['losses'][0]
+
+
+@pytest.mark.parametrize(('arguments', 'sentence'), [
+    (['--as-fast-as-followed', '--wait-timeout', 0.3], 'nobody publishes /estimator/residual after 0.3 s'),
+    (['--wait-for-subscribers', 2, '--wait-timeout', 0.3], '0 of 2 subscribing nodes are connected after 0.3 s'),
+    (['--topics', '/wrnch'], 'has no topic /wrnch'),
+    (['--rate', 0.0], 'rate must be a finite number above 0'),
+    (['--ros-args', '-p', 'rate:=fast'], "'rate'"),
+])
+def test_mistakes_are_one_sentence(tmp_path, arguments, sentence):
+    bag = write_robot(tmp_path / 'a.mcap', 3)
+    with Tool(tmp_path, 'replay', bag, *arguments) as tool:
+        assert tool.wait() == 2, tool.output
+    assert tool.said(sentence) and 'Traceback' not in tool.output and tool.output.count('\n') == 1
+
+
+def read_until(terminal, text, seen=b''):
+    """What a terminal shows until ``text`` appears."""
+    deadline = time.monotonic() + PATIENCE_S
+    while text not in seen:
+        assert time.monotonic() < deadline, seen.decode(errors='replace')
+        if select.select([terminal], [], [], 0.2)[0]:
+            seen += os.read(terminal, 4096)
+    return seen
+
+
+def test_keys_on_a_real_terminal(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 3000)
+    with Peer() as peer:
+        peer.listen('/wrench', WRENCH)
+        child, terminal = pty.fork()
+        if child == 0:
+            os.environ.update(TERM='xterm', COLUMNS='120')
+            os.execv(sys.executable, [sys.executable, '-m', 'semiparam_ros.cli.main', 'replay', str(bag),
+                                      '--start-paused', '--topics', '/wrench', '--wait-for-subscribers'])
+        try:
+            read_until(terminal, b'paused')
+            os.write(terminal, b'\x1b[C\x1b[C\x1b[C')
+            read_until(terminal, b'3 messages')
+            assert len(peer.heard['/wrench']) == 3
+            os.write(terminal, b'\x1b[A\x1b[A ')
+            read_until(terminal, b'1.21 x')
+            peer.wait_for(lambda: len(peer.heard['/wrench']) > 20)
+            os.write(terminal, b'\x03')
+            read_until(terminal, b'stopped after')
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        finally:
+            os.close(terminal)
+
+
+def test_the_program_of_its_own_name_takes_ros_arguments(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 50)
+    with Peer() as peer:
+        peer.listen('/arm/wrench', WRENCH, EVERYTHING)
+        with Tool(tmp_path, 'replay', bag, '--wait-for-subscribers', '--ros-args', '-r', '/wrench:=/arm/wrench',
+                  '-p', 'rate:=5.0') as tool:
+            assert tool.wait() == 0, tool.output
+    assert len(peer.heard['/arm/wrench']) == 50

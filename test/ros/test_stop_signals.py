@@ -1,0 +1,197 @@
+"""Ctrl-C, sent to real processes: an orderly end by the first, an end at once by a later one, never a hang."""
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+import time
+from dataclasses import replace
+
+import pytest
+
+from semiparam_ros.settings import dump_params
+from support.node_client import Client
+from support.node_helpers import SETTINGS, motion, write_bag
+
+PATIENCE_S = 60.0
+ENDED = (0, 130, -signal.SIGINT)
+"""Orderly, at once, or by the signal itself (130 for a shell too) where Python has already let go of its handlers."""
+READY = """
+import os, sys, threading, time
+from semiparam_ros.ros.context import StopSignals
+stopping = threading.Event()
+"""
+
+
+class Group:
+    """A command in a process group of its own, which Ctrl-C reaches as a whole."""
+
+    def __init__(self, folder, *command, **options):
+        self.log = folder / 'log'
+        with self.log.open('wb') as stream:
+            self.process = subprocess.Popen(
+                [sys.executable, *map(str, command)], start_new_session=True, stdout=stream, stderr=stream,
+                **{'stdin': subprocess.DEVNULL, **options})
+
+    def wait_for(self, text):
+        end = time.monotonic() + PATIENCE_S
+        while text not in self.output:
+            assert time.monotonic() < end and self.process.poll() is None, self.output
+            time.sleep(0.01)
+
+    def send(self, number=signal.SIGINT):
+        os.killpg(self.process.pid, number)
+
+    def code(self):
+        """The exit code, when every process of the group is gone."""
+        code = self.process.wait(PATIENCE_S)
+        end = time.monotonic() + PATIENCE_S
+        while alive(self.process.pid):
+            assert time.monotonic() < end, 'a process stays behind'
+            time.sleep(0.01)
+        return code
+
+    @property
+    def output(self):
+        return self.log.read_text()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if alive(self.process.pid):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+
+def alive(group):
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_signal_that_comes_while_the_event_is_being_polled(tmp_path):
+    """Event.wait holds the Event's lock for some instants; here it holds it until the signal has come."""
+    program = READY + """
+with StopSignals(stopping.set) as signals:
+    with stopping._cond:
+        print('ready', flush=True)
+        time.sleep(1.0)
+    sys.exit(0 if stopping.wait(30.0) and signals.asked else 1)
+"""
+    with Group(tmp_path, '-c', program) as group:
+        group.wait_for('ready')
+        group.send()
+        assert group.code() == 0, group.output
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_later_signal_ends_what_hangs(tmp_path, number):
+    program = READY + """
+with StopSignals(lambda: print('asked', flush=True)):
+    print('ready', flush=True)
+    lock = threading.Lock()
+    lock.acquire()
+    lock.acquire()
+"""
+    with Group(tmp_path, '-c', program) as group:
+        group.wait_for('ready')
+        group.send()
+        group.send()
+        group.wait_for('asked')
+        time.sleep(0.1)
+        assert group.process.poll() is None, 'signals at the same time are one'
+        time.sleep(0.6)
+        group.send(number)
+        assert group.code() == 128 + number
+        assert group.output == 'ready\nasked\n'
+
+
+def test_without_a_signal_everything_is_as_before():
+    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    descriptors = len(os.listdir('/proc/self/fd'))
+    program = READY + """
+import signal
+with StopSignals(stopping.set):
+    pass
+assert not stopping.is_set() and threading.active_count() == 1
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(5)
+except KeyboardInterrupt:
+    print('as usual')
+"""
+    found = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True, check=True)
+    assert found.stdout == 'as usual\n'
+    assert handlers == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    assert descriptors == len(os.listdir('/proc/self/fd'))
+
+
+def run_node(folder, **changes):
+    dump_params(replace(SETTINGS, acceleration_source='measured', state_folder=str(folder), **changes),
+                folder / 'p.yaml')
+    return Group(folder, '-m', 'semiparam_ros.cli.main', 'run', '--params', folder / 'p.yaml')
+
+
+@pytest.mark.parametrize('pauses', [(0.01,), (0.2, 0.6)], ids=str)
+def test_ctrl_c_ends_the_node_and_its_processes(tmp_path, ros_domain, pauses):
+    """Also while a model is being built, with as many more of them as somebody likes to press."""
+    with (run_node(tmp_path, features_count=1000, initial_samples=400, checkpoint_period=60.0) as group,
+          Client() as client):
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+        client.connect()
+        samples = motion(400)
+        client.play(samples[:-1], SETTINGS.joints)
+        client.state(samples[-1], SETTINGS.joints)
+        client.accelerations(samples[-1], SETTINGS.joints)
+        client.wrench(samples[-1])
+        client.wait(lambda: len(client.heard['residual']) == 400, 'the window is evaluated')
+        group.send()
+        for pause in pauses:
+            time.sleep(pause)
+            if alive(group.process.pid):
+                group.send()
+        assert group.code() in ((0,) if sum(pauses) < 0.5 else ENDED), group.output
+        assert 'Traceback' not in group.output
+
+
+@pytest.mark.parametrize('after_s', [0.5, 1.5])
+def test_ctrl_c_while_the_node_starts(tmp_path, ros_domain, after_s):
+    with run_node(tmp_path) as group:
+        time.sleep(after_s)
+        group.send()
+        assert group.code() in ENDED, group.output
+        assert 'Traceback' not in group.output
+
+
+def test_a_second_ctrl_c_gives_the_terminal_back(tmp_path, ros_domain):
+    write_bag(tmp_path / 'a.mcap', motion(500))
+    ours, theirs = pty.openpty()
+    before = termios.tcgetattr(theirs)
+    with Group(tmp_path, '-m', 'semiparam_ros.cli.main', 'replay', tmp_path / 'a.mcap', '--start-paused', stdin=theirs,
+               preexec_fn=lambda: os.tcsetpgrp(0, os.getpgrp()) if take_terminal() else None) as group:
+        group.wait_for('space: pause')
+        assert not termios.tcgetattr(theirs)[3] & termios.ICANON
+        os.kill(group.process.pid, signal.SIGSTOP)
+        os.write(ours, b'\x03')
+        os.kill(group.process.pid, signal.SIGCONT)
+        os.write(ours, b'\x03')
+        time.sleep(0.7)
+        if alive(group.process.pid):
+            os.write(ours, b'\x03')
+        assert group.code() in ENDED, group.output
+        assert termios.tcgetattr(theirs)[3] == before[3]
+        assert 'Traceback' not in group.output
+    os.close(ours)
+    os.close(theirs)
+
+
+def take_terminal():
+    """Standard input becomes the controlling terminal, as in a shell."""
+    import fcntl
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    return True

@@ -1,0 +1,227 @@
+"""The table of parameters, its rules, parameter files, and what is made from it."""
+
+import os
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError, fields
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings import PARAMETERS, Settings, dump_params, load_params
+from semiparam_ros.settings.build import build_estimator, given_hyperparameters, hyperparameter_values
+from semiparam_ros.settings.documentation import page
+from semiparam_ros.settings.files import params_text
+from semiparam_ros.settings.rules import RULES, broken_rule
+from semiparam_ros.settings.snapshot import refusal
+from semiparam_ros.settings.table import Parameter
+
+WRENCH = Settings(sensor_frame='ft')
+
+URDF = """<robot name="two">
+  <link name="base"/>
+  <link name="upper"><inertial><mass value="1.0"/><origin xyz="0 0 0.1"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="ft"><inertial><mass value="0.5"/><origin xyz="0.02 0 0.1"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
+  <joint name="b" type="revolute"><parent link="upper"/><child link="ft"/><axis xyz="1 0 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
+</robot>"""
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+def test_the_snapshot_cannot_change():
+    with pytest.raises(FrozenInstanceError):
+        WRENCH.variant = 'P'
+
+
+def test_every_row_accepts_its_own_default():
+    assert len({parameter.name for parameter in PARAMETERS}) == len(PARAMETERS) == len(fields(Settings))
+    for parameter in PARAMETERS:
+        assert parameter.refusal(parameter.default) is None
+        assert parameter.description.endswith('.')
+
+
+@pytest.mark.parametrize('generated', ['config/estimator.yaml', 'docs/parameters.md'])
+def test_files_made_from_the_table_are_up_to_date(repository, generated):
+    expected = {'config/estimator.yaml': params_text(Settings()), 'docs/parameters.md': page()}[generated]
+    assert (repository / generated).read_text() == expected, 'run python -m semiparam_ros.settings.documentation'
+
+
+def test_a_file_written_is_read_back(tmp_path):
+    settings = WRENCH.changed({'variant': 'P', 'effects': ['payload{"start_s": 1.5}', 'time_delay'],
+                               'hyperparameters.gamma': [1e-7], 'hyperparameters.sigma': [0.1],
+                               'hyperparameters.output_scale': [1.0] * 6, 'robot_description_file': "it's: here"})
+    dump_params(settings, tmp_path / 'p.yaml')
+    assert load_params(tmp_path / 'p.yaml') == settings
+    assert [path.name for path in tmp_path.iterdir()] == ['p.yaml']
+
+
+@given(st.dictionaries(st.sampled_from([p.name for p in PARAMETERS if p.kind == 'double' and (p.minimum or 0) < 0.6]),
+                       st.floats(0.6, 1.0)), st.text('aé%: #"\\\'', max_size=8))
+def test_any_value_survives_a_file(tmp_path_factory, doubles, text):
+    path = tmp_path_factory.mktemp('params') / 'p.yaml'
+    settings = WRENCH.changed({**doubles, 'gate.release': 0.5, 'robot_description_file': text})
+    dump_params(settings, path)
+    assert load_params(path) == settings
+
+
+def test_unknown_name_is_answered_with_the_nearest_and_the_file(tmp_path):
+    path = write(tmp_path / 'p.yaml', 'estimator: {ros__parameters: {sensor_frame: ft, features: {cuont: 200}}}')
+    with pytest.raises(SemiparamError, match=r"p.yaml: there is no parameter 'features.cuont'.*'features.count'"):
+        load_params(path)
+
+
+@pytest.mark.parametrize(('text', 'sentence'), [
+    ('estimator: {ros__parameters: {features: {count: many}}}', "features.count is 'many'; expected an integer"),
+    ('estimator: {ros__parameters: {features: {count: true}}}', 'expected an integer'),
+    ('estimator: {ros__parameters: {variant: SPK}}', "variant is 'SPK'; expected one of P, NP-ML"),
+    ('estimator: {ros__parameters: {forgetting: 1.5}}', 'forgetting is 1.5; expected 0.5 to 1.'),
+    ('estimator: {ros__parameters: {forgetting: .nan}}', 'forgetting is nan'),
+    ('estimator: {ros__parameters: {joints: shoulder}}', "joints is 'shoulder'; expected a list of texts"),
+    ('estimator: {ros__parameters: {hyperparameters: {tau: [1.0, 2]}}}', 'mixes types'),
+    ('estimator: {ros__parameters: [1, 2]}', "holds no 'ros__parameters:'"),
+    ('other: {ros__parameters: {variant: P}}', "no section for node 'estimator' \\(found: other\\)"),
+    ('estimator: [', 'not valid YAML in line 1'),
+    ('', 'holds no parameters'),
+])
+def test_bad_files_get_one_sentence(tmp_path, text, sentence):
+    path = write(tmp_path / 'p.yaml', text)
+    with pytest.raises(SemiparamError, match=sentence) as error:
+        load_params(path)
+    assert str(path) in str(error.value)
+    assert '\n' not in str(error.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(SemiparamError, match=r'cannot read the parameter file .*none.yaml: No such file'):
+        load_params(tmp_path / 'none.yaml')
+
+
+def test_sections_apply_in_order_and_wildcards_may_hold_foreign_names(tmp_path):
+    path = write(tmp_path / 'p.yaml', """
+/**: {ros__parameters: {use_sim_time: true, publish_frequency: 3.0, sensor_frame: ft, variant: P}}
+estimator: {ros__parameters: {variant: SP-ML, qos_overrides./wrench.subscription.depth: 5}}
+/other: {ros__parameters: {variant: NP-ML}}
+/left/arm: {ros__parameters: {variant: NP-ML}}
+""")
+    assert load_params(path).variant == 'SP-ML'
+    assert load_params(path, node='/left/arm').variant == 'NP-ML'
+    write(path, '/**: {ros__parameters: {sensor_frmae: ft}}')
+    with pytest.raises(SemiparamError, match="'sensor_frame'"):
+        load_params(path)
+
+
+def test_numbers_are_read_as_ros_reads_them(tmp_path):
+    path = write(tmp_path / 'p.yaml', 'estimator: {ros__parameters: {sensor_frame: ft, forgetting: 1, '
+                                      'alignment.tolerance: 1e-3, effects: [""], joints: []}}')
+    settings = load_params(path)
+    assert (settings.forgetting, settings.alignment_tolerance) == (1.0, 0.001)
+    assert isinstance(settings.forgetting, float)
+    assert settings.effects == settings.joints == ()
+
+
+BROKEN = {
+    'sensor_frame_is_named': {'sensor_frame': ''},
+    'one_robot_description': {'robot_description': '<robot/>', 'robot_description_file': 'a.urdf'},
+    'joints_are_distinct': {'joints': ['a', 'a']},
+    'locked_joints_have_positions': {'locked_joints.names': ['a']},
+    'features_come_in_pairs': {'features.count': 3},
+    'shadow_variants_are_distinct': {'shadow_variants': ['P', 'P']},
+    'gate_has_hysteresis': {'gate.release': 7.0},
+    'hyperparameters_have_sizes': {'hyperparameters.gamma': [1.0, 2.0]},
+    'input_scaling_is_whole': {'hyperparameters.input_mean': [0.0, 0.0, 0.0], 'joints': ['a']},
+    'hyperparameters_suffice': {'hyperparameters.sigma': [1.0]},
+    'state_file_is_a_plain_name': {'state_file': '../x.npz'},
+    'effects_are_known': {'effects': ['payload{"a": }']},
+}
+
+
+@pytest.mark.parametrize('rule', RULES, ids=lambda rule: rule.__name__)
+def test_every_rule_holds_by_default_and_can_be_broken(rule):
+    assert rule(WRENCH) is None
+    broken = WRENCH.changed(BROKEN[rule.__name__])
+    sentence = rule(broken)
+    assert sentence is not None
+    assert sentence.endswith('.') and '\n' not in sentence
+    assert broken_rule(broken) is not None
+
+
+@pytest.mark.parametrize(('effect', 'sentence'), [
+    ('paylod', 'names no known kind'), ('payload{"start_s": "soon"}', 'not finite numbers'),
+    ('viscous_friction@a', 'does not act on outputs wrench')])
+def test_effects_are_refused_by_name(effect, sentence):
+    assert sentence in broken_rule(WRENCH.changed({'effects': [effect]}))
+
+
+def test_a_live_change_is_refused_with_the_same_sentence_as_a_file():
+    assert refusal(WRENCH, {'variant': 'P', 'horizon.length': 10}) is None
+    assert 'cannot change while the node runs' in refusal(WRENCH, {'features.count': 100})
+    assert refusal(WRENCH, {'gate.release': 9.0}) == RULES[6](WRENCH.changed({'gate.release': 9.0}))
+    assert refusal(WRENCH, {'gate.release': 9.0, 'gate.threshold': 10.0}) is None
+    assert "nearest is 'variant'" in refusal(WRENCH, {'varient': 'P'})
+
+
+def test_an_empty_item_is_no_choice():
+    parameter = Parameter('x', (), 'string_array', 'X.', choices=('a',))
+    assert parameter.refusal(('a', 'b')) == "x is ['a', 'b']; expected one of a."
+
+
+def test_estimator_follows_the_settings():
+    settings = WRENCH.changed({'robot_description': URDF, 'joints': ['a', 'b'], 'features.count': 20,
+                               'horizon.length': 7, 'initial.samples': 50})
+    estimator = build_estimator(settings)
+    assert estimator.body.joints == ('a', 'b')
+    assert estimator.options.features_count == 20
+    assert estimator.options.horizon == 7
+    assert build_estimator(settings.changed({'joints': []})).body.joints == ('a', 'b')
+    locked = settings.changed({'joints': [], 'locked_joints.names': ['a'], 'locked_joints.positions': [0.5]})
+    assert build_estimator(locked).body.joints == ('b',)
+
+
+def test_given_hyperparameters_survive_the_parameters():
+    settings = WRENCH.changed({
+        'hyperparameters.gamma': [0.5], 'hyperparameters.rho': [2.0], 'hyperparameters.sigma': [0.1],
+        'hyperparameters.tau': [1.0, 2.0, 3.0], 'hyperparameters.output_scale': [1.0] * 6,
+        'hyperparameters.input_mean': [0.0] * 6, 'hyperparameters.input_scale': [1.0] * 6,
+        'robot_description': URDF, 'joints': ['a', 'b'], 'features.count': 20})
+    assert broken_rule(settings) is None
+    given_ones = given_hyperparameters(settings)
+    values = hyperparameter_values(given_ones, settings.hyperparameters_input_mean,
+                                   settings.hyperparameters_input_scale)
+    assert settings.changed(values) == settings
+    assert build_estimator(settings).ready
+
+
+def test_robot_description_is_looked_for_in_one_order(tmp_path):
+    with pytest.raises(SemiparamError, match='no robot description'):
+        build_estimator(WRENCH)
+    assert build_estimator(WRENCH, URDF).body.joints == ('a', 'b')
+    path = write(tmp_path / 'arm.urdf', URDF)
+    assert build_estimator(WRENCH.changed({'robot_description_file': str(path)}), 'ignored').body.n_joints == 2
+    for name in (str(tmp_path / 'none.urdf'), 'package://no_such_package/a.urdf'):
+        with pytest.raises(SemiparamError, match=r'none.urdf|no_such_package'):
+            build_estimator(WRENCH.changed({'robot_description_file': name}))
+
+
+def test_ros_itself_reads_the_file_with_the_same_types(tmp_path):
+    """A whole file through rcl's own parser: every value arrives with the type that the table declares."""
+    expected = WRENCH.changed({'effects': ['time_delay'], 'locked_joints.positions': [1e-7],
+                               'locked_joints.names': ['a']})
+    dump_params(expected, tmp_path / 'p.yaml')
+    script = ('import rclpy, sys, yaml; from rclpy.node import Node\n'
+              f"rclpy.init(args=['--ros-args', '--params-file', {str(tmp_path / 'p.yaml')!r}])\n"
+              "node = Node('estimator', start_parameter_services=False)\n"
+              'print(yaml.safe_dump({k: v.value for k, v in node._parameter_overrides.items()}))')
+    answer = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True, check=True,
+                            env={**os.environ, 'ROS_DOMAIN_ID': '50', 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'})
+    assert Settings.from_mapping(yaml.safe_load(answer.stdout)) == expected

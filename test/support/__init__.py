@@ -1,0 +1,1 @@
+"""What tests share: arms, recordings, nodes and peers to talk to, other libraries' answers."""

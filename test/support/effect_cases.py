@@ -1,0 +1,30 @@
+"""Every kind of effect at every place, on an arm with a sensor and on one with efforts."""
+
+import numpy as np
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.effects import Effect, kinds
+from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+
+MOTION = smooth_motion(4, 40)
+BODIES = {'wrench': icub(), 'effort': RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')}
+FORMULA = {'wrench': {'time*abs(dq_r_elbow)': 1.2, 'bump(q_r_elbow,0.1,0.3)': 1.0}, 'effort': {'q_elbow^2': 0.3}}
+RESIDUALS = {name: np.random.default_rng(0).standard_normal((len(MOTION), body.n_outputs))
+             for name, body in BODIES.items()}
+
+
+def everywhere() -> list[tuple[str, Effect]]:
+    """(outputs, effect) for every kind at every place, with the first values that a search would try."""
+    cases = []
+    for outputs, body in BODIES.items():
+        for kind in kinds(outputs).values():
+            for where in kind.places(body):
+                shapes = kind.searches(body, MOTION, where, RESIDUALS[outputs])
+                reference = tuple(body.base_parameters) if kind.kind == 'load_friction' else ()
+                cases.append((outputs, kind(where, dict(shapes[0]), reference)))
+        cases.append((outputs, kinds()['terms'](body.output_names[0], FORMULA[outputs])))
+    return cases
+
+
+CASES = everywhere()
+NAMES = [f'{outputs}-{effect.kind}@{effect.where}' for outputs, effect in CASES]

@@ -1,0 +1,115 @@
+"""A small arm with a motion of its own, for the tests of the node."""
+
+import pickle
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from semiparam_ros.bags import recording_layout as layout
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.stamps import stamp_fields
+from semiparam_ros.settings import Settings
+from semiparam_ros.settings.build import build_rigid_body
+
+JOINTS = ('a', 'b')
+URDF = """<robot name="two">
+  <link name="base"/>
+  <link name="upper"><inertial><mass value="1.0"/><origin xyz="0 0 0.1"/>
+    <inertia ixx="0.01" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="ft"><inertial><mass value="0.5"/><origin xyz="0.02 0 0.1"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
+  <joint name="b" type="revolute"><parent link="upper"/><child link="ft"/><origin xyz="0 0 0.3"/><axis xyz="1 0 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
+</robot>"""
+SETTINGS = Settings(robot_description=URDF, joints=JOINTS, sensor_frame='ft', features_count=40, initial_samples=60,
+                    horizon_length=5)
+BODY = build_rigid_body(SETTINGS)
+PERIOD_NS = 20_000_000
+START_NS = 1_000_000_000
+
+
+def motion(count: int, seed: int = 0, body=BODY) -> list[Sample]:
+    """Samples at 50 Hz: smooth motion, a heavier hand than described, an unmodelled bump, and noise."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(count)[:, None] * PERIOD_NS * 1e-9
+    rate, phase = rng.uniform(1.0, 4.0, (3, body.n_joints)), rng.uniform(0, 6.3, (3, body.n_joints))
+    angle = time[:, None, :] * rate + phase
+    position = 0.5 * np.sin(angle).sum(axis=1)
+    velocity = 0.5 * (rate * np.cos(angle)).sum(axis=1)
+    acceleration = -0.5 * (rate**2 * np.sin(angle)).sum(axis=1)
+    inertia = body.base_parameters * 1.2
+    samples = []
+    for index, row in enumerate(zip(position, velocity, acceleration, strict=True)):
+        outputs = body.regressor(*row) @ inertia + 0.3 * np.sin(3.0 * row[0][0]) \
+            + 0.01 * rng.standard_normal(body.n_outputs)
+        samples.append(Sample(START_NS + index * PERIOD_NS, *row, outputs))
+    return samples
+
+
+@dataclass
+class DelayedJob:
+    packed: bytes
+    done: Callable[[object, BaseException | None], None]
+    cancelled: bool = False
+
+    def cancel(self):
+        self.cancelled = True
+
+
+class DelayedBackground:
+    """A background whose jobs run when the test says so; arguments and results are pickled, as between processes."""
+
+    def __init__(self):
+        self.jobs = deque()
+        self.tasks = deque()
+
+    def submit(self, function, *arguments, done):
+        self.jobs.append(DelayedJob(pickle.dumps((function, arguments)), done))
+        return self.jobs[-1]
+
+    def later(self, function):
+        self.tasks.append(function)
+
+    def run(self, count=1000):
+        """Run up to ``count`` jobs and all tasks, those included that they bring about."""
+        while (self.jobs and count) or self.tasks:
+            while self.tasks:
+                self.tasks.popleft()()
+            if self.jobs and count:
+                count -= 1
+                job = self.jobs.popleft()
+                if job.cancelled:
+                    continue
+                function, arguments = pickle.loads(job.packed)
+                try:
+                    result, error = pickle.loads(pickle.dumps(function(*arguments))), None
+                except Exception as caught:
+                    result, error = None, caught
+                job.done(result, error)
+
+
+def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measured=True, wrench_late_ns=0):
+    """The recording of a robot that measures accelerations or not, its wrenches between the joint states or not."""
+    with BagWriter(path) as bag:
+        if description:
+            bag.write(layout.ROBOT_DESCRIPTION, 'std_msgs/msg/String', {'data': description}, samples[0].stamp)
+        for sample in samples:
+            header = {'stamp': stamp_fields(sample.stamp), 'frame_id': frame}
+            late = {'stamp': stamp_fields(sample.stamp + wrench_late_ns), 'frame_id': frame}
+            force, torque = (dict(zip('xyz', part.tolist(), strict=True)) for part in np.split(sample.outputs, 2))
+            point = {'accelerations': sample.acceleration.tolist()}
+            bag.write(layout.JOINT_STATES, layout.TYPES[layout.JOINT_STATES], {
+                'header': header, 'name': list(joints), 'position': sample.position.tolist(),
+                'velocity': sample.velocity.tolist(), 'effort': []}, sample.stamp)
+            if measured:
+                bag.write(layout.JOINT_ACCELERATIONS, layout.TYPES[layout.JOINT_ACCELERATIONS],
+                          {'header': header, 'joint_names': list(joints), 'points': [point]}, sample.stamp)
+            if not wrench_late_ns or sample is not samples[-1]:
+                bag.write(layout.WRENCH, layout.TYPES[layout.WRENCH],
+                          {'header': late, 'wrench': {'force': force, 'torque': torque}}, sample.stamp + wrench_late_ns)
+    return path

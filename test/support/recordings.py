@@ -1,0 +1,37 @@
+"""Recordings of the iCub arm that tests make for themselves."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+
+from semiparam_ros.bags.recording_layout import JOINT_STATES, ROBOT_DESCRIPTION, TYPES, WRENCH
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.stamps import stamp_fields
+
+URDF = Path(__file__).resolve().parents[2] / 'config/icub_right_arm.urdf'
+FRAME, JOINTS = 'r_arm_ft_sensor', ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
+PERIOD_NS = 50_000_000
+
+
+def write_arm(path: Path, length: int, seed: int = 1, start: int = 0) -> Path:
+    """Smooth motion of the arm at 20 Hz, the wrench of its inertias 1.2 times, an offset and noise."""
+    urdf = URDF.read_text()
+    body = RigidBody.from_urdf(urdf, JOINTS, 'wrench', FRAME)
+    rng = np.random.default_rng(seed)
+    frequency, phase = rng.uniform(0.5, 3.0, 4), rng.uniform(0.0, 6.0, 4)
+    with BagWriter(path) as bag:
+        bag.write(ROBOT_DESCRIPTION, TYPES[ROBOT_DESCRIPTION], {'data': urdf}, start)
+        for stamp in itertools.islice(itertools.count(start, PERIOD_NS), length):
+            angle = frequency * (stamp - start) * 1e-9 + phase
+            position, velocity = np.sin(angle), frequency * np.cos(angle)
+            wrench = body.regressor(position, velocity, -(frequency**2) * np.sin(angle)) @ (1.2 * body.base_parameters)
+            wrench = wrench + 1.0 + 0.05 * rng.standard_normal(6)
+            header = {'stamp': stamp_fields(stamp), 'frame_id': FRAME}
+            bag.write(JOINT_STATES, TYPES[JOINT_STATES], {
+                'header': header, 'name': list(JOINTS), 'position': position.tolist(), 'velocity': velocity.tolist(),
+                'effort': []}, stamp)
+            force, torque = (dict(zip('xyz', map(float, part), strict=True)) for part in (wrench[:3], wrench[3:]))
+            bag.write(WRENCH, TYPES[WRENCH], {'header': header, 'wrench': {'force': force, 'torque': torque}}, stamp)
+    return path

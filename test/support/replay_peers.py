@@ -1,0 +1,146 @@
+"""The other side of replay and record tests: the tools as processes, and nodes in this one that talk to them."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.ros.message_types import message_class
+
+SECOND = 10**9
+START = 1_700_000_000 * SECOND
+WRENCH, STATES, TEXT = 'geometry_msgs/msg/WrenchStamped', 'sensor_msgs/msg/JointState', 'std_msgs/msg/String'
+PATIENCE_S = 30.0
+
+EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=1, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def stamp(k, rate_hz):
+    return START + k * SECOND // rate_hz
+
+
+def fields(ns):
+    return {'stamp': {'sec': ns // SECOND, 'nanosec': ns % SECOND}, 'frame_id': 'sensor'}
+
+
+def write_robot(path, count, rate_hz=100, **topics):
+    """A bag of ``count`` joint states and wrenches at equal stamps, with a latched description before them."""
+    with BagWriter(path, chunk_bytes=4096) as bag:
+        bag.write('/robot_description', TEXT, {'data': '<robot name="arm"/>'}, START)
+        for topic, qos in topics.items():
+            bag.add_topic(f'/{topic}', WRENCH if topic == 'wrench' else STATES, qos)
+        for k in range(count):
+            now = stamp(k, rate_hz)
+            bag.write('/joint_states', STATES, {'header': fields(now), 'name': ['a', 'b'], 'position': [k * 0.1, 1.0]},
+                      now)
+            bag.write('/wrench', WRENCH, {'header': fields(now), 'wrench': {'force': {'x': float(k)}}}, now)
+    return path
+
+
+class Tool:
+    """`semiparam ...` as a process of its own; whatever it says goes to a file."""
+
+    def __init__(self, tmp_path, *arguments):
+        self.log = tmp_path / f'{arguments[0]}-{time.monotonic_ns()}.log'
+        with self.log.open('wb') as log:
+            self.process = subprocess.Popen([sys.executable, '-m', 'semiparam_ros.cli.main', *map(str, arguments)],
+                                            stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+                                            env={**os.environ, 'COLUMNS': '400'})
+
+    def wait(self):
+        """The exit code."""
+        return self.process.wait(PATIENCE_S)
+
+    def said(self, text):
+        return text in self.output
+
+    @property
+    def output(self):
+        return self.log.read_text()
+
+    def interrupt(self, number=signal.SIGINT):
+        self.process.send_signal(number)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
+
+class Peer:
+    """A node in this process, with a context of its own, that keeps what it receives in ``heard[topic]``."""
+
+    def __init__(self, name='peer', domain=None):
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context,
+                   domain_id=int(os.environ['ROS_DOMAIN_ID']) if domain is None else domain,
+                   signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        self.node = rclpy.create_node(name, context=self.context)
+        self.heard = {}
+        self.changed = threading.Condition()
+        self.executor = EventsExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.closing = False
+        self.thread = threading.Thread(target=self._spin, daemon=True)
+
+    def _spin(self):
+        while not self.closing:
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def listen(self, topic, type_name, qos=EVERYTHING, raw=False):
+        heard = self.heard.setdefault(topic, [])
+
+        def receive(message):
+            with self.changed:
+                heard.append(message)
+                self.changed.notify_all()
+        self.node.create_subscription(message_class(type_name), topic, receive, qos, raw=raw)
+
+    def answer(self, topic, type_name, answers='~/residual', refuses=lambda count: False, depth=100):
+        """Answer every message on ``topic`` with itself, but those whose number ``refuses`` says."""
+        heard = self.heard.setdefault(topic, [])
+        output = self.node.create_publisher(message_class(type_name), answers, EVERYTHING)
+
+        def receive(raw):
+            heard.append(raw)
+            if not refuses(len(heard)):
+                output.publish(raw)
+        self.node.create_subscription(message_class(type_name), topic, receive, depth, raw=True)
+
+    def wait_for(self, condition, what=''):
+        """Until ``condition()`` holds, looked at whenever a message arrives and now and then."""
+        deadline = time.monotonic() + PATIENCE_S
+        with self.changed:
+            while not condition():
+                assert time.monotonic() < deadline, what or {topic: len(each) for topic, each in self.heard.items()}
+                self.changed.wait(0.05)
+
+    def call(self, kind, service, request=None):
+        """The response of one service call."""
+        client = self.node.create_client(kind, service)
+        assert client.wait_for_service(PATIENCE_S), service
+        future = client.call_async(request or kind.Request())
+        self.wait_for(future.done, service)
+        return future.result()
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.closing = True
+        self.thread.join()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()

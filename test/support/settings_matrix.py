@@ -1,0 +1,437 @@
+"""Every pair of settings, run through the real path: messages, samples, learner, state file.
+
+    python test/support/settings_matrix.py                      every row with 20000 samples
+    python test/support/settings_matrix.py --samples 300 17 42  two rows, as in `make test`
+
+All-pairs testing: covertable chooses rows such that any two values of two different factors meet in one of them, and
+any three of the groups in ``TRIPLES``.
+
+Each row is run three times: by the command's offline learner, by the node's learner, and by the node's learner saved
+half-way and loaded into another one. All three must say the same of every sample, bit for bit, and finite numbers only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+os.environ.setdefault('OMP_NUM_THREADS', '1')
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
+import numpy as np
+from covertable import make
+
+from semiparam_ros.bags.loading import sample_stream
+from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.effects import effect_to_text, kinds
+from semiparam_ros.effects.base import Effect
+from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.online import state_file
+from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.tare import Tare
+from semiparam_ros.online.worker import InlineBackground
+from semiparam_ros.settings import Settings
+from semiparam_ros.settings.build import build_rigid_body
+from semiparam_ros.settings.table import OUTPUTS
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
+
+from support.node_helpers import JOINTS, URDF, DelayedBackground
+
+FACTORS: dict[str, tuple[object, ...]] = {
+    'variant': VARIANTS,
+    'effect': (*kinds(), 'none'),
+    'outputs': OUTPUTS,
+    'values': ('bare', 'all'),
+    'start': ('none', 'late', 'stamp'),
+    'place': ('first', 'last'),
+    'forgetting': (0.999, 1.0, 0.99, 0.9),
+    'noise': ('output', 'one'),
+    'length_scales': ('kind', 'one', 'input'),
+    'gate': (True, False),
+    'tare': (True, False),
+    'horizon': (25, 1, 200),
+    'motion': ('filtered', 'measured', 'missing'),
+    'still': ('none', 'noisy', 'exact'),
+    'background': ('delayed', 'inline'),
+}
+"""What is not a parameter's value:
+
+start: of the effect; none, in seconds since the start of the recording, or as a stamp.
+motion: velocities and accelerations measured; accelerations filtered from the velocities; velocities missing, filtered
+from the positions.
+still: the robot stands still for one and a half initial windows first, with the sensor's noise or without any (then the
+window gives no hyperparameters, and another one is gathered).
+background: hyperparameters are estimated at once, or while further samples come.
+"""
+
+TRIPLES: tuple[tuple[str, ...], ...] = (
+    ('effect', 'outputs', 'values'), ('effect', 'outputs', 'place'), ('effect', 'values', 'start'),
+    ('variant', 'outputs', 'forgetting', 'still', 'background'), ('variant', 'forgetting', 'gate', 'tare'),
+    ('variant', 'forgetting', 'horizon'), ('variant', 'outputs', 'motion'), ('variant', 'noise', 'length_scales'))
+"""Groups of factors of which any three values meet: they cost hardly a row more, as each variant meets each effect."""
+
+IMPOSSIBLE: dict[tuple[str, str], str] = {
+    (name, outputs): f'{name} acts on {" and ".join(kind.outputs)} only'
+    for name, kind in kinds().items() for outputs in OUTPUTS if outputs not in kind.outputs}
+"""Pairs of effect and outputs that cannot be, and why; they are refused, and a test asks for the sentence."""
+
+FEATURES, WINDOW = 10, 24
+PERIOD_NS, START_NS = 10_000_000, 5_000_000_000
+CONTACT_EVERY_S, CONTACT_S = 20.0, 0.4
+RUN_BACKGROUND_EVERY = 25
+Row = dict[str, object]
+
+
+def is_possible(row: Row) -> bool:
+    """Whether a row, or the part of it that is there, can be."""
+    return (row.get('effect'), row.get('outputs')) not in IMPOSSIBLE
+
+
+@cache
+def rows() -> tuple[Row, ...]:
+    """Rows in which every possible pair of values occurs; always the same ones."""
+    excluded = [{'operator': 'or', 'conditions': [{'operator': 'ne', 'left': 'effect', 'value': effect},
+                                                  {'operator': 'ne', 'left': 'outputs', 'value': outputs}]}
+                for effect, outputs in IMPOSSIBLE]
+    triples = [{'fields': list(group), 'strength': 3} for group in TRIPLES]
+    return tuple(make({name: list(values) for name, values in FACTORS.items()}, constraints=excluded,
+                      sub_models=triples))
+
+
+def pairs_of(row: Row) -> set[tuple[object, ...]]:
+    """The pairs of values that a row tests."""
+    return {(one, row[one], other, row[other]) for one, other in itertools.combinations(FACTORS, 2)}
+
+
+def possible_pairs() -> set[tuple[object, ...]]:
+    """All pairs of values that can be."""
+    return {(one, a, other, b) for one, other in itertools.combinations(FACTORS, 2)
+            for a, b in itertools.product(FACTORS[one], FACTORS[other]) if is_possible({one: a, other: b})}
+
+
+# The model of a row
+
+@cache
+def body_of(outputs: str):
+    """The two-joint arm, with a wrench sensor in its hand or torque sensors in its joints."""
+    return build_rigid_body(Settings(robot_description=URDF, joints=JOINTS, outputs=outputs,
+                                     sensor_frame='ft' if outputs == 'wrench' else ''))
+
+
+def effect_of(row: Row, duration_s: float) -> Effect | None:
+    """The effect of a row: bare or with all of its values, at the first or the last of its places."""
+    if row['effect'] == 'none':
+        return None
+    kind, body = kinds()[str(row['effect'])], body_of(str(row['outputs']))
+    places = kind.places(body) or body.output_names
+    where = places[0 if row['place'] == 'first' else -1]
+    shape = {'sin(q_a)': 1.0} if kind.kind == 'terms' else {}
+    reference: tuple[float, ...] = ()
+    if row['values'] == 'all':
+        shape = all_values(kind, where, str(row['outputs']))
+        reference = tuple(body.base_parameters) if kind.kind == 'load_friction' else ()
+    if row['start'] == 'late':
+        shape['start_s'] = 0.7 * duration_s
+    elif row['start'] == 'stamp':
+        shape['start_stamp_s'] = 1e-9 * START_NS + 0.05 * duration_s
+    return kind(where, shape, reference)
+
+
+def all_values(kind: type[Effect], where: str | None, outputs: str) -> dict[str, float]:
+    """Every value that the kind knows, those that choose the form of its columns as a search would set them."""
+    if kind.kind == 'terms':
+        return {'time*abs(dq_a)': 1.2, 'bump(q_b,0.1,0.3)': 1.0, 'q_a^2*sin(q_b)': 0.3}
+    moving = samples_of(raw_motion('wrench', 'none', 400), Settings(), 'wrench', 'measured')
+    motion = Samples.from_list(moving)
+    body = body_of(outputs)
+    residual = np.random.default_rng(0).standard_normal((len(motion), body.n_outputs))
+    found = kind.searches(body, motion, where, residual)
+    small = dict.fromkeys((name for name, _ in kind.calibrations), 0.01)
+    return {**dict.fromkeys(kind.shape_units, 0.05), **small, **(dict(found[-1]) if len(found) else {})}
+
+
+def settings_of(row: Row, count: int) -> Settings:
+    """The parameters of a row."""
+    effect = effect_of(row, count * PERIOD_NS * 1e-9)
+    wrench = row['outputs'] == 'wrench'
+    return Settings.from_mapping({
+        'robot_description': URDF, 'joints': list(JOINTS), 'sensor_frame': 'ft' if wrench else '',
+        'outputs': row['outputs'], 'variant': row['variant'],
+        'effects': [effect_to_text(effect)] if effect else [], 'forgetting': row['forgetting'], 'noise': row['noise'],
+        'features.length_scales': row['length_scales'], 'features.count': FEATURES, 'initial.samples': WINDOW,
+        'gate.enabled': row['gate'], 'horizon.length': row['horizon'], 'retained.samples': max(count // 10, 20)})
+
+
+# The motion of a row
+
+class Motion(NamedTuple):
+    """States and outputs at even times, (N, 2) and (N, n)."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    outputs: np.ndarray
+
+
+@cache
+def raw_motion(outputs: str, still: str, count: int) -> Motion:
+    """Sums of sines, a hand heavier than described, a bump that no column explains, a drift, noise and contacts."""
+    rng = np.random.default_rng(7)
+    body = body_of(outputs)
+    quiet = 0 if still == 'none' else 3 * WINDOW // 2
+    time_s = np.maximum(np.arange(count) - quiet, 0)[:, None, None] * PERIOD_NS * 1e-9
+    rate, phase = rng.uniform(1.0, 6.0, (1, 2, 3)), rng.uniform(0.0, 2 * np.pi, (1, 2, 3))
+    angle = rate * time_s + phase
+    position, velocity = 0.4 * np.sin(angle).sum(2), 0.4 * (rate * np.cos(angle)).sum(2)
+    acceleration = -0.4 * (rate**2 * np.sin(angle)).sum(2)
+    velocity[:quiet] = acceleration[:quiet] = 0.0
+    stamps = np.arange(count, dtype=np.int64)
+    regressors = body.regressors(Samples(stamps, position, velocity, acceleration, np.zeros((count, 1)), 0))
+    measured = regressors @ (1.2 * body.base_parameters) + 0.3 * np.sin(3.0 * position[:, :1]) + 1e-3 * time_s[:, :, 0]
+    measured += 0.02 * rng.standard_normal(measured.shape)
+    if still == 'exact':
+        measured[:quiet] = measured[0]
+    contact = np.zeros(count, dtype=bool)
+    for start in (*range(count * 3 // 4, count, round(CONTACT_EVERY_S * 1e9 / PERIOD_NS)), count // 2 - 10):
+        contact[start:start + round(CONTACT_S * 1e9 / PERIOD_NS)] = True
+    measured[contact] += 5.0
+    return Motion(position, velocity, acceleration, measured)
+
+
+def samples_of(motion: Motion, settings: Settings, outputs: str, source: str, burst: int = 1) -> list[Sample]:
+    """What a stream makes of the messages when the topics come in bursts of so many messages."""
+    stream = sample_stream(settings, JOINTS, source == 'measured')
+    late = PERIOD_NS // 3 if outputs == 'wrench' else 0  # a wrench between two joint states
+    found: list[Sample] = []
+    stamps = [START_NS + index * PERIOD_NS for index in range(len(motion.position))]
+    for start in range(0, len(stamps), burst):
+        part = _part(stamps, motion, start, burst)
+        for stamp, position, velocity, _, measured in part:
+            found += stream.joint_state(stamp, JOINTS, position, () if source == 'missing' else velocity,
+                                        measured if outputs == 'effort' else ())
+        for stamp, _, _, acceleration, _ in part if source == 'measured' else ():
+            found += stream.accelerations(stamp, JOINTS, acceleration)
+        for stamp, _, _, _, measured in part if outputs == 'wrench' else ():
+            found += stream.wrench(stamp + late, 'ft', measured)
+    assert not stream.faults, stream.last_fault
+    return found
+
+
+def _part(stamps: list[int], motion: Motion, start: int, burst: int) -> list[tuple]:
+    block = slice(start, start + burst)
+    return list(zip(stamps[block], *(values[block].tolist() for values in motion), strict=True))
+
+
+# Three ways to run it
+
+@dataclass
+class Record:
+    """What was said of each sample."""
+
+    answers: list[tuple] = field(default_factory=list)
+    horizons: list[tuple] = field(default_factory=list)
+    final: dict[str, np.ndarray] = field(default_factory=dict)
+    news: list[str] = field(default_factory=list)
+    failed_windows: int = 0
+
+    def horizon(self, errors: HorizonErrors) -> None:
+        """Horizon errors, after the sample that completed them was answered."""
+        self.horizons.append((self.answers[-1][0], errors.origin, errors.eps.tolist(), errors.eps_centred.tolist()))
+
+    def finish(self, estimator, tare: Tare) -> None:
+        self.final = {**estimator.model.recursion.state(), 'bias': tare.bias}
+
+
+class Live:
+    """The node's learner, its background at once or late."""
+
+    def __init__(self, row: Row, settings: Settings) -> None:
+        self.record = Record()
+        self._delayed = row['background'] == 'delayed'
+        self.background = DelayedBackground() if self._delayed else InlineBackground()
+        self.learner = Learner(settings, body_of(settings.outputs), self.background, self)
+        self._offered = 0
+
+    def answered(self, answer: Answer) -> None:
+        prediction = answer.prediction
+        self.record.answers.append((prediction.sample.stamp, answer.learnt, answer.contact, prediction.ready,
+                                    prediction.mean.tolist(), prediction.std.tolist()))
+
+    def horizon_completed(self, errors: HorizonErrors) -> None:
+        self.record.horizon(errors)
+
+    def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
+        raise AssertionError(f'there is no shadow {variant}')
+
+    def told(self, sentence: str) -> None:
+        self.record.news.append(sentence)
+
+    def model_switched(self, success: bool, sentence: str) -> None:
+        raise AssertionError(sentence)
+
+    def settings_reverted(self, settings: Settings) -> None:
+        raise AssertionError('no setting was changed')
+
+    def failed(self, place: str, error: BaseException) -> None:
+        raise AssertionError(f'{place}: {type(error).__name__}: {error}') from error
+
+    def offer(self, samples: list[Sample]) -> None:
+        for sample in samples:
+            self.learner.offer(sample)
+            self._offered += 1
+            if self._offered % RUN_BACKGROUND_EVERY == 0:
+                self.run_background()
+
+    def run_background(self) -> None:
+        if self._delayed:
+            self.background.run()
+
+
+def offline(settings: Settings, samples: list[Sample], tares: list[int]) -> Record:
+    """The commands' learner; a tare before the samples of these numbers."""
+    record, learner = Record(), OfflineLearner(settings, [], lambda: None)
+    tare = Tare(learner.estimator.body.n_outputs)
+    for index, sample in enumerate(samples):
+        if index in tares:
+            tare.take()
+        if tare.active:
+            sample = sample._replace(outputs=sample.outputs - tare.bias)
+        refused = learner.gate.refused
+        prediction = learner.step(sample, True)
+        contact = learner.gate.refused > refused
+        tare.add(sample.stamp, sample.outputs - prediction.mean, prediction.ready)
+        mean = prediction.mean + tare.bias if tare.active else prediction.mean
+        record.answers.append((sample.stamp, not contact, contact, prediction.ready, mean.tolist(),
+                               prediction.std.tolist()))
+        if prediction.horizon is not None:
+            record.horizon(prediction.horizon)
+    record.finish(learner.estimator, tare)
+    record.failed_windows = len(learner.failed_windows)
+    return record
+
+
+def live(row: Row, settings: Settings, samples: list[Sample], tares: list[int], path: Path) -> tuple[Record, Record]:
+    """Uninterrupted; and the second half by another learner that loaded the first one's state from ``path``."""
+    half = len(samples) // 2
+    first = Live(row, settings)
+    _offer_with_tares(first, samples[:half], tares)
+    first.run_background()
+    state_file.save(path, first.learner.state())
+    second = Live(row, settings)
+    second.learner.restore(state_file.load(path, settings, body_of(settings.outputs)))
+    for stage in (first, second):
+        _offer_with_tares(stage, samples[half:], [index - half for index in tares])
+        stage.run_background()
+        stage.record.finish(stage.learner.estimator, stage.learner.tare)
+    return first.record, second.record
+
+
+def _offer_with_tares(stage: Live, samples: list[Sample], tares: list[int]) -> None:
+    edges = [0, *(index for index in tares if 0 <= index < len(samples)), len(samples)]
+    for start, end in itertools.pairwise(edges):
+        if start:
+            stage.run_background()
+            stage.learner.tare.take()
+        stage.offer(samples[start:end])
+
+
+# What must hold
+
+def check(row: Row, count: int) -> dict[str, object]:
+    """Run one row; AssertionError says what does not hold. Returns figures."""
+    started = time.perf_counter()
+    settings, outputs = settings_of(row, count), str(row['outputs'])
+    motion = raw_motion(outputs, str(row['still']), count)
+    recorded = samples_of(motion, settings, outputs, str(row['motion']))
+    received = samples_of(motion, settings, outputs, str(row['motion']), burst=7)
+    assert_same_samples(recorded, received)
+    assert len(recorded) >= count - 1
+    tares = [len(recorded) * 45 // 100, len(recorded) * 95 // 100] if row['tare'] else []
+    expected = offline(settings, recorded, tares)
+    with tempfile.TemporaryDirectory() as folder:
+        whole, resumed = live(row, settings, received, tares, Path(folder) / 'state.npz')
+    assert_finite(expected)
+    assert expected.answers[-1][3], 'the initial window is not over'
+    assert expected.failed_windows == (row['still'] == 'exact'), 'only a window without noise gives nothing'
+    assert expected.horizons, 'no horizon was completed'
+    if row['gate'] and row['forgetting'] == 1.0 and row['still'] == 'none' and row['variant'] == 'SPK-ML':
+        assert any(answer[2] for answer in expected.answers), 'no contact was seen'
+    assert_same('live and offline', whole, expected, since=0)
+    assert_same('loaded and uninterrupted', resumed, whole, since=len(recorded) // 2)
+    return {'samples': 2 * len(recorded) + len(recorded) - len(recorded) // 2,
+            'seconds': time.perf_counter() - started}
+
+
+def assert_same_samples(one: list[Sample], other: list[Sample]) -> None:
+    for mine, theirs in itertools.zip_longest(zip(*one, strict=True), zip(*other, strict=True)):
+        assert np.array_equal(mine, theirs), 'samples depend on how topics interleave'
+
+
+def assert_finite(record: Record) -> None:
+    for index, (_, _, _, _, mean, std) in enumerate(record.answers):
+        assert np.isfinite([*mean, *std]).all(), f'sample {index} is predicted as {mean} +- {std}'
+        assert min(std) > 0.0, f'sample {index} has a standard deviation of {min(std)}'
+    for name, values in record.final.items():
+        assert np.isfinite(values).all(), f"the final '{name}' is not finite"
+
+
+def assert_same(what: str, one: Record, other: Record, since: int) -> None:
+    assert len(one.answers) == len(other.answers) - since, f'{what}: {len(one.answers)} answers; {one.news}'
+    for index, (mine, theirs) in enumerate(zip(one.answers, other.answers[since:], strict=True)):
+        assert mine == theirs, f'{what}: sample {since + index} differs: {mine} and {theirs}; {one.news}'
+    first = other.answers[since][0]
+    expected = [errors for errors in other.horizons if errors[0] >= first]
+    assert [errors[1:] for errors in one.horizons] == [errors[1:] for errors in expected], f'{what}: horizons differ'
+    assert one.final.keys() == other.final.keys()
+    for name, values in one.final.items():
+        assert np.array_equal(values, other.final[name]), f"{what}: the final '{name}' differs"
+
+
+# The full form
+
+def outcome(number: int, count: int) -> dict[str, object]:
+    """Figures of one row, or what does not hold."""
+    try:
+        return {'row': number, **check(rows()[number], count)}
+    except Exception as error:
+        return {'row': number, 'settings': rows()[number], 'error': f'{type(error).__name__}: {error}'[:2000]}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('rows', nargs='*', type=int, help='numbers of rows (default: all)')
+    parser.add_argument('--samples', type=int, default=20_000)
+    parser.add_argument('--jobs', type=int, default=os.cpu_count())
+    parser.add_argument('--json', type=Path, metavar='FILE')
+    args = parser.parse_args()
+    numbers, started, found = args.rows or range(len(rows())), time.monotonic(), []
+    with ProcessPoolExecutor(args.jobs) as pool:
+        for result in pool.map(outcome, numbers, itertools.repeat(args.samples)):
+            found.append(result)
+            print(result.get('error', 'ok')[:400], result['row'], flush=True)
+    failed = [result for result in found if 'error' in result]
+    summary = {'rows': len(found), 'failed': len(failed),
+               'pairs': len(set().union(*(pairs_of(rows()[number]) for number in numbers))),
+               'samples': sum(int(result.get('samples', 0)) for result in found),
+               'duration_s': round(time.monotonic() - started), 'jobs': args.jobs}
+    print(json.dumps(summary))
+    if args.json:
+        args.json.write_text(json.dumps({**summary, 'results': found}, indent=1) + '\n', encoding='utf-8')
+    return bool(failed)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
