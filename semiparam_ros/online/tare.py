@@ -11,6 +11,8 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 WINDOW_NS = NANOSECONDS
+LARGEST = 1e6
+"""No sensor [N, N m] is off by so much; taken off, it would leave nothing of the measured outputs' digits."""
 
 
 class Tare:
@@ -38,11 +40,18 @@ class Tare:
             self._residuals.popleft()
 
     def take(self) -> int:
-        """Move the bias; returns from how many samples. Raises SemiparamError when there is nothing to go by."""
+        """Move the bias; returns from how many samples.
+
+        Raises SemiparamError, with the bias as it was, when there is nothing to go by, or only absurd predictions.
+        """
         if not self._residuals:
             raise SemiparamError('there is no prediction of the last second to tare by; the initial window must be '
                                  'over and samples must come.')
         count = len(self._residuals)
-        self.bias = self.bias + np.mean([residual for _, residual in self._residuals], axis=0)
+        bias = self.bias + np.mean([residual for _, residual in self._residuals], axis=0)
+        if not np.abs(bias).max() < LARGEST:
+            raise SemiparamError(f'the bias would be {np.abs(bias).max():.3g}, for the model predicts nothing like the '
+                                 f'measured outputs; expected less than {LARGEST:g}.')
+        self.bias = bias
         self._residuals.clear()
         return count

@@ -16,6 +16,7 @@ from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
 from semiparam_ros.online.model_switcher import same_model
+from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import InlineBackground, ProcessBackground, new_estimator
 from semiparam_ros.ros.estimator.inputs import ClockWatch
 from semiparam_ros.settings import Settings
@@ -361,6 +362,14 @@ def test_tare_takes_off_the_bias_and_leaves_the_weight():
     np.testing.assert_allclose(published + residual, measured, atol=1e-12)
     with pytest.raises(SemiparamError, match='no prediction of the last second'):
         Stage().learner.tare.take()
+
+
+def test_a_bias_that_no_sensor_has_is_not_taken():
+    tare = Tare(6)
+    tare.add(0, np.full(6, 1e43), True)
+    with pytest.raises(SemiparamError, match=r'the bias would be 1e\+43'):
+        tare.take()
+    assert not tare.active
 
 
 @pytest.mark.parametrize('count', [40, 200], ids=['provisional', 'learnt'])

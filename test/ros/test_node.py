@@ -207,7 +207,7 @@ def test_pause_tare_save_and_load(client):
     client.play(later, JOINTS)
     assert client.values('predicted_wrench')[-40:] == first, 'bit for bit'
     tared = client.trigger('tare')
-    assert tared.success and 'the bias is now [' in tared.message
+    assert tared.success and 'the bias is now [' in tared.message and '\n' not in tared.message
     assert client.set(state_file='none.npz')[0].successful
     assert client.trigger('load_state').message.endswith('states/none.npz; save_state writes it.')
     refused = client.set(state_file='/none/here.npz')[0]

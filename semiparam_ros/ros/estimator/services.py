@@ -92,7 +92,7 @@ class Services:
         """Take the present bias off the measured outputs."""
         learner = self._learner()
         count = learner.tare.take()
-        values = np.array2string(learner.tare.bias, precision=4, separator=', ')
+        values = np.array2string(learner.tare.bias, precision=4, separator=', ', max_line_width=10_000)
         return f'the bias is now {values} ({", ".join(learner.body.output_units)}), from {count} samples.'
 
     def save_state(self) -> str:
