@@ -27,11 +27,11 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np
-from semiparam_ros.core.rigid_body import RigidBody
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling
 from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 
