@@ -56,7 +56,7 @@ class RandomSettings:
         if name == 'effects':
             return name, *self._some_effects()
         if name == 'shadow_variants':
-            return name, self.chance.sample(VARIANTS, self.chance.randint(0, 3)), True
+            return name, self.chance.sample(list(VARIANTS), self.chance.randint(0, 3)), True
         return name, self._within(LIVE[name]), None if name in ('gate.threshold', 'gate.release') else True
 
     def _within(self, row):
