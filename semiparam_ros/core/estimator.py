@@ -227,17 +227,21 @@ class Estimator:
         return DesiredOutputs(outputs, outputs - of_sensor)
 
     def observe(self, prediction: Prediction, learn: bool = True) -> HorizonErrors | None:
-        """Charge the sample of the latest prediction to the horizon index, and learn it; the horizon it completed.
+        """Charge a predicted sample to the horizon index, and learn it; the horizon it completed.
 
-        Raises SemiparamError, with nothing changed, when the measured outputs are not finite.
+        Every other prediction made before is then stale. Raises SemiparamError, with nothing changed, when this one is,
+        or when the measured outputs are not finite.
         """
         sample, recursion = prediction.sample, self.model.recursion
+        recursion.require_current(prediction.prior)
         require_finite('outputs', sample.outputs)
         self.origin, self._newest = self._origin_at(sample.stamp), sample.stamp
         self._memory = prediction.memory
         outputs = sample.outputs / self.model.output_scale
         complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)
         correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None
+        if not learn:
+            recursion.revise()  # what effects remember has changed, and so have the pending horizons
         self.horizon.remember(sample.stamp, recursion.theta, correction)
         if learn and not self.ready:
             self.window.append(Remembered(sample, prediction.columns))
@@ -265,6 +269,7 @@ class Estimator:
         """Forget half-finished horizons and what effects remember, as after a jump of the clock; keep the model."""
         self.horizon.clear()
         self._memory = None
+        self.model.recursion.revise()
 
     def begin_recording(self, origin: int) -> None:
         """Go on with another recording, whose time starts at ``origin`` [ns]; what is learnt stays."""
@@ -279,7 +284,7 @@ class Estimator:
     def restore(self, state: EstimatorState) -> None:
         """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
 
-        Raises SemiparamError when it is that of another one.
+        Predictions made before are then stale. Raises SemiparamError when it is that of another one.
         """
         self.model.recursion.restore(state.recursion)
         self.horizon.restore(state.horizon)

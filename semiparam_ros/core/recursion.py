@@ -16,6 +16,8 @@ In memory y comes last, after the p columns of C: the order in which the triangu
 
 from __future__ import annotations
 
+import secrets
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +28,9 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 QR_BLOCK = 8
+
+REVISIONS = count(secrets.randbits(60))
+"""Numbers the states of all models. It starts at random, so that no two processes give the same number."""
 
 
 class Prior(NamedTuple):
@@ -38,6 +43,7 @@ class Prior(NamedTuple):
     s: float  # sigma^2 + f'f
     regressed: Array  # (p + 1, n) phi' Theta, y last
     columns_left: Array  # (n, p) E_C, what the features leave of the coupled columns
+    revision: int  # of the model that it was computed from
 
 
 class Correction(NamedTuple):
@@ -75,6 +81,7 @@ class SemiParametricRecursion:
         self._identity = np.eye(n_outputs)
         nothing = np.zeros(0)
         self._no_features = Projection(nothing, nothing, np.zeros((self.n_columns + 1) * n_outputs))
+        self.revise()
 
     def predict(self, phi: Array, columns: Array) -> Prior:
         """Mean and covariance of the outputs at features (D,) and coupled columns (n, p)."""
@@ -87,10 +94,15 @@ class SemiParametricRecursion:
         if self.n_columns:
             half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
             covariance += half.T @ half
-        return Prior(mean, covariance, phi, projection, s, regressed, left)
+        return Prior(mean, covariance, phi, projection, s, regressed, left, self.revision)
 
     def learn(self, prior: Prior, outputs: Array) -> Correction:
-        """Learn the outputs (n,) of the sample that ``prior`` was computed for, by this model as it stands."""
+        """Learn the outputs (n,) of the sample that ``prior`` was computed for.
+
+        Raises SemiparamError, with nothing changed, when the model has changed since.
+        """
+        self.require_current(prior)
+        self.revise()
         innovations = np.empty((self.n_columns + 1, self.n_outputs))
         innovations[:-1] = prior.columns_left.T
         innovations[-1] = outputs - prior.regressed[-1]
@@ -102,6 +114,16 @@ class SemiParametricRecursion:
         if self.forgetting < 1.0:
             self._forget()
         return Correction(prior.projection.reach / prior.s, innovations)
+
+    def revise(self) -> None:
+        """Make every prior computed so far stale; each change of the model does."""
+        self.revision = next(REVISIONS)
+
+    def require_current(self, prior: Prior) -> None:
+        """Raise SemiparamError unless ``prior`` was computed by this model as it stands."""
+        if prior.revision != self.revision:
+            raise SemiparamError('the prediction is stale: the model has changed since it was made, or it is that of '
+                                 'another model; expected a prediction by the model as it stands.')
 
     def weights(self) -> Array:
         """(n, D) feature weights alpha' of each output."""
@@ -119,13 +141,17 @@ class SemiParametricRecursion:
                 'information': self._information.copy(order='F'), 'theta': self.theta.copy()}
 
     def restore(self, state: dict[str, Array]) -> None:
-        """Return to a saved :meth:`state`. Raises SemiparamError when it is that of other sizes or not finite."""
+        """Return to a saved :meth:`state`; every prior computed before is then stale.
+
+        Raises SemiparamError when it is that of other sizes or not finite.
+        """
         for name, mine in self.state().items():
             given = np.asarray(state.get(name, np.nan))
             if given.shape != mine.shape or not np.isfinite(given).all():
                 raise SemiparamError(f"the saved '{name}' has shape {given.shape}; expected finite values of shape "
                                      f'{mine.shape} for {self.n_outputs} outputs, {self.n_features} features and '
                                      f'{self.n_columns} columns.')
+        self.revise()
         self._weights.restore(state)
         self._renewed = int(state['renewed'])
         self._information = np.array(state['information'], dtype=float, order='F')

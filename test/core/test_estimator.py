@@ -1,6 +1,7 @@
 """What every variant of the estimator must do: one check, run over all of them, and what only some do."""
 
 import copy
+import pickle
 import re
 from dataclasses import replace
 
@@ -198,11 +199,49 @@ def test_hyperparameters_handed_on_give_the_same_model(trained, arm, recording):
 
 
 def test_a_copy_in_another_process_says_the_same(trained, recording):
-    import pickle
-
     model, twin = trained_copy(trained), pickle.loads(pickle.dumps(trained[0]))
     for sample in recording[:10]:
         np.testing.assert_array_equal(model.step(sample).mean, twin.step(sample).mean)
+
+
+CHANGES = {
+    'learnt': lambda model, sample: model.step(sample),
+    'not learnt': lambda model, sample: model.step(sample, learn=False),
+    'restored': lambda model, sample: model.restore(model.state()),
+    'cleared': lambda model, sample: model.clear_pending(),
+    'other recording': lambda model, sample: model.begin_recording(0)}
+
+
+@pytest.mark.parametrize('change', CHANGES.values(), ids=CHANGES)
+def test_a_prediction_is_stale_once_anything_has_changed(trained, recording, change):
+    model = trained_copy(trained)
+    stale = model.predict(recording[0])
+    change(model, recording[1])
+    expected = trained_copy((model,))
+    with pytest.raises(SemiparamError, match='stale'):
+        model.observe(stale)
+    for sample in recording[2:10]:
+        one, other = model.step(sample), expected.step(sample)
+        np.testing.assert_array_equal(one.mean, other.mean)
+        np.testing.assert_array_equal(one.horizon is None or one.horizon.eps,
+                                      other.horizon is None or other.horizon.eps)
+
+
+def test_a_prediction_of_the_provisional_model_is_stale_when_the_window_is_over(arm, recording):
+    model = estimator(arm, 'P')
+    run(model, recording[:WINDOW - 1])
+    stale = model.predict(recording[WINDOW])
+    model.finish_window()
+    with pytest.raises(SemiparamError, match='stale'):
+        model.observe(stale)
+
+
+def test_a_prediction_goes_to_another_process_with_its_estimator(trained, recording):
+    model = trained_copy(trained)
+    there, prediction = pickle.loads(pickle.dumps((model, model.predict(recording[0]))))
+    there.observe(prediction)
+    model.step(recording[0])
+    np.testing.assert_array_equal(there.predict(recording[1]).mean, model.predict(recording[1]).mean)
 
 
 # ---- single questions

@@ -1,5 +1,7 @@
 """The recursion against the dense textbook form on all p + D n unknowns, and against the batch solution."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -257,6 +259,42 @@ def test_predicting_changes_nothing():
     before = model.state()
     model.predict(phi[0], columns[0])
     assert all(np.array_equal(before[name], value) for name, value in model.state().items())
+
+
+CHANGES = st.lists(st.sampled_from(['learn', 'restore', 'pickle', 'nothing']), max_size=4)
+
+
+@given(CHANGES, st.sampled_from([0, 4]), st.sampled_from([1.0, 0.98]))
+@settings(max_examples=40)
+def test_a_prior_is_learnt_only_by_the_model_as_it_stood(changes, d, forgetting):
+    phi, columns, outputs = problem(4, 10, 2, d, 2)
+    model = run(SemiParametricRecursion(2, d, np.ones(2), 1.0, 0.1, forgetting=forgetting), phi, columns, outputs)
+    saved, kept = model.state(), model.predict(phi[0], columns[0])
+    for change in changes:
+        if change == 'learn':
+            run(model, phi[1:2], columns[1:2], outputs[1:2])
+        elif change == 'restore':
+            model.restore(saved)
+        elif change == 'pickle':
+            model, kept = pickle.loads(pickle.dumps((model, kept)))
+    before = model.state()
+    if {'learn', 'restore'}.isdisjoint(changes):
+        model.learn(kept, outputs[0])
+        before = model.state()
+    with pytest.raises(SemiparamError, match='stale'):
+        model.learn(kept, outputs[0])
+    assert all(np.array_equal(before[name], value) for name, value in model.state().items())
+
+
+def test_a_prior_of_another_model_is_refused_also_after_as_many_samples():
+    phi, columns, outputs = problem(4, 10, 2, 4, 2)
+    one, other = (run(SemiParametricRecursion(2, 4, np.ones(2), 1.0, 0.1), phi, columns, outputs) for _ in range(2))
+    twin = pickle.loads(pickle.dumps(one))
+    run(one, phi[:1], columns[:1], outputs[:1])
+    run(twin, phi[1:2], columns[1:2], outputs[1:2])
+    for stranger in (other, twin):
+        with pytest.raises(SemiparamError, match='stale'):
+            one.learn(stranger.predict(phi[0], columns[0]), outputs[0])
 
 
 @pytest.mark.parametrize(('options', 'sentence'), [
