@@ -113,6 +113,9 @@ class Effect:
                 raise SemiparamError(f"effect '{self.kind}' has {name} {self.value(name):g}; expected more than 0.")
         if all(name in self.shape for name in STARTS):
             raise SemiparamError(f"effect '{self.kind}' has {' and '.join(STARTS)}; expected one of them.")
+        if self.is_calibration and self.shape.keys() & STARTS:
+            raise SemiparamError(f"effect '{self.kind}' has a start; expected none, for a calibration acts from the "
+                                 'beginning.')
         if len(self.reference) not in (0, body.n_parameters):
             raise SemiparamError(f"effect '{self.kind}' has a reference of {len(self.reference)} values; expected "
                                  f'{body.n_parameters}, the base parameters of this robot, or none.')

@@ -167,8 +167,13 @@ BARE = [(outputs, kind(where)) for outputs, body in BODIES.items() for kind in k
 @pytest.mark.parametrize(('outputs', 'effect'), BARE, ids=[f'{outputs}-{effect.kind}@{effect.where}'
                                                            for outputs, effect in BARE])
 @pytest.mark.parametrize('start', [{}, {'start_s': START_S}, {'start_stamp_s': START_S}], ids=['always', 's', 'stamp'])
-def test_every_kind_can_be_declared_without_values_wherever_it_is_permitted(outputs, effect, start):
-    assembly = CoupledColumns(BODIES[outputs], [replace(effect, shape=start)])
+def test_every_kind_is_declared_without_values_where_it_is_permitted_and_starts_if_it_can(outputs, effect, start):
+    declared = replace(effect, shape=start)
+    if start and effect.is_calibration:  # it has no columns that could begin
+        with pytest.raises(SemiparamError, match=f"effect '{effect.kind}' has a start; expected none"):
+            CoupledColumns(BODIES[outputs], [declared])
+        return
+    assembly = CoupledColumns(BODIES[outputs], [declared])
     columns, _ = assembly.batch(MOTION[:5])
     assert columns.shape[2] == assembly.n_columns == assembly.n_own + len(effect.coefficients(BODIES[outputs]))
     assert np.isfinite(columns).all()

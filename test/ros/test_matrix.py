@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip('covertable')
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import effect_to_text, kinds
-from semiparam_ros.effects.base import FLAGS
+from semiparam_ros.effects.base import FLAGS, STARTS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import new_estimator
 from support import settings_matrix as matrix
@@ -24,19 +24,20 @@ def test_an_effect_with_all_of_its_values_has_them_all(name):
     kind = kinds()[name]
     for outputs in kind.outputs:
         for place in ('first', 'last') if name != 'terms' else ():
-            effect = matrix.effect_of({'effect': name, 'outputs': outputs, 'values': 'all', 'start': 'late',
+            effect = matrix.effect_of({'effect': name, 'outputs': outputs, 'values': 'all', 'start': 'none',
                                        'place': place}, 3.0)
-            assert {*effect.shape, 'start_stamp_s'} >= set(kind.value_names()) - set(FLAGS)
+            assert {*effect.shape, *STARTS} >= set(kind.value_names()) - set(FLAGS)
 
 
-@pytest.mark.parametrize(('effect', 'outputs'), matrix.IMPOSSIBLE)
-def test_an_impossible_pair_is_refused_with_a_sentence(effect, outputs):
-    other = 'effort' if outputs == 'wrench' else 'wrench'
-    declared = matrix.effect_of({'effect': effect, 'outputs': other, 'values': 'bare', 'start': 'none',
-                                 'place': 'last'}, 3.0)
+@pytest.mark.parametrize(('effect', 'factor', 'value'), matrix.IMPOSSIBLE)
+def test_an_impossible_pair_is_refused_with_a_sentence(effect, factor, value):
+    possible = {'effect': effect, 'outputs': kinds()[effect].outputs[0], 'values': 'bare', 'start': 'none',
+                'place': 'last'}
+    outputs = value if factor == 'outputs' else possible['outputs']
+    declared = matrix.effect_of(possible if factor == 'outputs' else possible | {factor: value}, 3.0)
     settings = matrix.settings_of({**matrix.rows()[0], 'effect': 'none', 'outputs': outputs}, SAMPLES)
     settings = settings.changed({'effects': [effect_to_text(declared)]})
-    with pytest.raises(SemiparamError, match=effect):
+    with pytest.raises(SemiparamError, match=f"effect '{effect}' {matrix.IMPOSSIBLE[effect, factor, value]}"):
         new_estimator(settings, matrix.body_of(outputs))
 
 

@@ -83,10 +83,12 @@ TRIPLES: tuple[tuple[str, ...], ...] = (
     ('variant', 'forgetting', 'horizon'), ('variant', 'outputs', 'motion'), ('variant', 'noise', 'length_scales'))
 """Groups of factors of which any three values meet: they cost hardly a row more, as each variant meets each effect."""
 
-IMPOSSIBLE: dict[tuple[str, str], str] = {
-    (name, outputs): f'{name} acts on {" and ".join(kind.outputs)} only'
-    for name, kind in kinds().items() for outputs in OUTPUTS if outputs not in kind.outputs}
-"""Pairs of effect and outputs that cannot be, and why; they are refused, and a test asks for the sentence."""
+IMPOSSIBLE: dict[tuple[str, str, str], str] = {
+    **{(name, 'outputs', outputs): f'does not act on outputs {outputs}'
+       for name, kind in kinds().items() for outputs in OUTPUTS if outputs not in kind.outputs},
+    **{(name, 'start', start): 'has a start; expected none'
+       for name, kind in kinds().items() for start in ('late', 'stamp') if kind.calibrations}}
+"""(effect, factor, value) that cannot be together; they are refused, and a test asks for this part of the sentence."""
 
 FEATURES, WINDOW = 10, 24
 PERIOD_NS, START_NS = 10_000_000, 5_000_000_000
@@ -97,15 +99,15 @@ Row = dict[str, object]
 
 def is_possible(row: Row) -> bool:
     """Whether a row, or the part of it that is there, can be."""
-    return (row.get('effect'), row.get('outputs')) not in IMPOSSIBLE
+    return not any((row.get('effect'), factor, row.get(factor)) in IMPOSSIBLE for factor in ('outputs', 'start'))
 
 
 @cache
 def rows() -> tuple[Row, ...]:
     """Rows in which every possible pair of values occurs; always the same ones."""
     excluded = [{'operator': 'or', 'conditions': [{'operator': 'ne', 'left': 'effect', 'value': effect},
-                                                  {'operator': 'ne', 'left': 'outputs', 'value': outputs}]}
-                for effect, outputs in IMPOSSIBLE]
+                                                  {'operator': 'ne', 'left': factor, 'value': value}]}
+                for effect, factor, value in IMPOSSIBLE]
     triples = [{'fields': list(group), 'strength': 3} for group in TRIPLES]
     return tuple(make({name: list(values) for name, values in FACTORS.items()}, constraints=excluded,
                       sub_models=triples))
