@@ -125,6 +125,18 @@ def test_value_and_gradient_stay_finite_at_the_edges(extreme, frequencies):
     assert np.isfinite(result.theta).all()
 
 
+@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('frequencies', [4, 40])
+def test_columns_that_the_features_make_up_stay_finite_where_the_covariance_is_all_but_singular(frequencies, seed):
+    window = random_window(seed, 30, 2, 3, frequencies, profiled=True)
+    at = random_point(seed, 2)._replace(rho=1e4, sigma=1e-9)
+    phi = harmonics((window.inputs / at.tau[window.groups]) @ window.spectrum.T)
+    window = replace(window, coupled=np.einsum('td,dnp->tnp', phi, np.random.default_rng(seed).normal(
+        size=(phi.shape[1], 2, 3))))
+    result = evidence(window, at)
+    assert np.isfinite([result.value, *result.theta, *flat(result.slope)]).all()
+
+
 def test_columns_that_the_window_does_not_excite_keep_a_zero_estimate():
     window, at = random_window(5, 30, 2, 4, 5, profiled=True), random_point(5, 2)
     window.coupled[:, :, 2] = 0.0

@@ -182,7 +182,10 @@ def _beside_mean(information: Array, right: Array, prior_std: Array, k: int) -> 
 
 def _least_squares(information: Array, right: Array) -> _Coupled:
     """Maximum likelihood: by the envelope theorem the gradient sees no change of theta, hence no root."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    diagonal = np.diag(information)
+    # cancellation can leave a diagonal below zero where A is all but singular: nothing is known of that column
+    excited = diagonal > np.finfo(float).tiny
+    scale = np.where(excited, 1.0 / np.sqrt(np.where(excited, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
     kept = values > RANK_TOLERANCE * values[-1]
     basis = scale[:, None] * vectors[:, kept]
