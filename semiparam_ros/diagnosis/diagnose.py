@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.identifiability import unidentifiable
 from semiparam_ros.diagnosis.data.outliers import excluded
 from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, resting
@@ -25,12 +26,6 @@ from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_p
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.errors import SemiparamError
 
-LEAST_SAMPLES = 200
-LEAST_MOTION = 1e-3
-PATCH_ROUNDS, PATCH_SHARE = 2, 1.0 / 3.0
-"""So many rounds that leave so much structure resemble a cause of another kind, and do not explain it."""
-PUSHED = 0.1
-"""Share of variance that a first effect may leave where no inertias explain the outputs, to be believed instead."""
 VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
 
 
@@ -43,10 +38,23 @@ class Recorded(NamedTuple):
     valid: Mask
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """What was found, and everything needed to show it. ``before`` and ``after`` judge on ``held_out`` samples."""
+class Elsewhere(NamedTuple):
+    """Another recording that judges: its name, its working samples, and which of them (N,) count."""
 
+    name: str
+    samples: Samples
+    valid: Mask
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """What was found, and everything needed to show it.
+
+    ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
+    recording, or on the recording ``elsewhere``.
+    """
+
+    config: DiagnosisConfig
     verdict: str
     findings: list[Finding]
     steps: list[Step]
@@ -55,15 +63,13 @@ class Diagnosis:
     held_out: Mask
     before: Evaluation
     after: Evaluation
+    by_step: list[Evaluation]
     inputs: Inputs
     structure: Structure | None
     setup: list[SetupProblem]
     notes: list[str]
     recorded: Recorded
-    judged_by_step: list[Evaluation] = field(default_factory=list)
-    judged_elsewhere: str | None = None
-    judged: Samples | None = None
-    judged_valid: Mask | None = None
+    elsewhere: Elsewhere | None
 
     @property
     def noise_floor_rmse(self) -> Array:
@@ -73,27 +79,32 @@ class Diagnosis:
         weights = np.array([len(part) for part in parts], dtype=float)
         return np.asarray(np.sqrt((floors**2 * (weights / weights.sum())[:, None]).sum(axis=0)))
 
-    def as_dict(self) -> dict[str, Any]:
-        """The machine-readable report."""
-        found = {'verdict': self.verdict, 'effects': [finding.as_dict() for finding in self.findings],
-                 'before': self.before.as_dict(), 'after': self.after.as_dict(),
-                 'by_step': [evaluation.as_dict() for evaluation in self.judged_by_step],
-                 'noise_floor_rmse': self.noise_floor_rmse.tolist(), 'held_out': self._held_out(),
-                 'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion,
-                 'samples_averaged': self.inputs.factor,
-                 'setup': [problem._asdict() for problem in self.setup], 'notes': self.notes}
-        return found | {'unexplained': self.structure.as_dict() if self.structure else None}
+    @property
+    def patched(self) -> bool:
+        """Whether effect was added after effect, and still much of what is left is more than noise."""
+        return patched(self.steps, self.structure, self.config)
 
-    def _held_out(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
+        """The machine-readable report."""
+        return {'verdict': self.verdict, 'effects': [finding.as_dict() for finding in self.findings],
+                'before': self.before.as_dict(), 'after': self.after.as_dict(),
+                'by_step': [evaluation.as_dict() for evaluation in self.by_step],
+                'noise_floor_rmse': self.noise_floor_rmse.tolist(), 'held_out': self._held_out(),
+                'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion,
+                'samples_averaged': self.inputs.factor,
+                'setup': [problem._asdict() for problem in self.setup], 'notes': self.notes,
+                'unexplained': self.structure.as_dict() if self.structure else None}
+
+    def _held_out(self) -> dict[str, object]:
         """Sample numbers of the recording that judged, half-open."""
-        mask = self.held_out if self.judged_valid is None else self.judged_valid
+        mask = self.held_out if self.elsewhere is None else self.elsewhere.valid
         parts = [[self.inputs.factor * edge for edge in part] for part in ranges(mask)]
-        return {'recording': self.judged_elsewhere, 'ranges': parts}
+        return {'recording': self.elsewhere.name if self.elsewhere else None, 'ranges': parts}
 
 
 def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), train_mask: Mask | None = None,
              other: tuple[str, Samples] | None = None, only: Sequence[str] = (),
-             progress: Progress = lambda words, share: None) -> Diagnosis:
+             progress: Progress = lambda words, share: None, config: DiagnosisConfig = DEFAULTS) -> Diagnosis:
     """Find what the model lacks in one recording.
 
     :param effects: those declared already.
@@ -101,43 +112,39 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param other: name and samples of another recording that judges instead; then all samples of this one fit.
     :param only: kinds to consider; all unless given.
     :param progress: called with a few words and the share of the round that is done.
+    :param config: thresholds other than the usual ones.
 
     Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it.
     """
-    check(samples, body)
+    check(samples, body, config)
     effects = [effect.in_recording(samples.origin) for effect in effects]
-    suspected = setup_problems(body, samples)
-    clean = ~excluded(samples)
-    may_fit = _fitting(samples, train_mask, other is not None)
-    inputs = best_inputs(body, samples, effects, clean & may_fit)
+    suspected = setup_problems(body, samples, config)
+    clean = ~excluded(samples, config)
+    may_fit = _may_fit(samples, train_mask, other is not None, config)
+    inputs = best_inputs(body, samples, effects, clean & may_fit, config)
     chosen, valid = inputs.prepare(samples), inputs.mask(clean)
-    fitting = valid & inputs.mask(may_fit)
+    fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
     if body.outputs == 'effort':
-        fitting &= ~resting(chosen)
-    held_out = valid & ~inputs.mask(may_fit)
-    require_enough(fitting, *([held_out] if other is None else []))
-    first = starting_fit(body, chosen, effects, fitting)
+        fitting &= ~resting(chosen, config)
+    require_enough(config, *([fitting, held_out] if other is None else [fitting]))
+    first = starting_fit(body, chosen, effects, fitting, config)
     steps, setup = _searched(first, considered(body, only), suspected, progress)
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
-    structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale)
-    recorded = Recorded(samples, clean & may_fit, *((samples, clean & ~may_fit) if other is None
-                                                    else (other[1], ~excluded(other[1]))))
-    judged = None if other is None else inputs.prepare(other[1])
-    judged_valid = None if other is None else inputs.mask(recorded.valid)
-
-    def judge(fit: Fit) -> Evaluation:
-        if judged is None or judged_valid is None:
-            return evaluate_here(fit, held_out)
-        return evaluate_there(fit, judged, judged_valid)
-
-    by_step = [judge(step.after) for step in steps]
-    before = judge(first)
-    after = by_step[-1] if by_step else before
-    notes = unidentifiable(body, samples) + _left_out(clean)
-    return Diagnosis(verdict(first, final, steps, structure, setup), findings(final, steps), steps, first, final,
-                     held_out, before, after, inputs, structure, setup, notes, recorded, by_step,
-                     other[0] if other else None, judged, judged_valid)
+    structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config)
+    if other is None:
+        recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
+    else:
+        recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
+        elsewhere = Elsewhere(other[0], inputs.prepare(other[1]), inputs.mask(recorded.valid))
+    before, *by_step = [evaluate_here(fit, held_out) if elsewhere is None
+                        else evaluate_there(fit, elsewhere.samples, elsewhere.valid)
+                        for fit in (first, *(step.after for step in steps))]
+    return Diagnosis(
+        config=config, verdict=verdict(first, final, steps, structure, setup), findings=findings(final, steps),
+        steps=steps, first=first, final=final, held_out=held_out, before=before,
+        after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
+        notes=unidentifiable(body, samples, config) + _left_out(clean), recorded=recorded, elsewhere=elsewhere)
 
 
 def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[SetupProblem],
@@ -154,18 +161,20 @@ def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[S
 
 
 def _unlike(fit: Fit) -> bool:
+    """Whether the model leaves too much to be believed where no inertias explain the outputs."""
     outputs = fit.samples.outputs[fit.train_mask]
-    return bool(np.mean(fit.squares / (len(outputs) * outputs.var(axis=0) + 1e-300)) > PUSHED)
+    left = np.mean(fit.squares / (len(outputs) * outputs.var(axis=0) + 1e-300))
+    return bool(left > fit.config.pushed_share)
 
 
-def check(samples: Samples, body: RigidBody) -> None:
+def check(samples: Samples, body: RigidBody, config: DiagnosisConfig) -> None:
     """Refuse a recording from which nothing can be told."""
-    if len(samples) < LEAST_SAMPLES:
+    if len(samples) < config.least_samples:
         raise SemiparamError(f'the recording holds {len(samples)} complete samples; a diagnosis needs at least '
-                             f'{LEAST_SAMPLES}.')
-    if np.all(np.ptp(samples.position, axis=0) < LEAST_MOTION):
-        raise SemiparamError(f'no joint moves by more than {LEAST_MOTION} rad in the recording; a diagnosis needs '
-                             f'motion of {", ".join(body.joints)}.')
+                             f'{config.least_samples}.')
+    if np.all(np.ptp(samples.position, axis=0) < config.least_motion):
+        raise SemiparamError(f'no joint moves by more than {config.least_motion} rad in the recording; a diagnosis '
+                             f'needs motion of {", ".join(body.joints)}.')
 
 
 def considered(body: RigidBody, only: Sequence[str] = ()) -> dict[str, type[Effect]]:
@@ -178,15 +187,15 @@ def considered(body: RigidBody, only: Sequence[str] = ()) -> dict[str, type[Effe
     return {name: kind for name, kind in known.items() if not only or name in only}
 
 
-def _fitting(samples: Samples, train_mask: Mask | None, judged_elsewhere: bool) -> Mask:
+def _may_fit(samples: Samples, train_mask: Mask | None, judged_elsewhere: bool, config: DiagnosisConfig) -> Mask:
     if train_mask is not None:
         return train_mask
-    return np.ones(len(samples), dtype=bool) if judged_elsewhere else interleaved_split(len(samples))
+    return np.ones(len(samples), dtype=bool) if judged_elsewhere else interleaved_split(len(samples), config)
 
 
 def verdict(first: Fit, final: Fit, steps: list[Step], structure: Structure | None, setup: list[SetupProblem]) -> str:
     """One of VERDICTS: an effect counts as found only when it explains more than what stays unexplained."""
-    if setup or patched(steps, structure):
+    if setup or patched(steps, structure, final.config):
         return 'unexplained'
     left = 0.0
     if structure is not None and structure.significant:
@@ -197,10 +206,10 @@ def verdict(first: Fit, final: Fit, steps: list[Step], structure: Structure | No
     return 'effect_found' if steps else 'nothing_missing'
 
 
-def patched(steps: list[Step], structure: Structure | None) -> bool:
+def patched(steps: list[Step], structure: Structure | None, config: DiagnosisConfig) -> bool:
     """Whether effect was added after effect, and still much of what is left is more than noise."""
-    return len(steps) >= PATCH_ROUNDS and structure is not None and structure.significant \
-        and structure.share > PATCH_SHARE
+    return len(steps) >= config.patch_rounds and structure is not None and structure.significant \
+        and structure.share > config.patch_share
 
 
 def _left_out(valid: Mask) -> list[str]:

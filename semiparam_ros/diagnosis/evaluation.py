@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -11,13 +10,9 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.regression import Fit
-
-HORIZON = 25
-BOOTSTRAP_DRAWS = 400
-BOOTSTRAP_BLOCK = 50
-CONFIDENCE = (2.5, 97.5)
 
 
 @dataclass(frozen=True)
@@ -28,6 +23,7 @@ class Evaluation:
     residual: Array
     parts: tuple[tuple[int, int], ...]  # contiguous runs of the held-out samples
     wrench: bool
+    config: DiagnosisConfig = DEFAULTS
 
     @property
     def rmse(self) -> Array:
@@ -41,21 +37,30 @@ class Evaluation:
 
     @property
     def eps(self) -> Array:
-        """(n,) relative squared error over a horizon of 25 samples, mean over all horizons inside the parts."""
-        shares = [_horizon_shares(self.residual[start:end], self.outputs[start:end]) for start, end in self.parts]
+        """(n,) relative squared error over ``config.horizon`` samples, mean over all such horizons inside the parts."""
+        shares = [_horizon_shares(self.residual[start:end], self.outputs[start:end], self.config.horizon)
+                  for start, end in self.parts]
         stacked = np.concatenate([share for share in shares if len(share)] or [np.zeros((1, self.outputs.shape[1]))])
         return np.asarray(stacked.mean(axis=0))
 
     def interval(self) -> tuple[float, float]:
         """95 % confidence interval of the mean normalised error, from a bootstrap of contiguous blocks."""
         share = (self.residual**2 / np.maximum(self.outputs.var(axis=0), 1e-300)).mean(axis=1)
-        count = max(len(share) // BOOTSTRAP_BLOCK, 1)
-        means = np.array([block.mean() for block in np.array_split(share, count)])
-        draws = np.random.default_rng(0).integers(count, size=(BOOTSTRAP_DRAWS, count))
-        low, high = np.percentile(means[draws].mean(axis=1), CONFIDENCE)
+        low, high = self._mean_interval(share)
         return float(low), float(high)
 
-    def as_dict(self) -> dict[str, Any]:
+    def square_intervals(self) -> Array:
+        """(n, 2) the same of each output's mean squared error, in the output's units squared."""
+        return self._mean_interval(self.residual**2).T
+
+    def _mean_interval(self, values: Array) -> Array:
+        """(2, ...) confidence interval of the mean of values (N, ...)."""
+        count = max(len(values) // self.config.bootstrap_block, 1)
+        means = np.array([block.mean(axis=0) for block in np.array_split(values, count)])
+        draws = np.random.default_rng(0).integers(count, size=(self.config.bootstrap_draws, count))
+        return np.asarray(np.percentile(means[draws].mean(axis=1), self.config.confidence_percentiles, axis=0))
+
+    def as_dict(self) -> dict[str, object]:
         """The entry ``before`` or ``after`` of the machine-readable report."""
         eps = self.eps
         force, torque = (float(eps[:3].mean()), float(eps[3:].mean())) if self.wrench else (None, float(eps.mean()))
@@ -63,24 +68,25 @@ class Evaluation:
                 'nmse_mean_interval': list(self.interval()), 'eps_force': force, 'eps_torque': torque}
 
 
-def _horizon_shares(residual: Array, outputs: Array) -> Array:
-    sums = [np.lib.stride_tricks.sliding_window_view(values**2, HORIZON, axis=0).sum(axis=-1)
-            if len(values) >= HORIZON else np.zeros((0, values.shape[1])) for values in (residual, outputs)]
+def _horizon_shares(residual: Array, outputs: Array, horizon: int) -> Array:
+    sums = [np.lib.stride_tricks.sliding_window_view(values**2, horizon, axis=0).sum(axis=-1)
+            if len(values) >= horizon else np.zeros((0, values.shape[1])) for values in (residual, outputs)]
     return np.asarray(sums[0] / np.maximum(sums[1], 1e-300))
 
 
-def evaluation_of(body: RigidBody, outputs: Array, residual: Array, valid: Mask) -> Evaluation:
+def evaluation_of(body: RigidBody, outputs: Array, residual: Array, valid: Mask,
+                  config: DiagnosisConfig = DEFAULTS) -> Evaluation:
     """The errors (N, n) of the samples that count."""
     parts, start = [], 0
     for low, high in ranges(valid):
         parts.append((start, start + high - low))
         start += high - low
-    return Evaluation(outputs[valid], residual[valid], tuple(parts), body.outputs == 'wrench')
+    return Evaluation(outputs[valid], residual[valid], tuple(parts), body.outputs == 'wrench', config)
 
 
 def evaluate_here(fit: Fit, held_out: Mask) -> Evaluation:
     """The model on held-out samples of its own recording."""
-    return evaluation_of(fit.body, fit.samples.outputs, fit.residual, held_out)
+    return evaluation_of(fit.body, fit.samples.outputs, fit.residual, held_out, fit.config)
 
 
 def evaluate_there(fit: Fit, samples: Samples, valid: Mask) -> Evaluation:

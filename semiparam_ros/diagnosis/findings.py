@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.stepwise import Step
@@ -37,7 +35,7 @@ class Finding:
     parameters: dict[str, Quantity]
     rivals: tuple[Rival, ...]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """The entry of ``effects`` in the machine-readable report."""
         return {'kind': self.effect.kind, 'where': self.effect.where, 'start_s': self.effect.start_s,
                 'sentence': self.effect.sentence, 'log_evidence_gain': self.log_evidence_gain,
@@ -69,7 +67,7 @@ def _index_in(fit: Fit, effect: Effect, taken: list[Effect]) -> int | None:
 
 def coefficient_deviations(fit: Fit) -> Array:
     """(p,) standard deviations of theta, widened for the residual's autocorrelation."""
-    inflation = float(np.mean(correlation_times(fit.residual[fit.train_mask])))
+    inflation = float(np.mean(fit.correlation))
     return np.asarray(np.sqrt(np.diag(fit.theta_covariance()) * inflation))
 
 
@@ -86,7 +84,7 @@ def _calibrations(fit: Fit, effect: Effect) -> dict[str, Quantity]:
     if not effect.is_calibration:
         return {}
     covariance = fit.explain(added_columns(fit, effect)).covariance
-    inflation = float(np.mean(correlation_times(fit.residual[fit.train_mask])))
+    inflation = float(np.mean(fit.correlation))
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0) * inflation)
     return {coefficient.name: Quantity(effect.value(coefficient.name), float(std), coefficient.unit)
             for coefficient, std in zip(effect.calibrations, stds, strict=True)}

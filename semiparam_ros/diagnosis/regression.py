@@ -15,11 +15,9 @@ from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.effects import Effect
-
-GAMMA = 1.0
-ABSORBED = 1e-6
-"""A direction that the declared columns explain to this share is taken for one that they explain."""
 
 
 class Explained(NamedTuple):
@@ -47,6 +45,7 @@ class Fit:
     columns: Array
     theta: Array
     residual: Array
+    config: DiagnosisConfig = DEFAULTS
 
     @cached_property
     def scaled(self) -> Array:
@@ -63,6 +62,11 @@ class Fit:
         """(p_psi,) base parameters."""
         return self.theta[:self.body.n_parameters]
 
+    @cached_property
+    def correlation(self) -> Array:
+        """(n,) correlation time [samples] of each channel of the residual of the samples in use."""
+        return correlation_times(self.residual[self.train_mask], self.config)
+
     @property
     def squares(self) -> Array:
         """(n,) sum of squared residuals of the samples in use."""
@@ -74,7 +78,8 @@ class Fit:
         left = (self.residual[self.train_mask] / self.scale).ravel()
         cross = cho_solve(self.factor, self.scaled.T @ used)
         inner = used.T @ used - (used.T @ self.scaled) @ cross
-        coefficients, covariance, rank = _solve(inner, used.T @ left, np.einsum('ij,ij->j', used, used))
+        coefficients, covariance, rank = _solve(inner, used.T @ left, np.einsum('ij,ij->j', used, used),
+                                                self.config.absorbed_share)
         contribution = columns @ coefficients - self.columns @ (cross @ coefficients)
         return Explained(coefficients, covariance, rank, self.residual - contribution)
 
@@ -83,16 +88,22 @@ class Fit:
         return np.asarray(cho_solve(self.factor, np.eye(len(self.theta))))
 
     def _precision(self) -> Array:
-        return 1.0 / (GAMMA * CoupledColumns(self.body, self.effects).prior_scale) ** 2
+        return 1.0 / CoupledColumns(self.body, self.effects).prior_scale ** 2
 
 
-def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask, scale: Array) -> Fit:
+def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask, scale: Array,
+              config: DiagnosisConfig = DEFAULTS) -> Fit:
     """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description."""
     assembly = CoupledColumns(body, effects)
     columns, _ = assembly.batch(samples)
     start = assembly.prior_mean
     return _least_squares(Fit(body, samples, tuple(effects), train_mask, scale, columns, start,
-                              samples.outputs - columns @ start))
+                              samples.outputs - columns @ start, config))
+
+
+def with_effects(fit: Fit, effects: Sequence[Effect]) -> Fit:
+    """The same samples and weights fitted with these effects in place of those declared."""
+    return fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale, fit.config)
 
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
@@ -116,10 +127,10 @@ def _least_squares(start: Fit) -> Fit:
     return fitted
 
 
-def _solve(inner: Array, right: Array, power: Array) -> tuple[Array, Array, int]:
+def _solve(inner: Array, right: Array, power: Array, absorbed: float) -> tuple[Array, Array, int]:
     """Least squares from normal equations, leaving out directions absorbed by others (``power``: squared columns)."""
     size = np.sqrt(np.maximum(power, 1e-300))
     values, vectors = eigh(inner / np.outer(size, size))
-    keep = values > ABSORBED
+    keep = values > absorbed
     inverse = (vectors[:, keep] / values[keep]) @ vectors[:, keep].T / np.outer(size, size)
     return inverse @ right, inverse, int(keep.sum())

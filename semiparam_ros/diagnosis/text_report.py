@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from semiparam_ros.diagnosis.diagnose import Diagnosis, patched
+from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
 from semiparam_ros.effects import kinds
 
@@ -29,7 +29,7 @@ def _opening(diagnosis: Diagnosis) -> str:
         return 'Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
     if diagnosis.verdict == 'unexplained' and not diagnosis.findings:
         return 'Something is missing that none of the known effects explains.'
-    if patched(diagnosis.steps, diagnosis.structure):
+    if diagnosis.patched:
         return ('Something is missing that the effects below only resemble: one after the other was added, and still '
                 'much of what is left is more than noise. A cause of another kind may be behind them all.')
     if diagnosis.verdict == 'unexplained':

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from semiparam_ros import __version__
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.diagnose import Diagnosis
-from semiparam_ros.diagnosis.evaluation import BOOTSTRAP_BLOCK, BOOTSTRAP_DRAWS, CONFIDENCE, Evaluation
+from semiparam_ros.diagnosis.diagnose import Diagnosis, Elsewhere
 from semiparam_ros.diagnosis.findings import Finding
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.formula import Formula
@@ -84,7 +83,7 @@ class Cause(NamedTuple):
 def output_rows(diagnosis: Diagnosis) -> list[OutputRow]:
     """One row for each output."""
     body, before, after = diagnosis.first.body, diagnosis.before, diagnosis.after
-    bounds, variance = square_intervals(after), np.maximum(after.outputs.var(axis=0), 1e-300)
+    bounds, variance = after.square_intervals(), np.maximum(after.outputs.var(axis=0), 1e-300)
     rows = []
     for index, (name, unit) in enumerate(zip(body.output_names, body.output_units, strict=True)):
         low, high = bounds[index]
@@ -93,14 +92,6 @@ def output_rows(diagnosis: Diagnosis) -> list[OutputRow]:
             (before.rmse[index], after.rmse[index]), (float(np.sqrt(low)), float(np.sqrt(high))),
             diagnosis.noise_floor_rmse[index]))
     return rows
-
-
-def square_intervals(evaluation: Evaluation) -> Array:
-    """(n, 2) 95 % interval of each output's mean squared error, from a bootstrap of contiguous blocks."""
-    count = max(len(evaluation.residual) // BOOTSTRAP_BLOCK, 1)
-    means = np.array([block.mean(axis=0) for block in np.array_split(evaluation.residual**2, count)])
-    draws = np.random.default_rng(0).integers(count, size=(BOOTSTRAP_DRAWS, count))
-    return np.asarray(np.percentile(means[draws].mean(axis=1), CONFIDENCE, axis=0).T)
 
 
 def relative_floor(diagnosis: Diagnosis) -> Array:
@@ -112,7 +103,7 @@ def round_rows(diagnosis: Diagnosis) -> list[RoundRow]:
     """The declared model, and then every round."""
     named = [', '.join(place(trial.effect.kind, trial.effect.where) for trial in step.added)
              for step in diagnosis.steps]
-    judged = [diagnosis.before, *diagnosis.judged_by_step]
+    judged = [diagnosis.before, *diagnosis.by_step]
     return [RoundRow(number, added, float(evaluation.nmse.mean()), *evaluation.interval())
             for number, (added, evaluation) in enumerate(zip(['as declared', *named], judged, strict=True))]
 
@@ -174,7 +165,7 @@ def diagnosis_page(diagnosis: Diagnosis, result: dict[str, Any], title: str) -> 
         headline=_headline(diagnosis), outputs=_outputs(diagnosis), rows=output_rows(diagnosis),
         rounds=round_rows(diagnosis), over_time=_over_time(diagnosis), findings=_against_variables(diagnosis),
         structure=structure, unexplained=_unexplained(diagnosis.final, structure) if structure else None,
-        formulas=_formulas(structure) if structure else [],
+        formulas=_formulas(structure, diagnosis.config.declared_share) if structure else [],
         spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
         variants=variant_rows(result.get('variants') or {}), open=SHOWN_OPEN, facts=_facts(diagnosis),
         effects=[effect_to_text(effect) for effect in diagnosis.final.effects])
@@ -202,7 +193,7 @@ def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     first, final, added = diagnosis.first, diagnosis.final, bool(diagnosis.steps)
     starts = [(place(effect.kind, effect.where), effect.start_s) for effect in final.effects
               if effect.start_s is not None]
-    held_out = diagnosis.held_out if diagnosis.judged is None else np.zeros(len(first.samples), dtype=bool)
+    held_out = diagnosis.held_out if diagnosis.elsewhere is None else np.zeros(len(first.samples), dtype=bool)
     caption = 'What the model does not explain of each output'
     caption += ', before and after the effects were added.' if added else '.'
     caption += ' The shaded blocks were not used for the fit.' if held_out.any() else ''
@@ -210,16 +201,17 @@ def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     own = figures.over_time(first.samples.time, figures.curves(first.residual, final.residual, added),
                             _labels(diagnosis), held_out, starts)
     shown = [_picture('Residual over time', 'time', own, caption)]
-    if diagnosis.judged is not None and diagnosis.judged_valid is not None:
-        shown.append(_over_time_elsewhere(diagnosis, diagnosis.judged.time[diagnosis.judged_valid]))
+    if diagnosis.elsewhere is not None:
+        shown.append(_over_time_elsewhere(diagnosis, diagnosis.elsewhere))
     return shown
 
 
-def _over_time_elsewhere(diagnosis: Diagnosis, time: Array) -> Picture:
+def _over_time_elsewhere(diagnosis: Diagnosis, elsewhere: Elsewhere) -> Picture:
+    time = elsewhere.samples.time[elsewhere.valid]
     both = figures.curves(diagnosis.before.residual, diagnosis.after.residual, bool(diagnosis.steps))
     figure = figures.over_time(time, both, _labels(diagnosis), np.zeros(len(time), dtype=bool), [])
     return _picture('Residual over time, on the recording that judges', 'judged', figure,
-                    f'The same models on {diagnosis.judged_elsewhere}, of which they saw nothing.')
+                    f'The same models on {elsewhere.name}, of which they saw nothing.')
 
 
 def _against_variables(diagnosis: Diagnosis) -> list[Picture]:
@@ -243,9 +235,9 @@ def _unexplained(fit: Fit, structure: Structure) -> Picture:
                     'course that is not flat is something that the model lacks.')
 
 
-def _formulas(structure: Structure) -> list[tuple[Formula, str]]:
+def _formulas(structure: Structure, least_share: float) -> list[tuple[Formula, str]]:
     """Each formula, and the effect that declares it where it is worth declaring."""
-    worth = structure.effects
+    worth = structure.effects(least_share)
     return [(formula, effect_to_text(formula.effect) if formula.effect in worth else '')
             for formula in structure.formulas]
 
@@ -271,7 +263,8 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """How it was done, in a few lines."""
     samples, train_mask = diagnosis.first.samples, diagnosis.first.train_mask
     step = float(np.median(np.diff(samples.time)))
-    judged = diagnosis.judged_elsewhere or f'{int(diagnosis.held_out.sum())} samples of the same recording'
+    judged = diagnosis.elsewhere.name if diagnosis.elsewhere else \
+        f'{int(diagnosis.held_out.sum())} samples of the same recording'
     return [('Recording', f'{len(samples)} samples over {samples.time[-1] - samples.time[0]:.1f} s, one in '
                           f'{1000.0 * step:.3g} ms; {int(train_mask.sum())} of them fitted.'),
             ('Judged on', f'{judged}. Nothing of it was used to find, to fit or to rank.'),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.signals.smoothing import smoothed
-from semiparam_ros.diagnosis.data.preparation import END_SAMPLES, WORKING_RATE_HZ, Inputs
+from semiparam_ros.diagnosis.config import DEFAULTS
+from semiparam_ros.diagnosis.data.preparation import Inputs
 from support.arms import smooth_motion
 
 ENCODER, TACHO = 5e-5, 2e-3
@@ -30,7 +31,7 @@ def relative_error(found, true):
 @pytest.mark.parametrize('speed', [0.2, 1.0])
 def test_derivatives_of_slow_and_fast_motion_at_every_rate(rate, speed, motion):
     truth, seen = recorded(rate, speed=speed)
-    factor = max(int(rate / WORKING_RATE_HZ), 1)
+    factor = max(int(rate / DEFAULTS.working_rate_hz), 1)
     found, true = Inputs(motion, factor).prepare(seen), Inputs('recorded', factor).prepare(truth)
     assert relative_error(found.position, true.position).max() < 1e-3
     assert relative_error(found.velocity, true.velocity).max() < 5e-3
@@ -55,5 +56,5 @@ def test_a_rest_at_the_beginning_does_not_smooth_the_motion_away():
 def test_the_ends_of_a_smoothed_recording_take_no_part():
     usable = np.ones(100, dtype=bool)
     inner = Inputs('smoothed', 2).mask(usable)
-    assert np.flatnonzero(inner).tolist() == list(range(END_SAMPLES, 50 - END_SAMPLES))
+    assert np.flatnonzero(inner).tolist() == list(range(5, 45))
     assert Inputs('recorded', 2).mask(usable).all()

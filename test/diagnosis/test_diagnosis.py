@@ -13,7 +13,8 @@ from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.diagnosis.data.splits import BLOCKS, FOLDS, folds, interleaved_split, leading_split, ranges
+from semiparam_ros.diagnosis.config import DEFAULTS
+from semiparam_ros.diagnosis.data.splits import folds, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.regression import fit_model
@@ -112,11 +113,11 @@ def test_an_effect_that_only_stood_in_for_others_goes(payload):
     fit = payload.final
     load = {(effect.kind, effect.where) for effect in fit.effects}
     needless = declare(fit, [kinds()['sensor_drift']()])
-    kept, dropped = without_needless(needless, set(), 12.0)
+    kept, dropped = without_needless(needless, set())
     assert [effect.kind for effect in dropped] == ['sensor_drift']
     assert {(effect.kind, effect.where) for effect in kept.effects} == load
-    assert without_needless(needless, {('sensor_drift', None)}, 12.0) == (needless, ())  # the last one found stays
-    assert without_needless(fit, set(), 12.0) == (fit, ())
+    assert without_needless(needless, {('sensor_drift', None)}) == (needless, ())  # the last one found stays
+    assert without_needless(fit, set()) == (fit, ())
 
 
 PAYLOAD = hidden('payload', start_s=START_S)
@@ -508,7 +509,7 @@ def test_blocks_cover_everything_and_held_out_ones_span_the_recording():
     train_mask = interleaved_split(1500)
     assert train_mask.mean() == pytest.approx(2.0 / 3.0)
     parts = ranges(~train_mask)
-    assert len(parts) == BLOCKS // 3
+    assert len(parts) == DEFAULTS.split_blocks // DEFAULTS.held_out_every
     assert parts[0][0] < 300 and parts[-1][1] > 1200
     assert leading_split(10, 0.6).tolist() == [True] * 6 + [False] * 4
     assert ranges(np.array([True, False, False, True, True])) == [(0, 1), (3, 5)]
@@ -518,7 +519,7 @@ def test_folds_are_contiguous_and_leave_out_what_is_not_in_use():
     train_mask = interleaved_split(1000)
     labels = folds(train_mask)
     assert (labels[~train_mask] == -1).all()
-    assert set(labels[train_mask]) == set(range(FOLDS))
+    assert set(labels[train_mask]) == set(range(DEFAULTS.folds))
     assert (np.diff(labels[train_mask]) >= 0).all()
 
 

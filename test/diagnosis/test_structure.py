@@ -8,9 +8,8 @@ from scipy.signal import lfilter
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.residual.flexible import (
-    BLOCKS,
-    FOLDS,
     block_sums,
     fold_labels,
     predictions,
@@ -197,9 +196,9 @@ def test_a_real_recording_in_words_and_for_programs(shared_data):
 
 
 def test_blocks_are_dealt_out_in_turn():
-    labels = fold_labels(1200)
-    assert set(labels) == set(range(FOLDS)) and np.count_nonzero(np.diff(labels)) == BLOCKS - 1
-    np.testing.assert_allclose(block_sums(np.ones((1200, 2))), np.full((BLOCKS, 2), 20.0))
+    labels = fold_labels(1200, 60, 5)
+    assert set(labels) == set(range(5)) and np.count_nonzero(np.diff(labels)) == 59
+    np.testing.assert_allclose(block_sums(np.ones((1200, 2)), 60), np.full((60, 2), 20.0))
 
 
 def test_predictions_come_from_other_blocks_and_may_be_nothing():
@@ -210,6 +209,6 @@ def test_predictions_come_from_other_blocks_and_may_be_nothing():
     assert np.var(targets[:, 0] - found[:, 0]) < 0.05 * np.var(targets[:, 0])
     assert np.var(found[:, 1]) < 0.02
     spoilt = targets.copy()
-    spoilt[fold_labels(1000) == 0] = 100.0
-    held = fold_labels(1000) == 0
+    held = fold_labels(1000, DEFAULTS.structure_blocks, DEFAULTS.structure_folds) == 0
+    spoilt[held] = 100.0
     assert np.abs(predictions(features, spoilt)[held, 0]).max() < 5.0

@@ -28,7 +28,6 @@ from semiparam_ros.report.diagnosis_page import (
     odds_text,
     output_rows,
     relative_floor,
-    square_intervals,
 )
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -92,7 +91,7 @@ def page_of(diagnosis):
 def pictures(diagnosis):
     """Over time (here and elsewhere), one for each finding and round, spectrum, outputs, and what is unexplained."""
     structure = diagnosis.structure is not None and diagnosis.structure.significant
-    return 3 + (diagnosis.judged is not None) + len(suspicions(diagnosis)) + len(diagnosis.steps) + structure
+    return 3 + (diagnosis.elsewhere is not None) + len(suspicions(diagnosis)) + len(diagnosis.steps) + structure
 
 
 def test_the_page_opens_without_an_error_in_the_console(browse, loaded):
@@ -359,7 +358,7 @@ def test_intervals_of_independent_errors_are_those_of_the_mean(clean):
     rng = np.random.default_rng(4)
     evaluation = replace(clean.after, residual=3.0 * rng.standard_normal((20_000, 6)),
                          outputs=rng.standard_normal((20_000, 6)))
-    bounds = square_intervals(evaluation)
+    bounds = evaluation.square_intervals()
     assert bounds.shape == (6, 2)
     width = 9.0 * np.sqrt(2.0 / 20_000) * 2 * 1.96
     assert np.mean(bounds[:, 1] - bounds[:, 0]) == pytest.approx(width, rel=0.15)

@@ -6,38 +6,30 @@ import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import gaps
 from semiparam_ros.diagnosis.setup.prior_misfit import inertial_spread
 
-LEAST_SAMPLES = 200
-STILL, LITTLE = 0.002, 0.05
-"""Joints that move less than this in all [rad, or m] stand still, or hardly move."""
 MOST_GAPS_NAMED = 3
-USED = 500
-UNSEEN = 5e-4
-"""A change of a mass or a first moment as large as it is moves the outputs by less than this share of their standard
-deviation: it cannot be seen. Rich motions of the iCub, UR3 and Franka arms show every one of them by 1e-3 or more; with
-a joint locked that gravity needs, the least falls below 1e-5."""
-NEGLIGIBLE = 1e-6
 
 
-def unidentifiable(body: RigidBody, samples: Samples) -> list[str]:
+def unidentifiable(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
     """Sentences about joints that do not move, gaps, too short recordings, and bodies whose inertias do not show."""
-    notes = _short(samples) + _still(body, samples) + _dead(body, samples) + _gaps(samples)
-    return notes + _unseen(body, samples) if len(samples) > 1 else notes
+    notes = _short(samples, config) + _still(body, samples, config) + _dead(body, samples) + _gaps(samples, config)
+    return notes + _unseen(body, samples, config) if len(samples) > 1 else notes
 
 
-def _short(samples: Samples) -> list[str]:
+def _short(samples: Samples, config: DiagnosisConfig) -> list[str]:
     count = len(samples)
-    return [f'The recording holds {count} samples; below {LEAST_SAMPLES} hardly any effect can be told from '
-            'noise.'] if count < LEAST_SAMPLES else []
+    return [f'The recording holds {count} samples; below {config.least_samples} hardly any effect can be told from '
+            'noise.'] if count < config.least_samples else []
 
 
-def _still(body: RigidBody, samples: Samples) -> list[str]:
+def _still(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[str]:
     reach = np.ptp(samples.position, axis=0) if len(samples) else np.zeros(body.n_joints)
-    still = [name for name, value in zip(body.joints, reach, strict=True) if value < STILL]
+    still = [name for name, value in zip(body.joints, reach, strict=True) if value < config.still_range]
     slow = [f'{name} ({value:.3f} rad)' for name, value in zip(body.joints, reach, strict=True)
-            if STILL <= value < LITTLE]
+            if config.still_range <= value < config.slow_range]
     notes = []
     if still:
         notes.append(f'{_listed(still)} stood still: effects of {_it(still)} cannot be seen in this recording.')
@@ -55,8 +47,8 @@ def _dead(body: RigidBody, samples: Samples) -> list[str]:
     return [f'No change was measured in {_listed(dead)}: what acts there cannot be seen.'] if dead else []
 
 
-def _gaps(samples: Samples) -> list[str]:
-    found = gaps(samples)
+def _gaps(samples: Samples, config: DiagnosisConfig) -> list[str]:
+    found = gaps(samples, config)
     if not found:
         return []
     longest = sorted(sorted(found, key=lambda gap: -gap.length_s)[:MOST_GAPS_NAMED])
@@ -66,8 +58,9 @@ def _gaps(samples: Samples) -> list[str]:
     return [f'The recording has {count} in time, {which} {places}; the samples beside them are left out.']
 
 
-def _unseen(body: RigidBody, samples: Samples) -> list[str]:
-    names = unseen_bodies(body, samples[np.unique(np.linspace(0, len(samples) - 1, USED).astype(int))])
+def _unseen(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[str]:
+    rows = np.unique(np.linspace(0, len(samples) - 1, config.identifiability_samples).astype(int))
+    names = unseen_bodies(body, samples[rows], config)
     if not names:
         return []
     return [f'The motion does not show how heavy every part is: masses or centres of mass of {_listed(names)} stay at '
@@ -75,7 +68,7 @@ def _unseen(body: RigidBody, samples: Samples) -> list[str]:
             'of their range.']
 
 
-def unseen_bodies(body: RigidBody, samples: Samples) -> list[str]:
+def unseen_bodies(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
     """Bodies that hold most of a direction of masses and first moments which hardly moves the outputs.
 
     Only combinations that some motion could show are looked at; a wrench's constant offset hides what is constant.
@@ -88,10 +81,10 @@ def unseen_bodies(body: RigidBody, samples: Samples) -> list[str]:
     spread = inertial_spread(body).reshape(-1, 10)
     spread[:, 4:] = 0.0
     shown, size, parts = np.linalg.svd(body.basis.T * spread.ravel(), full_matrices=False)
-    possible = size > NEGLIGIBLE * size[0]
+    possible = size > config.negligible_direction * size[0]
     _, moved, mixed = np.linalg.svd(rows @ (shown[:, possible] * size[possible]))
     moved = np.concatenate([moved, np.zeros(len(mixed) - len(moved))])
-    dark = mixed[moved < UNSEEN] @ parts[possible]
+    dark = mixed[moved < config.unseen_share] @ parts[possible]
     share = (dark**2).reshape(len(dark), len(body.bodies), 10).sum(axis=2)
     names = _body_names(body)
     return list(dict.fromkeys(names[index] for index in share.argmax(axis=1)))

@@ -12,21 +12,10 @@ import numpy as np
 
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 
-GAP_STEPS = 5.0
-"""A step longer than this many median steps is a gap."""
-GAP_MARGIN = 10
-"""Samples left out on either side of a gap."""
-SHOCK_DEVIATIONS = 15.0
-"""Robust standard deviations of a channel's changes that a shock exceeds."""
-SHOCK_SHARE = 0.5
-"""Share of the channel's standard deviation that a shock exceeds too, and, in the same steps, what rounding may not."""
-SHOCK_S = 0.1
-"""Seconds left out before and after a shock."""
-MOST_SHARE = 0.03
-"""A channel whose jumps would cost more than this share of the recording jumps by nature (dry friction, a coarse
-converter), and its jumps stay. The two spikes and the stop of the real UR3's id2.bag cost its wrist 1.1 %."""
 NORMAL_MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 class Gap(NamedTuple):
@@ -37,14 +26,14 @@ class Gap(NamedTuple):
     length_s: float
 
 
-def gaps(samples: Samples) -> list[Gap]:
-    """Every step longer than GAP_STEPS median steps."""
+def gaps(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[Gap]:
+    """Every step longer than ``config.gap_steps`` median steps."""
     if len(samples) < 3:
         return []
     time = samples.time
     steps = np.diff(time)
     return [Gap(int(at), float(time[at]), float(steps[at]))
-            for at in np.flatnonzero(steps > GAP_STEPS * typical_step(time))]
+            for at in np.flatnonzero(steps > config.gap_steps * typical_step(time))]
 
 
 def typical_step(time: Array) -> float:
@@ -54,19 +43,19 @@ def typical_step(time: Array) -> float:
     return float(np.median(forward)) if len(forward) else 1e-9
 
 
-def excluded(samples: Samples) -> Mask:
+def excluded(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
     """(N,) true for samples near a gap or a shock: no fit and no judgement should use them."""
     mask = np.zeros(len(samples), dtype=bool)
-    for gap in gaps(samples):
-        mask[max(gap.before + 1 - GAP_MARGIN, 0):gap.before + 1 + GAP_MARGIN] = True
+    for gap in gaps(samples, config):
+        mask[max(gap.before + 1 - config.gap_margin, 0):gap.before + 1 + config.gap_margin] = True
     if len(samples) > 3:
         for channel in samples.outputs.T:
-            near = _around(samples.time, shocks(channel))
-            mask |= near & (np.mean(near) <= MOST_SHARE)
+            near = _around(samples.time, shocks(channel, config), config.shock_margin_s)
+            mask |= near & (np.mean(near) <= config.most_shock_share)
     return mask
 
 
-def shocks(channel: Array) -> Mask:
+def shocks(channel: Array, config: DiagnosisConfig = DEFAULTS) -> Mask:
     """(N,) true for the two samples on either side of a change that this channel (N,) makes at no other time.
 
     The robust deviation is never taken for less than the converter's own step: where most changes are 0 and the rest
@@ -76,17 +65,17 @@ def shocks(channel: Array) -> Mask:
     sizes = np.abs(changes - np.median(changes))
     moved = np.abs(changes[changes != 0.0])
     usual = max(NORMAL_MAD * float(np.median(sizes)), float(moved.min()) if len(moved) else 0.0)
-    hit = (sizes > SHOCK_DEVIATIONS * usual) & (sizes > SHOCK_SHARE * channel.std())
+    hit = (sizes > config.shock_deviations * usual) & (sizes > config.shock_share * channel.std())
     mask = np.zeros(len(channel), dtype=bool)
     mask[:-1] |= hit
     mask[1:] |= hit
     return mask
 
 
-def _around(time: Array, hit: Mask) -> Mask:
-    """Samples within SHOCK_S of those that were hit."""
+def _around(time: Array, hit: Mask, margin_s: float) -> Mask:
+    """Samples within ``margin_s`` of those that were hit."""
     mask = np.zeros(len(time), dtype=bool)
     for index in np.flatnonzero(hit):
-        start, end = np.searchsorted(time, (time[index] - SHOCK_S, time[index] + SHOCK_S), side='left')
+        start, end = np.searchsorted(time, (time[index] - margin_s, time[index] + margin_s), side='left')
         mask[start:end + 1] = True
     return mask

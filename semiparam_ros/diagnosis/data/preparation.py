@@ -18,25 +18,22 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.splits import fold_losses
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
 from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
-WORKING_RATE_HZ = 40.0
-END_SAMPLES = 5
-"""Working samples at either end of a smoothed recording that are left out."""
-LEAST_WORKING = 50
-"""Fewer working samples cannot tell one cause from another."""
-REST_SHARE = 1e-3
 OPTIONS = ('smoothed', 'smoothed from positions', 'recorded')
 
 
 class Inputs(NamedTuple):
-    """How a recording was prepared: which motion, and how many samples each working sample averages."""
+    """How a recording was prepared: which motion, how many samples each working sample averages, and how many working
+    samples at either end of a smoothed recording are left out."""
 
     motion: str
     factor: int
+    ends: int = DEFAULTS.smoothing_ends
 
     def prepare(self, samples: Samples) -> Samples:
         """Another recording of the same robot, prepared alike."""
@@ -45,42 +42,43 @@ class Inputs(NamedTuple):
     def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true.
 
-        The ends of a smoothed recording take no part: the smoother sees them from one side alone.
+        Leaves out the ends of a smoothed recording: the smoother sees them from one side alone.
         """
         groups = len(mask) // self.factor
         whole = np.asarray(mask[:groups * self.factor].reshape(groups, self.factor).all(axis=1))
         if self.motion != 'recorded':
-            whole[:END_SAMPLES], whole[-END_SAMPLES:] = False, False
+            whole[:self.ends] = whole[len(whole) - self.ends:] = False
         return whole
 
 
-def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask) -> Inputs:
+def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
+                config: DiagnosisConfig = DEFAULTS) -> Inputs:
     """The motion with which the declared model predicts unseen blocks best, and the factor to the working rate.
 
     Raises SemiparamError when too few samples are left to work with.
     """
     rate = 1e9 / float(np.median(np.diff(samples.stamps)))
-    factor = max(int(rate / WORKING_RATE_HZ), 1)
-    options = {name: Inputs(name, factor) for name in OPTIONS}
-    require_enough(*(inputs.mask(train_mask) for inputs in options.values()))
+    factor = max(int(rate / config.working_rate_hz), 1)
+    options = {name: Inputs(name, factor, config.smoothing_ends) for name in OPTIONS}
+    require_enough(config, *(inputs.mask(train_mask) for inputs in options.values()))
     outputs = samples.outputs[train_mask]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
     losses: dict[str, float] = {}
     for name, inputs in options.items():
-        fit = fit_model(body, inputs.prepare(samples), effects, inputs.mask(train_mask), scale)
+        fit = fit_model(body, inputs.prepare(samples), effects, inputs.mask(train_mask), scale, config)
         if not losses:
             scale = refit_weights(fit).scale
         losses[name] = float(fold_losses(fit, scale).sum())
     return options[min(losses, key=lambda name: losses[name])]
 
 
-def require_enough(*masks: Mask) -> None:
+def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
     """Raise SemiparamError when a mask over working samples leaves too few of them."""
     fewest = min(int(mask.sum()) for mask in masks)
-    if fewest < LEAST_WORKING:
-        raise SemiparamError(f'{fewest} samples of the recording, averaged to at least {WORKING_RATE_HZ:g} Hz, are '
-                             'left beside its ends, gaps, shocks, standstill and what is held out; a diagnosis needs '
-                             f'at least {LEAST_WORKING}.')
+    if fewest < config.least_working_samples:
+        raise SemiparamError(f'{fewest} samples of the recording, averaged to at least {config.working_rate_hz:g} Hz, '
+                             'are left beside its ends, gaps, shocks, standstill and what is held out; a diagnosis '
+                             f'needs at least {config.least_working_samples}.')
 
 
 def moved(samples: Samples, motion: str) -> Samples:
@@ -103,7 +101,7 @@ def averaged(samples: Samples, factor: int) -> Samples:
                    mean(samples.outputs), samples.origin)
 
 
-def resting(samples: Samples) -> Mask:
+def resting(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
     """(N,) true where no joint moves: static friction then holds any effort, so efforts there tell nothing."""
     speed = np.abs(samples.velocity)
-    return np.asarray((speed < REST_SHARE * speed.max(axis=0)).all(axis=1))
+    return np.asarray((speed < config.rest_speed_share * speed.max(axis=0)).all(axis=1))

@@ -7,20 +7,14 @@ from __future__ import annotations
 import numpy as np
 
 from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.regression import Fit
 
-BLOCKS = 15
-HELD_OUT_EVERY = 3
-FOLDS = 10
 
-LEAST_GAIN = 0.003  # the best trial of 48 recordings with nothing hidden gained at most 0.0013
-LEAST_RATIO = 3.0
-
-
-def interleaved_split(count: int) -> Mask:
+def interleaved_split(count: int, config: DiagnosisConfig = DEFAULTS) -> Mask:
     """(N,) true for samples that fit: of fifteen blocks every third is held out, so both parts span the recording."""
-    block = np.minimum(np.arange(count) * BLOCKS // count, BLOCKS - 1)
-    return np.asarray(block % HELD_OUT_EVERY != 1)
+    block = np.minimum(np.arange(count) * config.split_blocks // count, config.split_blocks - 1)
+    return np.asarray(block % config.held_out_every != 1)
 
 
 def leading_split(count: int, share: float) -> Mask:
@@ -28,11 +22,11 @@ def leading_split(count: int, share: float) -> Mask:
     return np.arange(count) < round(count * share)
 
 
-def folds(train_mask: Mask) -> Stamps:
+def folds(train_mask: Mask, config: DiagnosisConfig = DEFAULTS) -> Stamps:
     """(N,) number of the fold of each sample in use, -1 elsewhere; folds are contiguous and equally long."""
     labels = np.full(len(train_mask), -1, dtype=np.int64)
     used = np.flatnonzero(train_mask)
-    labels[used] = np.minimum(np.arange(len(used)) * FOLDS // max(len(used), 1), FOLDS - 1)
+    labels[used] = np.minimum(np.arange(len(used)) * config.folds // max(len(used), 1), config.folds - 1)
     return labels
 
 
@@ -44,10 +38,10 @@ def ranges(mask: Mask) -> list[tuple[int, int]]:
 
 def fold_losses(fit: Fit, scale: Array) -> Array:
     """(folds,) squared error of each block in use, predicted by a fit of the other blocks, over ``scale``^2."""
-    labels = folds(fit.train_mask)
+    labels = folds(fit.train_mask, fit.config)
     ridge = 1e-9 * np.eye(fit.columns.shape[2])
     grams, rights, powers = [], [], []
-    for fold in range(FOLDS):
+    for fold in range(fit.config.folds):
         rows = labels == fold
         columns = (fit.columns[rows] / scale[:, None]).reshape(-1, fit.columns.shape[2])
         left = (fit.residual[rows] / scale).ravel()
@@ -69,4 +63,6 @@ def carries_over(before: Fit, after: Fit) -> bool:
     losses = fold_losses(before, after.scale)
     gains = losses - fold_losses(after, after.scale)
     helped, harmed = gains[gains > 0].sum(), -gains[gains < 0].sum()
-    return bool(helped - harmed > LEAST_GAIN * losses.sum() and helped > LEAST_RATIO * harmed)
+    config = after.config
+    return bool(helped - harmed > config.least_gain * losses.sum()
+                and helped > config.least_helped_over_harmed * harmed)

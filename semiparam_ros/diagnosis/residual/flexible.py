@@ -1,6 +1,6 @@
 """Flexible regression of a residual: what any smooth function of the motion and of time could still explain.
 
-Ridge regression on families of features, judged on blocks that took no part: many short blocks, interleaved, so that
+Ridge regression on families of features, judged on blocks left out of the fit: many short ones, interleaved, so that
 every fold sees the whole recording. The families follow one another, each on what the ones before have left.
 """
 
@@ -14,22 +14,16 @@ from scipy.linalg import eigh
 
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 
-BLOCKS, FOLDS = 60, 5
-PENALTIES = 10.0 ** np.arange(-3.0, 4.5, 0.5)
-"""Variances of the noise over that of the function, among which each channel chooses; it may also choose nothing."""
-FEATURES = 240
-SCALES = (1.0, 3.0)
-"""Length scales of the random features, over the square root of the number of inputs."""
-WAVES, BELLS = 12, 9
-SLOW_WAVES = 3
 Family = tuple[str, Callable[[], Array]]
 
 
 class Motion:
     """Standardised inputs of M samples: variables (M, k) with names, time last [-1, 1]."""
 
-    def __init__(self, joints: tuple[str, ...], samples: Samples) -> None:
+    def __init__(self, joints: tuple[str, ...], samples: Samples, config: DiagnosisConfig = DEFAULTS) -> None:
+        self.config = config
         self.names = (*(f'{role}_{joint}' for role in ('q', 'dq', 'ddq') for joint in joints), 'time')
         self.n_joints = len(joints)
         time = samples.time
@@ -42,22 +36,25 @@ class Motion:
     def families(self, with_time: bool = True) -> Iterator[Family]:
         """Features by family, from the plainest on."""
         if with_time:
-            yield 'time', self.of_time
+            yield 'time', partial(self.of_time, self.config.waves)
         yield 'single variables', self.of_single_variables
         if with_time:
             yield 'time and motion', self.of_time_and_motion
-        for number, scale in enumerate(SCALES):
-            yield f'motion {scale:g}', partial(random_features, self.values[:, :-1], FEATURES, scale, number)
+        for number, scale in enumerate(self.config.motion_scales):
+            yield f'motion {scale:g}', partial(random_features, self.values[:, :-1], self.config.motion_features,
+                                               scale, number)
 
-    def of_time(self, waves: int = WAVES) -> Array:
+    def of_time(self, waves: int) -> Array:
         """(M, 2 waves + 2) a line, and waves that need not close over the recording."""
         angles = np.pi * 0.8 * np.outer(self.values[:, -1], np.arange(1, waves + 1))
         return np.column_stack([np.ones(len(angles)), self.values[:, -1], np.cos(angles), np.sin(angles)])
 
     def of_single_variables(self) -> Array:
         """(M, .) a function of every variable, and of every joint's position and velocity together."""
-        singles = [bells(column) for column in self.values[:, :-1].T]
-        joints = [random_features(self.values[:, [joint, self.n_joints + joint]], 3 * BELLS, SCALES[0], joint)
+        count = self.config.bells
+        singles = [bells(column, count) for column in self.values[:, :-1].T]
+        joints = [random_features(self.values[:, [joint, self.n_joints + joint]], 3 * count,
+                                  self.config.motion_scales[0], joint)
                   for joint in range(self.n_joints)]
         return np.column_stack([*singles, *joints])
 
@@ -66,7 +63,7 @@ class Motion:
         moved = self.values[:, :-1]
         speeds = moved[:, self.n_joints:2 * self.n_joints]
         plain = np.column_stack([moved, np.tanh(5.0 * speeds)])
-        slow = self.of_time(SLOW_WAVES)
+        slow = self.of_time(self.config.slow_waves)
         return np.asarray((plain[:, :, None] * slow[:, None, :]).reshape(len(plain), -1))
 
 
@@ -78,38 +75,39 @@ def random_features(inputs: Array, count: int, scale: float, seed: int) -> Array
     return np.hstack([np.cos(angles), np.sin(angles)])
 
 
-def bells(values: Array) -> Array:
-    """(M, BELLS + 1) the variable itself, and Gaussian bells across its range."""
+def bells(values: Array, count: int) -> Array:
+    """(M, count + 1) the variable itself, and Gaussian bells across its range."""
     low, high = np.quantile(values, (0.005, 0.995))
-    centres = np.linspace(low, high, BELLS)
-    width = max(float(high - low) / (BELLS - 1), 1e-9)
+    centres = np.linspace(low, high, count)
+    width = max(float(high - low) / (count - 1), 1e-9)
     return np.column_stack([values, np.exp(-0.5 * ((values[:, None] - centres) / width) ** 2)])
 
 
-def fold_labels(count: int, blocks: int = BLOCKS) -> Stamps:
+def fold_labels(count: int, blocks: int, folds: int) -> Stamps:
     """(M,) fold of each sample: blocks dealt out in turn."""
-    return np.arange(count) * blocks // max(count, 1) % FOLDS
+    return np.arange(count) * blocks // max(count, 1) % folds
 
 
-def block_sums(values: Array) -> Array:
-    """(BLOCKS, n) sums of values (M, n) over the blocks."""
-    edges = np.searchsorted(np.arange(len(values)) * BLOCKS // len(values), np.arange(BLOCKS))
+def block_sums(values: Array, blocks: int) -> Array:
+    """(blocks, n) sums of values (M, n) over the blocks."""
+    edges = np.searchsorted(np.arange(len(values)) * blocks // len(values), np.arange(blocks))
     return np.asarray(np.add.reduceat(values, edges, axis=0))
 
 
-def predictions(features: Array, targets: Array) -> Array:
+def predictions(features: Array, targets: Array, config: DiagnosisConfig = DEFAULTS) -> Array:
     """(M, n) each sample's target as the other folds predict it, each channel with the penalty that serves it best."""
-    labels = fold_labels(len(targets))
+    labels = fold_labels(len(targets), config.structure_blocks, config.structure_folds)
+    penalties = 10.0 ** np.array(config.penalty_exponents)
     size = np.sqrt(np.mean(features**2, axis=0) * features.shape[1]) + 1e-12
     scaled = features / size
     total, right = scaled.T @ scaled, scaled.T @ targets
-    everywhere = np.zeros((len(PENALTIES), *targets.shape))
-    for fold in range(FOLDS):
+    everywhere = np.zeros((len(penalties), *targets.shape))
+    for fold in range(config.structure_folds):
         rows = labels == fold
         held = scaled[rows]
         values, vectors = eigh(total - held.T @ held)
         turned = vectors.T @ (right - held.T @ targets[rows])
-        shrunk = turned / (np.maximum(values, 0.0)[:, None] + PENALTIES[:, None, None])
+        shrunk = turned / (np.maximum(values, 0.0)[:, None] + penalties[:, None, None])
         everywhere[:, rows] = (held @ vectors) @ shrunk
     losses = np.sum((targets - everywhere) ** 2, axis=1)
     best = losses.argmin(axis=0)
@@ -123,6 +121,6 @@ def explained(motion: Motion, targets: Array, with_time: bool = True) -> tuple[A
     power = float(np.sum(targets**2)) + 1e-300
     for name, features in motion.families(with_time):
         before = targets - found
-        found = found + predictions(features(), before)
+        found = found + predictions(features(), before, motion.config)
         shares[name] = float(np.sum(before**2) - np.sum((targets - found) ** 2)) / power
     return found, shares

@@ -12,18 +12,9 @@ import numpy as np
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.residual.flexible import FOLDS, fold_labels
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.residual.flexible import fold_labels
 from semiparam_ros.effects.terms import Terms, term_unit, term_values
-
-MOST_TERMS = 6
-LEAST_SHARE = 0.05
-"""Of the residual, that a formula must explain on unseen blocks to be worth a reader's time."""
-LONG_BLOCKS = 15
-"""A formula is judged on longer blocks than the question whether anything is left: it is meant to carry over."""
-ENOUGH = 0.9
-"""The shortest formula that explains this share of what the best one explains of unseen blocks."""
-QUANTILES = (0.02, 0.15, 0.3, 0.5, 0.7, 0.85, 0.98)
-WIDTHS = (0.25, 0.6)
 
 
 class Summand(NamedTuple):
@@ -53,13 +44,14 @@ class Formula(NamedTuple):
         return Terms(self.channel, {each.term: each.coefficient for each in self.summands})
 
 
-def library(variables: Sequence[str], body: RigidBody, samples: Samples) -> list[str]:
+def library(variables: Sequence[str], body: RigidBody, samples: Samples,
+            config: DiagnosisConfig = DEFAULTS) -> list[str]:
     """Names of the terms made of some variables, the plainest first."""
     motion = [name for name in variables if name != 'time']
     plain = [term for name in motion for term in _of_one(name)]
     if 'time' in variables:
         plain = ['time', 'time^2', *plain, *(f'time*{term}' for term in plain), *(f'time^2*{name}' for name in motion)]
-    bumps = [term for name in motion if name.startswith('q_') for term in _bumps(name, body, samples)]
+    bumps = [term for name in motion if name.startswith('q_') for term in _bumps(name, body, samples, config)]
     return [*plain, *_products(motion), *bumps]
 
 
@@ -83,24 +75,24 @@ def _products(names: Sequence[str]) -> Iterator[str]:
                 yield f'cos({still})*{moving}'
 
 
-def _bumps(name: str, body: RigidBody, samples: Samples) -> Iterator[str]:
+def _bumps(name: str, body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[str]:
     values = term_values(name, body, samples)
     spread = float(values.std())
     if spread <= 1e-6:
         return
-    for centre in np.quantile(values, QUANTILES):
-        for width in WIDTHS:
+    for centre in np.quantile(values, config.bump_quantiles):
+        for width in config.bump_widths:
             yield f'bump({name},{centre:.4f},{max(width * spread, 1e-4):.4f})'
 
 
 def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, values: Array,
-                 channel: int) -> Formula | None:
+                 channel: int, config: DiagnosisConfig = DEFAULTS) -> Formula | None:
     """The shortest formula for values (M,) in output ``channel``; None without variables or a term that helps on
     unseen blocks.
 
-    Orthogonal matching pursuit puts the terms in order; blocks that took no part say how many of them to keep.
+    Orthogonal matching pursuit puts the terms in order; blocks left out of the fit say how many of them to keep.
     """
-    names = library(variables, body, samples)
+    names = library(variables, body, samples, config)
     if not names:
         return None
     columns = np.column_stack([term_values(name, body, samples) for name in names])
@@ -108,24 +100,24 @@ def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, va
     names, columns = [name for name, keep in zip(names, usable, strict=True) if keep], columns[:, usable]
     if not names:
         return None
-    shares = _held_out_shares(columns, values)
-    if shares.max() < LEAST_SHARE:
+    shares = _held_out_shares(columns, values, config)
+    if shares.max() < config.formula_share:
         return None
-    count = 1 + int(np.argmax(shares >= ENOUGH * shares.max()))
-    kept = _pursuit(columns, values)[:count]
+    count = 1 + int(np.argmax(shares >= config.formula_enough * shares.max()))
+    kept = _pursuit(columns, values, config.most_terms)[:count]
     coefficients = _least_squares(columns[:, kept], values)[:-1]
     summands = tuple(Summand(names[index], float(value), term_unit(names[index], body, channel))
                      for index, value in zip(kept, coefficients, strict=True))
     return Formula(body.output_names[channel], summands, float(shares[count - 1]))
 
 
-def _pursuit(columns: Array, values: Array) -> list[int]:
+def _pursuit(columns: Array, values: Array, most: int) -> list[int]:
     """Numbers of the columns in the order in which they come in."""
     from sklearn.linear_model import orthogonal_mp  # a second of loading, for the few who need it
 
     moved = columns - columns.mean(axis=0)
     moved /= np.linalg.norm(moved, axis=0) + 1e-12
-    steps = min(MOST_TERMS, moved.shape[1])
+    steps = min(most, moved.shape[1])
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', RuntimeWarning)  # terms that depend on one another end the pursuit early
         path = orthogonal_mp(moved, values - values.mean(), n_nonzero_coefs=steps, return_path=True)
@@ -134,17 +126,18 @@ def _pursuit(columns: Array, values: Array) -> list[int]:
     return [int(index) for index in np.argsort(entered, kind='stable') if entered[index] <= steps]
 
 
-def _held_out_shares(columns: Array, values: Array) -> Array:
-    """(MOST_TERMS,) share of the variance of values that formulas of 1, 2, ... terms predict of unseen blocks.
+def _held_out_shares(columns: Array, values: Array, config: DiagnosisConfig) -> Array:
+    """(most_terms,) share of the variance of values that formulas of 1, 2, ... terms predict of unseen blocks.
 
     Each fold chooses its own terms: a choice that has seen the blocks which judge it flatters itself.
     """
-    labels = fold_labels(len(values), LONG_BLOCKS)
-    squares = np.zeros(MOST_TERMS)
-    for fold in range(FOLDS):
+    most, folds = config.most_terms, config.structure_folds
+    labels = fold_labels(len(values), config.formula_blocks, folds)
+    squares = np.zeros(most)
+    for fold in range(folds):
         held = labels == fold
-        order = _pursuit(columns[~held], values[~held])
-        for count in range(1, MOST_TERMS + 1):
+        order = _pursuit(columns[~held], values[~held], most)
+        for count in range(1, most + 1):
             kept = order[:count]
             found = _least_squares(columns[~held][:, kept], values[~held])
             squares[count - 1] += np.sum((values[held] - columns[held][:, kept] @ found[:-1] - found[-1]) ** 2)

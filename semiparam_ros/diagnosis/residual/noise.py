@@ -24,18 +24,11 @@ from scipy.signal import lfilter, savgol_filter
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import typical_step
 
-LONGEST_SHARE = 0.1
-
-ORDER = 20
-SETTLING = 500
 WHITENING = 1e-9
 """Share of the power that keeps the equations of a residual that is nearly periodic solvable."""
-
-WINDOWS = (9, 15)
-"""Samples of a moving polynomial of degree DEGREE: at 20 Hz about half a second and three quarters."""
-DEGREE = 4
 RANK = 1e-7
 
 
@@ -48,19 +41,19 @@ def noise_floor(residual: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(differences**2, axis=0) / 20.0))
 
 
-def correlation_times(residual: Array) -> Array:
+def correlation_times(residual: Array, config: DiagnosisConfig = DEFAULTS) -> Array:
     """(n,) integrated autocorrelation time of each channel in samples, at least 1.
 
     Sums pairs of neighbouring autocorrelations while they stay positive (Geyer 1992).
     """
-    return np.array([_channel_time(column) for column in residual.T])
+    return np.array([_channel_time(column, config.longest_correlation_share) for column in residual.T])
 
 
-def _channel_time(values: Array) -> float:
+def _channel_time(values: Array, longest_share: float) -> float:
     count = len(values)
     centred = values - values.mean()
     spectrum = np.abs(np.fft.rfft(centred, 2 * count)) ** 2
-    covariance = np.fft.irfft(spectrum)[:max(int(LONGEST_SHARE * count), 2)]
+    covariance = np.fft.irfft(spectrum)[:max(int(longest_share * count), 2)]
     if covariance[0] <= 0.0:
         return 1.0
     correlation = covariance / covariance[0]
@@ -69,35 +62,37 @@ def _channel_time(values: Array) -> float:
     return float(max(1.0, 2.0 * pairs[:negative[0] if len(negative) else None].sum() - 1.0))
 
 
-def coloured_noise(residual: Array, count: int, seed: int = 0) -> Array:
+def coloured_noise(residual: Array, count: int, seed: int = 0, config: DiagnosisConfig = DEFAULTS) -> Array:
     """(count, M, n) noise; each channel has the autocorrelation and the power of that of the residual (M, n)."""
     rng = np.random.default_rng(seed)
-    drawn = rng.standard_normal((count, SETTLING + len(residual), residual.shape[1]))
+    drawn = rng.standard_normal((count, config.noise_settling + len(residual), residual.shape[1]))
     for channel, values in enumerate(residual.T):
-        weights, deviation = _autoregression(values)
+        weights, deviation = _autoregression(values, config.noise_order)
         drawn[:, :, channel] = lfilter([deviation], np.append(1.0, -weights), drawn[:, :, channel], axis=1)
-    return drawn[:, SETTLING:]
+    return drawn[:, config.noise_settling:]
 
 
-def _autoregression(values: Array) -> tuple[Array, float]:
-    """(ORDER,) weights of the past values, and the standard deviation of what they do not predict (Yule-Walker)."""
+def _autoregression(values: Array, order: int) -> tuple[Array, float]:
+    """(order,) weights of the past values, and the standard deviation of what they do not predict (Yule-Walker)."""
     spectrum = np.abs(np.fft.rfft(values - values.mean(), 2 * len(values))) ** 2
-    covariance = np.fft.irfft(spectrum)[:ORDER + 1] / len(values)
+    covariance = np.fft.irfft(spectrum)[:order + 1] / len(values)
     if covariance[0] <= 0.0:
-        return np.zeros(ORDER), 0.0
+        return np.zeros(order), 0.0
     covariance[0] *= 1.0 + WHITENING
     weights = solve_toeplitz(covariance[:-1], covariance[1:])
     return weights, float(np.sqrt(covariance[0] - weights @ covariance[1:]))
 
 
-def without_input_errors(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask, scale: Array) -> Array:
+def without_input_errors(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask, scale: Array,
+                         config: DiagnosisConfig = DEFAULTS) -> Array:
     """(N, n) residual less all that regressors at differently smoothed inputs explain of it.
 
     :param train_mask: (N,) samples that fit. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
     """
-    if train_mask.sum() < 4 * max(WINDOWS):
+    if train_mask.sum() < 4 * max(config.resmoothing_windows):
         return residual
-    others = [body.regressors(resmoothed(samples, window)) for window in WINDOWS]
+    others = [body.regressors(resmoothed(samples, window, config.resmoothing_degree))
+              for window in config.resmoothing_windows]
     columns = np.concatenate([body.regressors(samples), *others], axis=2)
     rows = (columns[train_mask] / scale[:, None]).reshape(-1, columns.shape[2])
     size = np.linalg.norm(rows, axis=0) + 1e-12
@@ -105,9 +100,9 @@ def without_input_errors(body: RigidBody, samples: Samples, residual: Array, tra
     return np.asarray(residual - columns @ change)
 
 
-def resmoothed(samples: Samples, window: int) -> Samples:
-    """Positions and velocities by a moving polynomial, accelerations as the derivative of the velocities."""
+def resmoothed(samples: Samples, window: int, degree: int) -> Samples:
+    """The motion by a moving polynomial over ``window`` samples; accelerations are the derivative of velocities."""
     step = typical_step(samples.time)
-    return replace(samples, position=savgol_filter(samples.position, window, DEGREE, axis=0),
-                   velocity=savgol_filter(samples.velocity, window, DEGREE, axis=0),
-                   acceleration=savgol_filter(samples.velocity, window, DEGREE, deriv=1, delta=step, axis=0))
+    return replace(samples, position=savgol_filter(samples.position, window, degree, axis=0),
+                   velocity=savgol_filter(samples.velocity, window, degree, axis=0),
+                   acceleration=savgol_filter(samples.velocity, window, degree, deriv=1, delta=step, axis=0))

@@ -3,33 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.residual.dependence import Dependence, dependences
 from semiparam_ros.diagnosis.residual.flexible import Motion, block_sums, explained
 from semiparam_ros.diagnosis.residual.formula import Formula, find_formula
 from semiparam_ros.diagnosis.residual.noise import coloured_noise, without_input_errors
 from semiparam_ros.effects.terms import Terms
-
-MOST_SAMPLES = 4000
-LEAST_SAMPLES = 300
-SHARE, DEVIATIONS = 0.015, 2.0
-"""Of all channels together: least share of the residual, and least mean gain of a block in its standard errors."""
-LARGE_SHARE, FEW_DEVIATIONS = 0.06, 0.9
-"""The same where few blocks hold most of the residual, as when something is touched now and then."""
-CHANNEL_SHARE, CHANNEL_DEVIATIONS = 0.05, 3.0
-"""The same of one channel alone."""
-DRAWS, BEYOND_CHANCE, BEYOND_CHANCE_IN = 16, 3.0, 5.0
-"""Draws of noise with the residual's autocorrelation, and by how many of their standard deviations the share of all
-channels, and that of one, must exceed their mean. Noise correlated over 0.2 to 4 s exceeds it by up to 2.0 and 3.5."""
-FORMULA_VARIABLES = 4
-DECLARED_SHARE = 0.25
-"""Of a channel's residual, that a formula must explain on unseen blocks before it is offered as an effect."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +33,9 @@ class Structure:
     formulas: tuple[Formula, ...]
     families: dict[str, float]
 
-    @property
-    def effects(self) -> tuple[Terms, ...]:
-        """The formulas that are worth it, as effects that can be declared."""
-        return tuple(formula.effect for formula in self.formulas if formula.share > DECLARED_SHARE)
+    def effects(self, least_share: float) -> tuple[Terms, ...]:
+        """The formulas that explain more than a share of their channel's residual, as effects that can be declared."""
+        return tuple(formula.effect for formula in self.formulas if formula.share > least_share)
 
     @property
     def sentence(self) -> str:
@@ -64,7 +48,7 @@ class Structure:
         return (f'{100 * self.share:.0f} % of what is left is more than noise, and no kind of effect explains it. It '
                 f'shows in {", ".join(self.channels)} and depends on {names}.{said}')
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """The entry ``unexplained`` of the machine-readable report."""
         return {'significant': self.significant, 'share': self.share, 'channel_shares': self.channel_shares.tolist(),
                 'channels': list(self.channels), 'variables': [each._asdict() for each in self.variables],
@@ -73,23 +57,25 @@ class Structure:
                 'families': self.families, 'sentence': self.sentence}
 
 
-def remaining_structure(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask,
-                        scale: Array) -> Structure:
+def remaining_structure(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask, scale: Array,
+                        config: DiagnosisConfig = DEFAULTS) -> Structure:
     """Look for structure in the residual (N, n) of a fitted model.
 
     :param train_mask: (N,) samples to look at. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
     """
-    rows = _thinned(train_mask)
-    if len(rows) < LEAST_SAMPLES:
+    rows = _thinned(train_mask, config.structure_samples)
+    if len(rows) < config.structure_least_samples:
         return Structure(0.0, np.zeros(body.n_outputs), False, (), (), (), {})
-    motion = Motion(body.joints, samples[rows])
-    guarded = without_input_errors(body, samples, residual, train_mask, scale)[rows] / scale
+    motion = Motion(body.joints, samples[rows], config)
+    guarded = without_input_errors(body, samples, residual, train_mask, scale, config)[rows] / scale
     found, families = explained(motion, guarded)
-    gains, power = block_sums(guarded**2 - (guarded - found) ** 2), np.sum(guarded**2, axis=0) + 1e-300
+    gains = block_sums(guarded**2 - (guarded - found) ** 2, config.structure_blocks)
+    power = np.sum(guarded**2, axis=0) + 1e-300
     share, shares = float(gains.sum() / power.sum()), gains.sum(axis=0) / power
-    affected = (shares > CHANNEL_SHARE) & (_standard_errors(gains) > CHANNEL_DEVIATIONS)
+    affected = (shares > config.channel_share) & (_standard_errors(gains) > config.channel_deviations)
     deviations = float(_standard_errors(gains.sum(axis=1, keepdims=True))[0])
-    together = (share > SHARE and deviations > DEVIATIONS) or (share > LARGE_SHARE and deviations > FEW_DEVIATIONS)
+    together = (share > config.structure_share and deviations > config.structure_deviations) or (
+        share > config.large_structure_share and deviations > config.large_structure_deviations)
     if together or affected.any():
         beyond, beyond_in = _beyond_chance(motion, guarded)
         together, affected = together and beyond, affected & beyond_in
@@ -106,8 +92,9 @@ def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Arra
     """The structure with its channels, its variables and its formulas."""
     numbers = np.flatnonzero(affected)
     variables = dependences(motion, (residual / scale)[:, numbers], float(structure.channel_shares[numbers].mean()))
-    names = [each.name for each in variables][:FORMULA_VARIABLES]
-    formulas = [find_formula(names, body, samples, residual[:, channel], int(channel)) for channel in numbers]
+    names = [each.name for each in variables][:motion.config.formula_variables]
+    formulas = [find_formula(names, body, samples, residual[:, channel], int(channel), motion.config)
+                for channel in numbers]
     return Structure(structure.share, structure.channel_shares, True, tuple(body.output_names[k] for k in numbers),
                      variables, tuple(formula for formula in formulas if formula is not None), structure.families)
 
@@ -117,7 +104,8 @@ def _beyond_chance(motion: Motion, residual: Array) -> tuple[bool, Mask]:
 
     Asked twice, for time takes what is slow: once with it, and once of the motion alone.
     """
-    noise = coloured_noise(residual, DRAWS)
+    config = motion.config
+    noise = coloured_noise(residual, config.chance_draws, config=config)
     everything = np.concatenate([residual[None], noise])
     side_by_side = np.moveaxis(everything, 0, 1).reshape(len(residual), -1)
     power = (everything**2).sum(axis=1) + 1e-300
@@ -125,23 +113,23 @@ def _beyond_chance(motion: Motion, residual: Array) -> tuple[bool, Mask]:
     for with_time in (True, False):
         found, _ = explained(motion, side_by_side, with_time)
         gains = (side_by_side**2 - (side_by_side - found) ** 2).sum(axis=0).reshape(power.shape)
-        beyond = beyond or bool(_stands_out(gains.sum(axis=1) / power.sum(axis=1), BEYOND_CHANCE))
-        beyond_in = beyond_in | _stands_out(gains / power, BEYOND_CHANCE_IN)
+        beyond = beyond or bool(_stands_out(gains.sum(axis=1) / power.sum(axis=1), config.beyond_chance))
+        beyond_in = beyond_in | _stands_out(gains / power, config.channel_beyond_chance)
     return beyond, beyond_in
 
 
 def _stands_out(shares: Array, deviations: float) -> Mask:
-    """Whether the first row of shares (1 + DRAWS, ...), the residual's, is beyond the others, those of noise."""
+    """Whether the first row of shares (1 + draws, ...), the residual's, is beyond the others, those of noise."""
     return np.asarray(shares[0] > shares[1:].mean(axis=0) + deviations * shares[1:].std(axis=0, ddof=1))
 
 
-def _thinned(train_mask: Mask) -> Stamps:
+def _thinned(train_mask: Mask, most: int) -> Stamps:
     """Numbers of the samples to look at, evenly spread."""
     rows = np.flatnonzero(train_mask)
-    return rows[::max(-(-len(rows) // MOST_SAMPLES), 1)]
+    return rows[::max(-(-len(rows) // most), 1)]
 
 
 def _standard_errors(gains: Array) -> Array:
-    """(n,) mean gain of the blocks (BLOCKS, n) over its standard error."""
+    """(n,) mean gain of the blocks (blocks, n) over its standard error."""
     error = gains.std(axis=0, ddof=1) / np.sqrt(len(gains))
     return np.divide(gains.mean(axis=0), error, out=np.zeros(gains.shape[1]), where=error > 0.0)

@@ -11,11 +11,6 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.diagnosis.search.scoring import Trial, overlap
 
-RIVAL_NATS = 6.0
-RIVAL_SHARE = 0.02
-MOST_RIVAL_SHARE = 0.2
-RIVAL_OVERLAP = 0.7
-
 
 class Rival(NamedTuple):
     """An effect that explains the same about as well; ``odds`` are against the one chosen."""
@@ -34,7 +29,7 @@ def simplest(fit: Fit, ranking: list[Trial], order: Sequence[str]) -> Trial:
     fewest = min(trial.n_parameters for trial in alike)
     cheap = [trial for trial in alike if trial.n_parameters == fewest]
     most = max(trial.evidence for trial in cheap)
-    return min((trial for trial in cheap if trial.evidence > most - RIVAL_NATS),
+    return min((trial for trial in cheap if trial.evidence > most - fit.config.rival_nats),
                key=lambda trial: (order.index(trial.effect.kind), -trial.evidence))
 
 
@@ -44,20 +39,23 @@ def tolerance(fit: Fit, chosen: Trial, same_form: bool = False) -> float:
     What stays correlated after the chosen effect shows that no trial is the whole truth, and widens it; where nothing
     does, trials of the ``same_form`` (one is a special case of the other) may differ by chance alone.
     """
-    correlation = float(correlation_times(chosen.residual[fit.train_mask]).mean()) - (1.0 if same_form else 0.0)
-    return max(RIVAL_NATS, min(RIVAL_SHARE * correlation, MOST_RIVAL_SHARE) * chosen.evidence)
+    config = fit.config
+    correlation = float(correlation_times(chosen.residual[fit.train_mask], config).mean()) - (1.0 if same_form else 0.0)
+    return max(config.rival_nats,
+               min(config.rival_share * correlation, config.most_rival_share) * chosen.evidence)
 
 
 def as_good(fit: Fit, chosen: Trial, ranking: Sequence[Trial]) -> list[Trial]:
     """The other trials that explain the same thing about as well as the chosen one."""
     within = tolerance(fit, chosen)
     return [trial for trial in ranking if trial is not chosen and chosen.evidence - trial.evidence < within
-            and overlap(fit, chosen, trial) > RIVAL_OVERLAP]
+            and overlap(fit, chosen, trial) > fit.config.rival_overlap]
 
 
 def rivals_of(fit: Fit, chosen: Trial, ranking: Sequence[Trial]) -> tuple[Rival, ...]:
-    """Those as good as the chosen one; odds from the evidence, tempered so that the tolerance is RIVAL_NATS."""
-    temper = RIVAL_NATS / tolerance(fit, chosen)
+    """Those as good as the chosen one; odds from the evidence, tempered so that the tolerance is ``rival_nats``."""
+    most = fit.config.rival_nats
+    temper = most / tolerance(fit, chosen)
     return tuple(Rival(trial.effect.kind, trial.effect.where,
-                       float(np.exp(np.clip(temper * (trial.evidence - chosen.evidence), -RIVAL_NATS, RIVAL_NATS))))
+                       float(np.exp(np.clip(temper * (trial.evidence - chosen.evidence), -most, most))))
                  for trial in as_good(fit, chosen, ranking))

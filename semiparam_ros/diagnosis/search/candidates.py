@@ -14,8 +14,6 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
 
 DERIVATIVE_STEP = 1e-5
-START_GRID = 60
-START_MARGIN = 0.1
 START_RIDGE = 1e-6
 
 
@@ -98,8 +96,8 @@ def best_start(fit: Fit, columns: Array) -> tuple[int, float, float]:
         scaled = inner * np.outer(size, size) + START_RIDGE * np.eye(len(size))
         return float(right[start] * size @ np.linalg.solve(scaled, right[start] * size))
 
-    margin = max(int(START_MARGIN * count), 1)
-    coarse = np.unique(np.linspace(margin, count - margin, START_GRID).astype(int))
+    margin = max(int(fit.config.start_margin * count), 1)
+    coarse = np.unique(np.linspace(margin, count - margin, fit.config.start_grid).astype(int))
     rough = max(coarse, key=gain)
     step = int(coarse[1] - coarse[0]) if len(coarse) > 1 else 1
     for finer in (max(step // 8, 1), 1):

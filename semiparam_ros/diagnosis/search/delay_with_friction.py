@@ -7,15 +7,13 @@ joint had bristles that bend first. So a delay is tried together with frictions 
 from __future__ import annotations
 
 from semiparam_ros.diagnosis.data.splits import carries_over
-from semiparam_ros.diagnosis.regression import Fit, fit_model
-from semiparam_ros.diagnosis.residual.noise import correlation_times
+from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, others
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, nonlinear, refined, score
 from semiparam_ros.effects import Effect
 
 KIND = 'time_delay'
-ROUNDS = 2
 Place = tuple[str, str | None]
 
 
@@ -28,17 +26,17 @@ def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]], declared: set[
     if KIND not in kinds or known or not _at_stake(fit, declared):
         return None
     after = declare(fit, [kinds[KIND](None, {'delay_s': 0.0})])
-    for _ in range(ROUNDS):
+    for _ in range(fit.config.delay_rounds):
         after = reshaped(after, declared)
     delay = next(effect for effect in after.effects if effect.kind == KIND)
-    trial = score(fit, Trial(delay, after.residual, 1), correlation_times(after.residual[after.train_mask]))
+    trial = score(fit, Trial(delay, after.residual, 1), after.correlation)
     return (trial, after) if delay.is_noticeable(fit.samples) and carries_over(fit, after) else None
 
 
 def reshaped(fit: Fit, declared: set[Place]) -> Fit:
     """The model with the shape of each friction that was found searched anew beside all the others."""
     for effect in _at_stake(fit, declared):
-        without = fit_model(fit.body, fit.samples, others(fit, effect), fit.train_mask, fit.scale)
+        without = with_effects(fit, others(fit, effect))
         searches = effect.searches(fit.body, fit.samples, effect.where, without.residual)
         trial = coarse_trial(without, Candidate(type(effect), effect.where, tuple(dict(shape) for shape in searches)))
         if trial is None:

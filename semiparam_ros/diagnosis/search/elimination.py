@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from semiparam_ros.diagnosis.data.splits import carries_over
-from semiparam_ros.diagnosis.regression import Fit, fit_model
-from semiparam_ros.diagnosis.residual.noise import correlation_times
+from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, nonlinear, score
 from semiparam_ros.effects import Effect
 
-UNDOUBTED = 20.0
-"""So many times the least evidence, with all else left as it is, and an effect is not asked further."""
 Place = tuple[str, str | None]
 
 
-def without_needless(fit: Fit, declared: set[Place], least_evidence: float) -> tuple[Fit, tuple[Effect, ...]]:
+def without_needless(fit: Fit, declared: set[Place]) -> tuple[Fit, tuple[Effect, ...]]:
     """The model without the effects that the others make needless, and those.
 
     The one of least evidence over the model without it goes first; then the others are asked again. A last effect
@@ -27,22 +24,21 @@ def without_needless(fit: Fit, declared: set[Place], least_evidence: float) -> t
         found = [effect for effect in fit.effects if (effect.kind, effect.where) not in declared]
         if len(found) < 2:
             break
-        asked = [(effect, *_worth(fit, effect, least_evidence)) for effect in found]
+        asked = [(effect, *_worth(fit, effect)) for effect in found]
         weakest, evidence, rest = min(asked, key=lambda answer: answer[1])
-        if evidence > least_evidence and carries_over(rest, fit):
+        if evidence > fit.config.least_evidence and carries_over(rest, fit):
             break
         dropped.append(weakest)
         fit = rest
     return fit, tuple(dropped)
 
 
-def _worth(fit: Fit, effect: Effect, least_evidence: float) -> tuple[float, Fit]:
+def _worth(fit: Fit, effect: Effect) -> tuple[float, Fit]:
     """Evidence [nat] of an effect over the model without it, and that model."""
     others = [known for known in fit.effects if known is not effect]
     spent = len(effect.coefficients(fit.body)) + len(effect.calibrations) + nonlinear(effect)
     whole = Trial(effect, fit.residual, spent)
-    correlation = correlation_times(fit.residual[fit.train_mask])
-    rest = fit_model(fit.body, fit.samples, others, fit.train_mask, fit.scale)
-    if score(rest, whole, correlation).evidence < UNDOUBTED * least_evidence:
+    rest = with_effects(fit, others)
+    if score(rest, whole, fit.correlation).evidence < fit.config.undoubted_factor * fit.config.least_evidence:
         rest = declare(rest, [])  # the other calibrations may make up for it
-    return score(rest, whole, correlation).evidence, rest
+    return score(rest, whole, fit.correlation).evidence, rest

@@ -19,30 +19,26 @@ from semiparam_ros.diagnosis.search.scoring import Trial, score
 from semiparam_ros.effects import Effect
 
 KIND = 'joint_offset'
-FELT = 1.0
-"""A radian must change the outputs by this many times what is left, or the joint's zero cannot be seen."""
-WORTH_SETTLING = 0.5
 
 
-def joint_offsets(fit: Fit, kinds: dict[str, type[Effect]], ranking: list[Trial],
-                  least_evidence: float) -> tuple[list[Trial], Fit] | None:
+def joint_offsets(fit: Fit, kinds: dict[str, type[Effect]], ranking: list[Trial]) -> tuple[list[Trial], Fit] | None:
     """The zeros of several joints and the model with them, where together they may beat the best of the ranking."""
     declared = {(effect.kind, effect.where) for effect in fit.effects}
     if not any(trial.effect.kind == KIND and trial.evidence > 0.0 for trial in ranking):
         return None
     zeros = [kinds[KIND](joint, {'offset': 0.0}) for joint in fit.body.joints if (KIND, joint) not in declared]
     columns = [added_columns(fit, zero) for zero in zeros]
-    felt = [np.abs(column[fit.train_mask] / fit.scale[:, None]).max() > FELT for column in columns]
+    felt = [np.abs(column[fit.train_mask] / fit.scale[:, None]).max() > fit.config.offset_felt for column in columns]
     zeros, columns = list(compress(zeros, felt)), list(compress(columns, felt))
     if len(zeros) < 2:
         return None
     linear = fit.explain(np.concatenate(columns, axis=2))
-    if _together(fit, zeros[0], linear.residual, linear.rank).evidence < WORTH_SETTLING * ranking[0].evidence:
+    if _together(fit, zeros[0], linear.residual, linear.rank).evidence < fit.config.offsets_worth * ranking[0].evidence:
         return None
-    after, _ = without_needless(declare(fit, zeros), declared, least_evidence)
+    after, _ = without_needless(declare(fit, zeros), declared)
     found = [effect for effect in after.effects if (effect.kind, effect.where) not in declared]
     return [_together(fit, zero, after.residual, len(found)) for zero in found], after
 
 
 def _together(fit: Fit, zero: Effect, residual: Array, n_parameters: int) -> Trial:
-    return score(fit, Trial(zero, residual, n_parameters), correlation_times(residual[fit.train_mask]))
+    return score(fit, Trial(zero, residual, n_parameters), correlation_times(residual[fit.train_mask], fit.config))

@@ -9,19 +9,14 @@ import numpy as np
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.frames import nearest_link
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
+from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, others
 from semiparam_ros.effects import Effect
-
-GAUSS_NEWTON_STEPS = 4
-SETTLED, SHORTENED = 1e-4, 0.1
-"""Largest change of a calibration [rad, s or 1] that no longer matters; share of the step before to go on with the same
-derivatives."""
 
 
 def replace_effect(fit: Fit, effect: Effect) -> Fit:
     """The model with the effect declared, in place of one of the same kind and place."""
-    return fit_model(fit.body, fit.samples, [*others(fit, effect), effect], fit.train_mask, fit.scale)
+    return with_effects(fit, [*others(fit, effect), effect])
 
 
 def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
@@ -30,7 +25,7 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     Derivatives are costly and are kept as long as they shorten the steps well.
     """
     places, slopes, last = [(effect.kind, effect.where) for effect in moving], None, np.inf
-    for _ in range(GAUSS_NEWTON_STEPS):
+    for _ in range(fit.config.gauss_newton_steps):
         moving = [effect for effect in fit.effects if (effect.kind, effect.where) in places]
         if slopes is None:
             slopes = [added_columns(fit, effect) for effect in moving]
@@ -38,11 +33,11 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
         parts = np.split(steps, np.cumsum([column.shape[2] for column in slopes])[:-1])
         moved = {(effect.kind, effect.where): _moved(effect, part) for effect, part in zip(moving, parts, strict=True)}
         effects = [moved.get((effect.kind, effect.where), effect) for effect in fit.effects]
-        fit = fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale)
+        fit = with_effects(fit, effects)
         size = float(np.abs(steps).max())
-        if size < SETTLED:
+        if size < fit.config.settled_step:
             break
-        if size > SHORTENED * last:
+        if size > fit.config.shortened_step * last:
             slopes = None
         last = size
     return fit
@@ -60,7 +55,7 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
         replaced = {(part.kind, part.where) for part in effect.plainer()}
         known = [one for one in (fit.effects if effect.must_start else others(fit, effect))
                  if (one.kind, one.where) not in replaced]
-        fit = fit_model(fit.body, fit.samples, [*known, effect], fit.train_mask, fit.scale)
+        fit = with_effects(fit, [*known, effect])
     fit = _loads_at_nearest_link(refit_weights(fit))
     calibrations = [effect for effect in fit.effects if effect.is_calibration]
     return refit_weights(gauss_newton(fit, calibrations)) if calibrations else fit
@@ -76,4 +71,4 @@ def _loads_at_nearest_link(fit: Fit) -> Fit:
             if mass > 0.0:
                 link, _ = nearest_link(fit.body, str(effect.where), np.array(moment) / mass)
                 effects[index] = replace(effect, where=link)
-    return fit if effects == list(fit.effects) else fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale)
+    return fit if effects == list(fit.effects) else with_effects(fit, effects)

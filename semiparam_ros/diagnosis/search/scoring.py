@@ -24,10 +24,8 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
 from semiparam_ros.effects.base import FLAGS, STARTS
 
-REFINE_EVALUATIONS = 14
-START_WORTH = 1.1
-POINT_STEPS, POINT_DIFFERENCE, LONGEST_LEVER = 4, 1e-3, 0.3
-"""Of a point of application: most steps, the difference that stands for a derivative, and the longest step [m]."""
+POINT_DIFFERENCE = 1e-3
+"""Difference of a point of application [m] that stands for a derivative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +55,7 @@ def _linear_trial(fit: Fit, effect: Effect) -> Trial:
     columns = added_columns(fit, effect)
     if not effect.is_calibration:
         start, late, always = best_start(fit, columns) if effect.must_start or effect.may_start else (0, 0.0, 1.0)
-        if effect.must_start or (effect.may_start and late > START_WORTH * always):
+        if effect.must_start or (effect.may_start and late > fit.config.start_worth * always):
             effect = effect.with_shape(start_s=float(fit.samples.time[start]))
             columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
     explained = fit.explain(columns)
@@ -119,7 +117,7 @@ def _at_best_point(fit: Fit, trial: Trial) -> Trial:
     if not POINT.keys() <= trial.effect.shape_units.keys() or trial.effect.where in fit.body.joints:
         return trial
     best = trial
-    for _ in range(POINT_STEPS):
+    for _ in range(fit.config.point_steps):
         near = _weighed(fit, best)
         moved = _linear_trial(near, _towards_best_point(near, best.effect))
         if not moved.physical or _explained_share(near, moved) <= _explained_share(near, best):
@@ -137,7 +135,7 @@ def _towards_best_point(fit: Fit, effect: Effect) -> Effect:
     moved = [effect.with_shape(**{axis: value + POINT_DIFFERENCE}) for axis, value in place.items()]
     slopes = [(added_columns(fit, there) - here) @ (coefficients / POINT_DIFFERENCE) for there in moved]
     step = fit.explain(np.concatenate([here, np.stack(slopes, axis=2)], axis=2)).coefficients[-len(POINT):]
-    step *= min(1.0, LONGEST_LEVER / (float(np.linalg.norm(step)) + 1e-300))
+    step *= min(1.0, fit.config.longest_lever_m / (float(np.linalg.norm(step)) + 1e-300))
     link, inside = nearest_link(fit.body, str(effect.where), np.array(list(place.values())) + step)
     return replace(effect, where=link).with_shape(**dict(zip(POINT, inside.tolist(), strict=True)))
 
@@ -156,23 +154,25 @@ def _line_search(fit: Fit, effect: Effect, name: str) -> Effect:
         moved = effect.with_shape(**{name: value})
         return -_explained_share(fit, Trial(moved, fit.explain(added_columns(fit, moved)).residual, 0))
 
-    best = minimize_scalar(cost, bounds=(low, high), method='bounded', options={'maxiter': REFINE_EVALUATIONS})
+    best = minimize_scalar(cost, bounds=(low, high), method='bounded',
+                           options={'maxiter': fit.config.refine_evaluations})
     return effect.with_shape(**{name: float(best.x)}) if best.fun < cost(effect.value(name)) else effect
 
 
 def _bracket(fit: Fit, effect: Effect, name: str) -> tuple[float, float]:
-    value = effect.value(name)
+    value, config = effect.value(name), fit.config
     if name == 'frequency_hz':
-        width = 0.5 / float(fit.samples.time[-1] - fit.samples.time[0])
+        width = config.bracket_frequency / float(fit.samples.time[-1] - fit.samples.time[0])
         return value - width, value + width
     if name == 'order':
-        return value - 0.15, value + 0.15
+        return value - config.bracket_order, value + config.bracket_order
     if value == 0.0:  # nothing to take a share of: as far as the next value that the search tried
         tried = (abs(shape.get(name, 0.0)) for shape in
                  effect.searches(fit.body, fit.samples, effect.where, fit.residual))
         reach = min(filter(None, tried), default=0.0)
         return -reach, reach
-    return min(value / 2.5, value * 2.5), max(value / 2.5, value * 2.5)
+    low, high = sorted((value / config.bracket_factor, value * config.bracket_factor))
+    return low, high
 
 
 def _calibrated(fit: Fit, trial: Trial) -> Trial:
@@ -186,7 +186,7 @@ def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:
     """(n,) correlation time [samples] of each channel in what the trial that explains it best leaves of it."""
     left = np.array([(trial.residual[fit.train_mask] ** 2).sum(axis=0) for trial in trials])
     best = [trials[index].residual[fit.train_mask][:, channel] for channel, index in enumerate(left.argmin(axis=0))]
-    return correlation_times(np.column_stack(best))
+    return correlation_times(np.column_stack(best), fit.config)
 
 
 def overlap(fit: Fit, one: Trial, other: Trial) -> float:

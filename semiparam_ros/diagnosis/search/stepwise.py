@@ -9,9 +9,9 @@ from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.splits import carries_over
-from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
-from semiparam_ros.diagnosis.residual.noise import correlation_times
+from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.ambiguity import Rival, rivals_of, simplest, tolerance
 from semiparam_ros.diagnosis.search.candidates import candidates, others
 from semiparam_ros.diagnosis.search.delay_with_friction import KIND as DELAY
@@ -22,11 +22,6 @@ from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, refined, retried, score
 from semiparam_ros.effects import Effect
 
-REFINED = 8
-REFINED_AT_JOINT = 3
-LEAST_EVIDENCE = 12.0
-KEPT_SHARE = 0.5
-MOST_ROUNDS = 12
 Progress = Callable[[str, float], None]
 
 
@@ -42,10 +37,12 @@ class Step:
     dropped: tuple[Effect, ...] = ()
 
 
-def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask) -> Fit:
+def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
+                 config: DiagnosisConfig = DEFAULTS) -> Fit:
     """The declared model, each channel weighed by its own residual."""
     outputs = samples.outputs[train_mask]
-    fit = fit_model(body, samples, effects, train_mask, residual_scale(outputs - outputs.mean(axis=0), outputs))
+    scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
+    fit = fit_model(body, samples, effects, train_mask, scale, config)
     return refit_weights(refit_weights(fit))
 
 
@@ -57,7 +54,7 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     """
     declared = {(effect.kind, effect.where) for effect in fit.effects}
     steps: list[Step] = []
-    while len(steps) < MOST_ROUNDS:
+    while len(steps) < fit.config.most_rounds:
         report = _in_round(progress, len(steps) + 1)
         step = next_step(fit, kinds, report)
         if step is None:
@@ -72,14 +69,14 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
         if hopeless(fit):
             break
     if steps:
-        after, dropped = without_needless(fit, declared, LEAST_EVIDENCE)
+        after, dropped = without_needless(fit, declared)
         steps[-1] = replace(steps[-1], after=after, dropped=dropped)
     return steps
 
 
 def _delay_step(fit: Fit, kinds: dict[str, type[Effect]], declared: set[tuple[str, str | None]]) -> Step | None:
     found = delay_with_friction(fit, kinds, declared)
-    if found is None or found[0].evidence < LEAST_EVIDENCE:
+    if found is None or found[0].evidence < fit.config.least_evidence:
         return None
     trial, after = found
     return Step((trial,), ((),), (trial,), fit, after)
@@ -112,11 +109,14 @@ def ranked(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> list
 
 def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
     """Those worth refining: the best, calibrations (which are linear only while small), and of efforts each joint's."""
-    chosen = trials[:REFINED]
-    chosen += [trial for trial in trials[REFINED:] if trial.effect.is_calibration and trial.evidence > LEAST_EVIDENCE]
+    config = fit.config
+    chosen = trials[:config.refined_candidates]
+    chosen += [trial for trial in trials[config.refined_candidates:]
+               if trial.effect.is_calibration and trial.evidence > config.least_evidence]
     for joint in fit.body.joints if fit.body.outputs == 'effort' else ():
         at_joint = [trial for trial in trials if trial.effect.where == joint]
-        chosen += [trial for trial in at_joint[:REFINED_AT_JOINT] if trial not in chosen and trial.evidence > 0.0]
+        chosen += [trial for trial in at_joint[:config.refined_at_joint]
+                   if trial not in chosen and trial.evidence > 0.0]
     return chosen
 
 
@@ -131,9 +131,9 @@ def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:
 def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> Step | None:
     """The most credible effect (of efforts: the most credible of each joint), or None when nothing is left."""
     ranking = ranked(fit, kinds, progress)
-    if not ranking or ranking[0].evidence < LEAST_EVIDENCE:
+    if not ranking or ranking[0].evidence < fit.config.least_evidence:
         return None
-    zeros = joint_offsets(fit, kinds, ranking, LEAST_EVIDENCE)
+    zeros = joint_offsets(fit, kinds, ranking)
     if zeros is not None and len(zeros[0]) > 1 and carries_over(fit, zeros[1]) \
             and zeros[0][0].evidence > ranking[0].evidence + tolerance(fit, zeros[0][0]):
         return Step(tuple(zeros[0]), ((),) * len(zeros[0]), tuple(ranking), fit, zeros[1])
@@ -144,7 +144,8 @@ def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> S
         return None
     for trial in _other_joints(fit, chosen[0], ranking):
         again = retried(after, trial)
-        if again.physical and again.evidence > max(LEAST_EVIDENCE, KEPT_SHARE * trial.evidence):
+        if again.physical and again.evidence > max(fit.config.least_evidence,
+                                                   fit.config.kept_share * trial.evidence):
             further = declare(after, [again.effect])
             if carries_over(after, further):
                 chosen, after = [*chosen, again], further
@@ -166,11 +167,10 @@ def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
     plainer = list(effect.plainer())
     if not plainer or any((part.kind, part.where) in {(e.kind, e.where) for e in fit.effects} for part in plainer):
         return [], fit
-    without = fit_model(fit.body, fit.samples, others(fit, effect), fit.train_mask, fit.scale)
+    without = with_effects(fit, others(fit, effect))
     simpler = declare(without, plainer)
     saved = trial.n_parameters - len(plainer) - 1
-    whole, parts = (score(without, Trial(effect, known.residual, n_parameters),
-                          correlation_times(fit.residual[fit.train_mask]))
+    whole, parts = (score(without, Trial(effect, known.residual, n_parameters), fit.correlation)
                     for known, n_parameters in ((fit, trial.n_parameters), (simpler, trial.n_parameters - saved)))
     if whole.evidence - parts.evidence > tolerance(without, whole, same_form=True):
         return [], fit

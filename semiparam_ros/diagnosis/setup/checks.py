@@ -7,8 +7,7 @@ signs, order and clock are right. Measured: 0.92 to 0.97 on a real iCub (its vel
 Franka arm.
 
 Orders, directions and axes: what would the recording say if it had been labelled otherwise? An alternative is reported
-only if the recording as declared fits badly (J of ``prior_misfit`` beyond BAD_FIT) and the alternative fits far better
-(FAR_BETTER times J) and well (GOOD_FIT).
+only if the recording as declared fits badly (J of ``prior_misfit``), and the alternative fits far better and well.
 """
 
 from __future__ import annotations
@@ -23,61 +22,18 @@ import numpy as np
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.data.outliers import GAP_STEPS, excluded, typical_step
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.outliers import excluded, typical_step
 from semiparam_ros.diagnosis.setup.prior_misfit import channel_scale, dissipation, equations, misfit, nuisances
 
-SPAN_S = 0.2
-"""Seconds over which a change is compared with an integral: long against noise, short against the motion."""
-LEAST_SPANS, MOST_SPANS = 50, 4000
-"""The spans are shortened where stamps in a wrong unit would leave too few of them."""
-LEAST_MOTION = 0.01
-"""A joint that moves less than this in all [rad, or m] says nothing about units."""
-TOLERANCE = 1.25
-"""A ratio within this factor of a known one is that one; within it of 1, all is well."""
-AGREEING = 0.6
-"""Share of the spans that must agree with the median ratio, to a third of it, before anything is said."""
-THEIRS, OWN = 0.9, 0.5
-"""Least correlation with another joint's velocity, and most with the own one, before their order is doubted."""
-STILL = 1e-3
 DEGREE = float(np.pi / 180.0)
 MOTION_UNITS = {1.0 / DEGREE: ('position', 'degrees', DEGREE), DEGREE: ('velocity', 'degrees per second', DEGREE),
                 0.5 / np.pi: ('position', 'revolutions', 2.0 * np.pi),
                 np.pi / 30.0: ('velocity', 'revolutions per minute', np.pi / 30.0)}
 RATE_UNITS = {DEGREE: 'degrees per second squared'}
-
-NEARLY = 0.9
-"""Cosine from where on two directions of gravity count as one."""
-
-OPPOSITE, LIKE = -0.7, 0.7
-"""Correlation of the outputs with the description's prediction that speaks for the other sign, or lets their ratio
-speak for a unit. As declared it is 0.83 or more on the real recordings (iCub 0.99, UR3 0.83 and 0.96, Franka 0.99)."""
-UNIT_TOLERANCE = 2.0
-"""A ratio within this factor of a unit's is that unit; the real UR3's efforts are 1.7 times the description's."""
 OUTPUT_UNITS = {1.0 / 9.81: 'kilograms-force', 9.81: 'newtons taken for kilograms-force', 1e3: 'thousandths (mN, N mm)',
                 1e-3: 'thousands (kN, kN m)', 1e2: 'hundredths (N cm)'}
-PUSHING, BRAKING = -0.85, 0.3
-"""Share of a joint's effort that goes against all friction, and the other joints' median, before its sign is doubted.
-A delay or a resonance of size 3 can push as much, but then it brakes no other joint; a real UR3's joints brake by 0.42
-to 0.98."""
-
-
-FRICTION_SPEAKS = 0.5
-"""Sum over the joints of the effort's share that is friction, from where on its direction settles a sign."""
-
-BAD_FIT, FAR_BETTER, GOOD_FIT = 0.03, 0.6, 0.25
-"""With any effect of three times the usual size on any simulated motion the best wrong alternative reaches 1.04 J or
-more (117 recordings), on the real iCub, UR3 and Franka arms 0.98 J; mistakes put into these make J grow twice to
-seventy times."""
-UNEXPLAINED = 0.4
-"""Share of variance that the best inertias leave when the description is not this robot's. The worst effect of three
-times the usual size leaves 0.32, other arms' descriptions and sensor frames 0.43 to 1."""
 NO_MATCH = 'robot_description'
-MOST_ROUNDS = 2
-DEGREES_BEYOND = 3.2
-"""Positions beyond this [rad] may be degrees."""
-
-MOST_SAMPLES = 250
-LEAST_SAMPLES = 50
 
 
 class SetupProblem(NamedTuple):
@@ -93,70 +49,70 @@ class SetupProblem(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """Change of a signal over the integral of its declared rate: the median, and the share of spans that agree."""
+    """Change of a signal over the integral of its declared rate: the median, whether the spans agree on it, and the
+    factor within which it is taken for a known one."""
 
     value: float
-    agreement: float
-
-    @property
-    def is_telling(self) -> bool:
-        """Whether the spans agree at all."""
-        return self.agreement > AGREEING
+    is_telling: bool
+    tolerance: float
 
     def near(self, value: float) -> bool:
         """Whether it is ``value``, sign included, beyond doubt."""
         share = self.value / value
-        return self.is_telling and 1.0 / TOLERANCE < share < TOLERANCE
+        return self.is_telling and 1.0 / self.tolerance < share < self.tolerance
 
 
-def motion_problems(joints: Sequence[str], samples: Samples) -> tuple[list[SetupProblem], Samples]:
+def motion_problems(joints: Sequence[str], samples: Samples,
+                    config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
     """Contradictions between positions, velocities, accelerations and stamps, and the samples put right."""
-    moving = np.ptp(samples.position, axis=0) > LEAST_MOTION
-    changes, integrals = _spans(samples.time, samples.position, samples.velocity)
-    order = _velocity_order(joints, changes, integrals, moving)
+    moving = np.ptp(samples.position, axis=0) > config.setup_least_motion
+    changes, integrals = _spans(samples.time, samples.position, samples.velocity, config)
+    order = _velocity_order(joints, changes, integrals, moving, config)
     if order:
         return order, samples
-    ratios = [_ratio(changes[:, joint], integrals[:, joint]) if moving[joint] else Ratio(1.0, 0.0)
-              for joint in range(len(joints))]
-    clock = _clock(samples, ratios)
+    ratios = [_ratio(changes[:, joint], integrals[:, joint], config) if moving[joint]
+              else Ratio(1.0, False, config.ratio_tolerance) for joint in range(len(joints))]
+    clock = _clock(samples, ratios, config.ratio_tolerance)
     if clock:
         return clock, samples
     problems, right = [], samples
     for joint, (name, ratio) in enumerate(zip(joints, ratios, strict=True)):
-        silent = moving[joint] and np.std(integrals[:, joint]) < STILL * np.std(changes[:, joint])
+        silent = moving[joint] and np.std(integrals[:, joint]) < config.silent_share * np.std(changes[:, joint])
         found = _silent(name) if silent else _velocity(name, ratio)
         if found is not None:
             problem, role, factor = found
             problems.append(problem)
             right = _scaled(right, role, joint, factor)
-    return problems + _accelerations(joints, samples, right, moving), right
+    return problems + _accelerations(joints, samples, right, moving, config), right
 
 
-def _spans(time: Array, values: Array, rates: Array) -> tuple[Array, Array]:
-    """(M, k) changes of values (N, k) over SPAN_S, and the integrals of their rates over the same spans."""
+def _spans(time: Array, values: Array, rates: Array, config: DiagnosisConfig) -> tuple[Array, Array]:
+    """(M, k) changes of values (N, k) over ``config.span_s``, and the integrals of their rates over the same spans."""
     steps = np.diff(time)
     typical = typical_step(time)
-    width = int(np.clip(round(SPAN_S / typical), 1, max(len(time) // LEAST_SPANS, 1)))
+    width = int(np.clip(round(config.span_s / typical), 1, max(len(time) // config.least_spans, 1)))
     pieces = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)])
-    starts = np.unique(np.linspace(0, max(len(time) - 1 - width, 0), MOST_SPANS).astype(int))
+    starts = np.unique(np.linspace(0, max(len(time) - 1 - width, 0), config.most_spans).astype(int))
     ends = np.minimum(starts + width, len(time) - 1)
-    whole = time[ends] - time[starts] < (width + GAP_STEPS) * typical
+    whole = time[ends] - time[starts] < (width + config.gap_steps) * typical
     starts, ends = starts[whole], ends[whole]
     return values[ends] - values[starts], total[ends] - total[starts]
 
 
-def _ratio(changes: Array, integrals: Array) -> Ratio:
+def _ratio(changes: Array, integrals: Array, config: DiagnosisConfig) -> Ratio:
     """Of one joint, from the faster half of its spans."""
     fast = np.abs(integrals) > np.median(np.abs(integrals))
     if not fast.any():
-        return Ratio(1.0, 0.0)
+        return Ratio(1.0, False, config.ratio_tolerance)
     shares = changes[fast] / integrals[fast]
     middle = float(np.median(shares))
-    return Ratio(middle, float(np.mean(np.abs(shares - middle) < abs(middle) / 3.0)))
+    agreeing = np.mean(np.abs(shares - middle) < config.agreeing_width * abs(middle))
+    return Ratio(middle, bool(agreeing > config.agreeing_share), config.ratio_tolerance)
 
 
-def _velocity_order(joints: Sequence[str], changes: Array, integrals: Array, moving: Array) -> list[SetupProblem]:
+def _velocity_order(joints: Sequence[str], changes: Array, integrals: Array, moving: Array,
+                    config: DiagnosisConfig) -> list[SetupProblem]:
     """Pairs of joints whose velocities belong to each other's positions."""
     likeness = _correlation(changes, integrals)
     own = np.diag(likeness)
@@ -164,7 +120,8 @@ def _velocity_order(joints: Sequence[str], changes: Array, integrals: Array, mov
     for one in range(len(joints)):
         for other in range(one + 1, len(joints)):
             crossed = min(likeness[one, other], likeness[other, one])
-            if moving[one] and moving[other] and crossed > THEIRS and max(own[one], own[other]) < OWN:
+            if moving[one] and moving[other] and crossed > config.swapped_correlation \
+                    and max(own[one], own[other]) < config.own_correlation:
                 found.append(SetupProblem('velocity_order', joints[one], (
                     f"The velocities of '{joints[one]}' and '{joints[other]}' belong to each other's positions: they "
                     'are swapped in the joint states; put them in the order of the names.')))
@@ -177,13 +134,14 @@ def _correlation(left: Array, right: Array) -> Array:
     return np.divide(left.T @ right, size, out=np.zeros_like(size), where=size > 0.0)
 
 
-def _clock(samples: Samples, ratios: list[Ratio]) -> list[SetupProblem]:
+def _clock(samples: Samples, ratios: list[Ratio], tolerance: float) -> list[SetupProblem]:
     """Stamps that run too fast or too slow for every joint alike."""
     telling = np.array([ratio.value for ratio in ratios if ratio.is_telling])
-    if len(telling) < 2 or telling.min() <= 0.0 or telling.max() > TOLERANCE * telling.min():
+    if len(telling) < 2 or telling.min() <= 0.0 or telling.max() > tolerance * telling.min():
         return []
     factor = float(np.median(telling))
-    if 1.0 / TOLERANCE < factor < TOLERANCE or any(Ratio(factor, 1.0).near(known) for known in MOTION_UNITS):
+    right = Ratio(factor, True, tolerance)
+    if right.near(1.0) or any(right.near(known) for known in MOTION_UNITS):
         return []
     step = typical_step(samples.time)
     return [SetupProblem('clock', None, (
@@ -217,15 +175,16 @@ def _velocity(name: str, ratio: Ratio) -> tuple[SetupProblem, str, float] | None
         'and the units in the driver.')), 'velocity', ratio.value
 
 
-def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, moving: Array) -> list[SetupProblem]:
+def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, moving: Array,
+                   config: DiagnosisConfig) -> list[SetupProblem]:
     """Accelerations that contradict the velocities as they are recorded and as they should be."""
-    recorded = _spans(samples.time, samples.velocity, samples.acceleration)
-    corrected = _spans(samples.time, right.velocity, samples.acceleration)
+    recorded = _spans(samples.time, samples.velocity, samples.acceleration, config)
+    corrected = _spans(samples.time, right.velocity, samples.acceleration, config)
     found = []
     for joint, name in enumerate(joints):
-        if not moving[joint] or _ratio(recorded[0][:, joint], recorded[1][:, joint]).near(1.0):
+        if not moving[joint] or _ratio(recorded[0][:, joint], recorded[1][:, joint], config).near(1.0):
             continue
-        ratio = _ratio(corrected[0][:, joint], corrected[1][:, joint])
+        ratio = _ratio(corrected[0][:, joint], corrected[1][:, joint], config)
         units = [unit for known, unit in RATE_UNITS.items() if ratio.near(known)]
         if ratio.near(-1.0):
             found.append(SetupProblem('acceleration_sign', name, (
@@ -250,15 +209,15 @@ def turned_over(body: RigidBody) -> RigidBody:
     return body.with_gravity(-_gravity(body))
 
 
-def other_mountings(body: RigidBody) -> Iterator[tuple[RigidBody, SetupProblem]]:
+def other_mountings(body: RigidBody, same_cosine: float) -> Iterator[tuple[RigidBody, SetupProblem]]:
     """The body with gravity along each other axis of its base, and what to say if that is how it is."""
     present = _gravity(body)
     strength = float(np.linalg.norm(present))
     for sign, (axis, name) in product((1.0, -1.0), enumerate('xyz')):
         gravity = sign * strength * np.eye(3)[axis]
-        if gravity @ present < NEARLY * strength**2:
+        if gravity @ present < same_cosine * strength**2:
             along = f"with gravity along its {'-' if sign < 0 else ''}{name} axis"
-            hanging = gravity @ present < -NEARLY * strength**2
+            hanging = gravity @ present < -same_cosine * strength**2
             yield body.with_gravity(gravity), mounting_problem('upside down' if hanging else f'on its side, {along}')
 
 
@@ -273,54 +232,56 @@ def mounting_problem(how: str) -> SetupProblem:
         'the robot description as the robot is mounted.'))
 
 
-def output_problems(body: RigidBody, samples: Samples) -> tuple[list[SetupProblem], RigidBody, Samples]:
+def output_problems(body: RigidBody, samples: Samples,
+                    config: DiagnosisConfig) -> tuple[list[SetupProblem], RigidBody, Samples]:
     """Signs and units of the outputs that are wrong, and the body and the samples put right."""
     wrench = body.outputs == 'wrench'
-    slopes, likeness = _slopes(body, samples)
+    slopes, likeness = _slopes(body, samples, config)
     found, factors = [], np.ones(body.n_outputs)
     blocks = [('force', slice(0, 3)), ('torque', slice(3, 6))] if wrench else [('effort', slice(None))]
-    if likeness[-1] < OPPOSITE and _is_turned_over(body, samples):
+    if likeness[-1] < config.opposite_correlation and _is_turned_over(body, samples, config):
         body = turned_over(body)
         found.append(mounting_problem('upside down'))
-    elif likeness[-1] < OPPOSITE:
+    elif likeness[-1] < config.opposite_correlation:
         found.append(_sign(body))
         factors *= -1.0
     for (name, channels), slope, like in zip(blocks, slopes, likeness, strict=False):
-        unit = next((known for known in OUTPUT_UNITS if 1.0 / UNIT_TOLERANCE < abs(slope) / known < UNIT_TOLERANCE),
-                    None)
-        if abs(like) > LIKE and unit is not None:
+        unit = next((known for known in OUTPUT_UNITS
+                     if 1.0 / config.unit_tolerance < abs(slope) / known < config.unit_tolerance), None)
+        if abs(like) > config.alike_correlation and unit is not None:
             found.append(_unit(body, name, unit))
             factors[channels] /= unit
     return found, body, replace(samples, outputs=samples.outputs * factors)
 
 
-def _is_turned_over(body: RigidBody, samples: Samples) -> bool:
+def _is_turned_over(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> bool:
     """Whether opposite outputs come from a base that hangs rather than from a sign: inertia and friction do not turn
     over with gravity."""
     if body.outputs == 'effort':
-        friction = float(dissipation(body, samples).sum())
-        if abs(friction) > FRICTION_SPEAKS:
+        friction = float(dissipation(body, samples, config).sum())
+        if abs(friction) > config.friction_share:
             return friction > 0.0
-    negated = misfit(equations(body, samples), -samples.outputs, body.outputs == 'wrench')
-    hanging = misfit(equations(turned_over(body), samples), samples.outputs, body.outputs == 'wrench')
+    negated = misfit(equations(body, samples, config), -samples.outputs, body.outputs == 'wrench')
+    hanging = misfit(equations(turned_over(body), samples, config), samples.outputs, body.outputs == 'wrench')
     return hanging.total < negated.total
 
 
-def friction_problems(body: RigidBody, samples: Samples) -> list[SetupProblem]:
+def friction_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
     """Joints whose effort would drive them where friction holds them back."""
-    share = dissipation(body, samples)
+    share = dissipation(body, samples, config)
     others = np.array([np.median(np.delete(share, joint)) if len(share) > 1 else 0.0 for joint in range(len(share))])
-    wrong = (share < PUSHING) & (others > BRAKING)
+    wrong = (share < config.pushing_share) & (others > config.braking_share)
     return [SetupProblem('effort_sign', name, (
         f"The effort of '{name}' goes with its motion as no friction can: it has the opposite sign of its velocity's; "
         'negate it in the driver.')) for name, flag in zip(body.joints, wrong, strict=True) if flag]
 
 
-def _slopes(body: RigidBody, samples: Samples) -> tuple[Array, Array]:
+def _slopes(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> tuple[Array, Array]:
     """Slope of the outputs against the description's prediction, and their correlation, for force and torque or for
     efforts; the last correlation is over all channels."""
     predicted = body.regressors(samples) @ body.base_parameters
-    measured, predicted = (_without(nuisances(body, samples), values) for values in (samples.outputs, predicted))
+    free = nuisances(body, samples, config)
+    measured, predicted = (_without(free, values) for values in (samples.outputs, predicted))
     pairs = [(measured, predicted)]
     if body.outputs == 'wrench':
         parts = [(measured[:, part], predicted[:, part]) for part in (slice(0, 3), slice(3, 6))]
@@ -365,48 +326,50 @@ class Alternative(NamedTuple):
     body: RigidBody | None = None
 
 
-def layout_problems(body: RigidBody, samples: Samples) -> list[SetupProblem]:
+def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
     """Everything that a relabelling of the samples would put right, the plainest first."""
-    found, body, samples = output_problems(body, samples)
-    for _ in range(MOST_ROUNDS):
-        best = _best_alternative(body, samples)
+    found, body, samples = output_problems(body, samples, config)
+    for _ in range(config.most_relabellings):
+        best = _best_alternative(body, samples, config)
         if best is None:
             break
         found.append(best.problem)
         body, samples = best.body or body, best.samples
-    left = misfit(equations(body, samples), samples.outputs, body.outputs == 'wrench').left
-    if left > UNEXPLAINED:
+    left = misfit(equations(body, samples, config), samples.outputs, body.outputs == 'wrench').left
+    if left > config.no_match_share:
         return [_no_match(body, left)]
-    return found + (friction_problems(body, samples) if body.outputs == 'effort' and left < GOOD_FIT else [])
+    if body.outputs == 'effort' and left < config.good_fit:
+        found += friction_problems(body, samples, config)
+    return found
 
 
-def _best_alternative(body: RigidBody, samples: Samples) -> Alternative | None:
+def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Alternative | None:
     """The alternative that fits far better than the samples as they are, if these fit badly."""
     wrench = body.outputs == 'wrench'
-    equal = equations(body, samples)
+    equal = equations(body, samples, config)
     declared = misfit(equal, samples.outputs, wrench).total
-    if declared < BAD_FIT:
+    if declared < config.bad_fit:
         return None
-    best, least = None, min(FAR_BETTER * declared, GOOD_FIT)
-    for alternative in _alternatives(body, samples):
+    best, least = None, min(config.far_better * declared, config.good_fit)
+    for alternative in _alternatives(body, samples, config):
         same = alternative.samples.position is samples.position and alternative.body is None
-        there = equal if same else equations(alternative.body or body, alternative.samples)
+        there = equal if same else equations(alternative.body or body, alternative.samples, config)
         total = misfit(there, alternative.samples.outputs, wrench).total
         if total < least:
             best, least = alternative, total
     return best
 
 
-def _alternatives(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
     if body.outputs == 'wrench':
         yield from _other_axes(body, samples)
     else:
         yield from _other_effort_signs(body, samples)
-    for mounted, problem in other_mountings(body):
+    for mounted, problem in other_mountings(body, config.same_gravity_cosine):
         yield Alternative(samples, problem, mounted)
     yield from _other_directions(body, samples)
     yield from _other_orders(body, samples)
-    if np.abs(samples.position).max() > DEGREES_BEYOND:
+    if np.abs(samples.position).max() > config.degrees_beyond:
         yield _radians(samples)
 
 
@@ -497,23 +460,24 @@ def _no_match(body: RigidBody, left: float) -> SetupProblem:
         f'joints{there}, and that the outputs are not compensated for gravity.'))
 
 
-def setup_problems(body: RigidBody, samples: Samples) -> list[SetupProblem]:
+def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[SetupProblem]:
     """What is wrong with the recording or with its declaration, each with its remedy; empty when nothing is.
 
-    :param samples: as recorded. A quarter of a thousand of them, spread over the recording, are looked at.
+    :param samples: as recorded; ``config.setup_samples`` of them, spread over the recording, are looked at.
     """
-    if len(samples) < LEAST_SAMPLES or np.all(np.ptp(samples.position, axis=0) < LEAST_MOTION):
+    if len(samples) < config.setup_least_samples or np.all(
+            np.ptp(samples.position, axis=0) < config.setup_least_motion):
         return []
     if not np.ptp(samples.outputs, axis=0).any():
         return [_constant(body)]
-    found, right = motion_problems(body.joints, samples)
+    found, right = motion_problems(body.joints, samples, config)
     if any(problem.what in ('clock', 'velocity_order') for problem in found):
         return found
-    usable = np.flatnonzero(~excluded(samples))
-    if len(usable) < LEAST_SAMPLES:
+    usable = np.flatnonzero(~excluded(samples, config))
+    if len(usable) < config.setup_least_samples:
         return found
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, MOST_SAMPLES).astype(int))]
-    return found + layout_problems(body, right[chosen])
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, config.setup_samples).astype(int))]
+    return found + layout_problems(body, right[chosen], config)
 
 
 def _constant(body: RigidBody) -> SetupProblem:

@@ -20,12 +20,8 @@ from scipy.linalg import cho_factor, cho_solve
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.config import DiagnosisConfig
 
-RELATIVE_PRIOR = 0.3
-"""One prior standard deviation of an inertial parameter, over the body's own size."""
-PRICE = {'wrench': 1e-3, 'effort': 1e-4}
-"""Of one standard deviation, in shares of variance. Efforts hold rotors and cables that no description has."""
-TURN_SHARE = 0.05
 RIDGE = 1e-10
 
 
@@ -44,12 +40,13 @@ class Misfit(NamedTuple):
     left: float
 
 
-def equations(body: RigidBody, samples: Samples) -> Equations:
+def equations(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Equations:
     """What the inputs of ``samples`` predict."""
-    columns = np.concatenate([body.regressors(samples), nuisances(body, samples)], axis=2)
+    columns = np.concatenate([body.regressors(samples), nuisances(body, samples, config)], axis=2)
     mean, price = np.zeros(columns.shape[2]), np.zeros((columns.shape[2],) * 2)
     mean[:body.n_parameters] = body.base_parameters
-    price[:body.n_parameters, :body.n_parameters] = PRICE[body.outputs] * _precision(body)
+    price_of_one = config.wrench_price if body.outputs == 'wrench' else config.effort_price
+    price[:body.n_parameters, :body.n_parameters] = price_of_one * _precision(body, config.inertia_deviation)
     return Equations(columns, mean, price)
 
 
@@ -73,20 +70,20 @@ def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Arra
     return change, left - rows @ change
 
 
-def dissipation(body: RigidBody, samples: Samples) -> Array:
+def dissipation(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
     """(n_joints,) how much of each joint's effort is friction that goes with its velocity: 1 all of it, -1 all of it
     with the opposite sign, which would feed energy into the joint."""
     count, moved = body.n_joints, samples.velocity
-    change, _ = _solved(equations(body, samples), samples.outputs, False)
+    change, _ = _solved(equations(body, samples, config), samples.outputs, False)
     viscous, dry = change[body.n_parameters + count:body.n_parameters + 3 * count].reshape(2, count)
-    friction = viscous * moved + dry * np.tanh(moved / _turn(moved))
+    friction = viscous * moved + dry * np.tanh(moved / _turn(moved, config))
     power = samples.outputs.std(axis=0) * np.sqrt(np.mean(moved**2, axis=0))
     return np.divide(np.mean(friction * moved, axis=0), power, out=np.zeros(count), where=power > 1e-12)
 
 
-def _turn(velocity: Array) -> Array:
+def _turn(velocity: Array, config: DiagnosisConfig) -> Array:
     """(n_joints,) speeds [rad/s] within which dry friction turns over."""
-    return np.asarray(TURN_SHARE * np.abs(velocity).max(axis=0) + 1e-12)
+    return np.asarray(config.friction_turn_share * np.abs(velocity).max(axis=0) + 1e-12)
 
 
 def channel_scale(outputs: Array, wrench: bool) -> Array:
@@ -97,13 +94,13 @@ def channel_scale(outputs: Array, wrench: bool) -> Array:
     return np.asarray(np.sqrt(np.maximum(variance, 1e-12 * variance.max() + 1e-300)))
 
 
-def nuisances(body: RigidBody, samples: Samples) -> Array:
+def nuisances(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
     """(N, n, c) a wrench's offset; each joint's offset, dry and viscous friction and rotor inertia."""
     identity = np.eye(body.n_outputs)
     if body.outputs == 'wrench':
         return np.broadcast_to(identity, (len(samples), *identity.shape))
     moved = samples.velocity
-    parts = (np.ones_like(moved), moved, np.tanh(moved / _turn(moved)), samples.acceleration)
+    parts = (np.ones_like(moved), moved, np.tanh(moved / _turn(moved, config)), samples.acceleration)
     return np.concatenate([part[:, :, None] * identity for part in parts], axis=2)
 
 
@@ -118,9 +115,9 @@ def inertial_spread(body: RigidBody) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _precision(body: RigidBody) -> Array:
-    """(p, p) of the base parameters when inertial parameters are known to a share of their size."""
-    deviations = RELATIVE_PRIOR * inertial_spread(body)
+def _precision(body: RigidBody, deviation: float) -> Array:
+    """(p, p) of the base parameters when inertial parameters are known to the share ``deviation`` of their size."""
+    deviations = deviation * inertial_spread(body)
     covariance = (body.basis.T * deviations**2) @ body.basis
     covariance += 1e-9 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
     return np.asarray(np.linalg.inv(covariance))

@@ -1,0 +1,334 @@
+"""Every threshold of the diagnosis: what it decides, and where its value comes from.
+
+All of them work out of the box; a test or a user changes one with ``diagnose(..., config=DiagnosisConfig(folds=5))``.
+*Measured* values were set between what recordings with and without the thing in question gave; *chosen* ones are round
+numbers that were not tuned. Numbers that only keep arithmetic finite stay beside the arithmetic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DiagnosisConfig:
+    """The thresholds, room by room."""
+
+    # --- what a recording must hold ---
+
+    least_samples: int = 200
+    """Refuses recordings with fewer samples: below, hardly any effect can be told from noise (chosen)."""
+    least_motion: float = 1e-3
+    """Refuses recordings in which no joint moves by this much [rad, or m]: the resolution of encoders (chosen)."""
+
+    # --- data: preparation ---
+
+    working_rate_hz: float = 40.0
+    """Averages faster recordings down to about this rate [Hz]: arms move below a few hertz (chosen)."""
+    smoothing_ends: int = 5
+    """Leaves out so many working samples at either end of a smoothed recording: it sees them from one side."""
+    least_working_samples: int = 50
+    """Refuses recordings with fewer working samples in use: these cannot tell one cause from another (chosen)."""
+    rest_speed_share: float = 1e-3
+    """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
+
+    # --- data: splits, and whether an effect carries over ---
+
+    split_blocks: int = 15
+    """Cuts a recording into so many blocks to fit and to judge: long against the noise's memory (chosen)."""
+    held_out_every: int = 3
+    """Holds every so many-th block out for judging, so that two thirds fit (chosen)."""
+    folds: int = 10
+    """Predicts each of so many contiguous blocks from the others, the usual number of cross-validation."""
+    least_gain: float = 0.003
+    """Accepts an effect that lowers the folds' error by this share: of 48 recordings with nothing hidden the best
+    candidate gained 0.0013 (measured)."""
+    least_helped_over_harmed: float = 3.0
+    """Accepts an effect whose gain in the folds that it helps is this many times the loss in the others (chosen)."""
+
+    # --- data: outliers ---
+
+    gap_steps: float = 5.0
+    """Takes a step of more than this many median steps for a gap (chosen)."""
+    gap_margin: int = 10
+    """Leaves out so many samples on either side of a gap, as far as differentiation reaches (chosen)."""
+    shock_deviations: float = 15.0
+    """Takes a change beyond this many robust standard deviations of a channel's changes for a shock (chosen)."""
+    shock_share: float = 0.5
+    """Asks of a shock also this share of the channel's standard deviation, which rounding does not reach (chosen)."""
+    shock_margin_s: float = 0.1
+    """Leaves out so many seconds before and after a shock, while the arm rings (chosen)."""
+    most_shock_share: float = 0.03
+    """Keeps the jumps of a channel when they would cost more than this share of the recording: it jumps by nature (dry
+    friction, a coarse converter). The shocks of a real UR3 cost its wrist 0.011 (measured)."""
+
+    # --- data: what the motion can show ---
+
+    still_range: float = 0.002
+    """Says that a joint stood still when it moves less than this in all [rad, or m] (chosen)."""
+    slow_range: float = 0.05
+    """Says that a joint hardly moved when it moves less than this in all [rad, or m] (chosen)."""
+    identifiability_samples: int = 500
+    """Looks at so many samples, evenly spread, for masses that do not show (chosen)."""
+    unseen_share: float = 5e-4
+    """Calls a mass unseen when a change as large as itself moves the outputs by less than this share of their standard
+    deviation: rich motions of iCub, UR3 and Franka show each by 1e-3 or more, a locked joint leaves 1e-5 (measured)."""
+    negligible_direction: float = 1e-6
+    """Ignores combinations of masses below this share of the largest, which no motion could show (chosen)."""
+
+    # --- regression ---
+
+    absorbed_share: float = 1e-6
+    """Gives a candidate no credit for a direction of which the declared columns leave only this share (chosen)."""
+
+    # --- evaluation ---
+
+    horizon: int = 25
+    """Sums the relative squared error over so many samples, the horizon of the paper."""
+    bootstrap_draws: int = 400
+    """Draws so many resamplings for a confidence interval (chosen)."""
+    bootstrap_block: int = 50
+    """Resamples contiguous blocks of so many samples, because neighbours repeat each other (chosen)."""
+    confidence_percentiles: tuple[float, float] = (2.5, 97.5)
+    """Bounds the confidence interval, 95 % by custom."""
+
+    # --- noise of a residual ---
+
+    longest_correlation_share: float = 0.1
+    """Follows an autocorrelation up to this share of the residual's length, beyond which it is chance (chosen)."""
+    noise_order: int = 20
+    """Draws coloured noise from an autoregression of this order: half a second at the working rate (chosen)."""
+    noise_settling: int = 500
+    """Throws away so many samples at the start of coloured noise, until it is stationary (chosen)."""
+    resmoothing_windows: tuple[int, ...] = (9, 15)
+    """Smooths the motion over so many samples, to see what noise in the inputs leaves in a residual: the share found on
+    clean circles falls from 0.05 to 0.004, a real bump keeps 0.23 (measured)."""
+    resmoothing_degree: int = 4
+    """Fits a polynomial of this degree in these windows, which keeps the bends of arm motion (chosen)."""
+
+    # --- setup: motion, units and clock ---
+
+    setup_samples: int = 250
+    """Compares so many samples, evenly spread, with the robot description under dozens of labels (chosen)."""
+    setup_least_samples: int = 50
+    """Says nothing of the setup of a recording with fewer usable samples (chosen)."""
+    setup_least_motion: float = 0.01
+    """Says nothing of the units of a joint that moves less than this in all [rad, or m] (chosen)."""
+    span_s: float = 0.2
+    """Compares a change with its integral over this time [s]: long against noise, short against motion (chosen)."""
+    least_spans: int = 50
+    """Shortens the spans where stamps in a wrong unit would leave fewer of them (chosen)."""
+    most_spans: int = 4000
+    """Looks at no more than so many spans: more say nothing new (chosen)."""
+    ratio_tolerance: float = 1.25
+    """Takes a ratio within this factor of a known one for that one: real iCub, UR3 and Franka give 0.92 to 1.02 of what
+    is right (measured)."""
+    agreeing_share: float = 0.6
+    """Trusts a ratio when at least this share of the spans agree with it (chosen)."""
+    agreeing_width: float = 1.0 / 3.0
+    """Lets a span agree with the median ratio when it differs by at most this share of it (chosen)."""
+    swapped_correlation: float = 0.9
+    """Calls two velocities swapped when each follows the other joint's position with this correlation (chosen)."""
+    own_correlation: float = 0.5
+    """Calls no velocity swapped that follows its own position with this correlation (chosen)."""
+    silent_share: float = 1e-3
+    """Calls a velocity missing when its integral varies less than this share of the position's change (chosen)."""
+
+    # --- setup: outputs, orders, directions and mounting ---
+
+    same_gravity_cosine: float = 0.9
+    """Takes two directions of gravity for one beyond this cosine, 26 degrees (chosen)."""
+    opposite_correlation: float = -0.7
+    """Doubts the outputs' sign below this correlation with the description's prediction: as declared it is 0.83 or more
+    on the real iCub, UR3 and Franka (measured)."""
+    alike_correlation: float = 0.7
+    """Lets the ratio of outputs to prediction speak for a unit beyond this correlation (measured, as before)."""
+    unit_tolerance: float = 2.0
+    """Takes a ratio within this factor of a unit for it: a real UR3's efforts are 1.7 times the description's."""
+    friction_share: float = 0.5
+    """Lets the direction of friction settle a sign when its shares of the joints' efforts sum to this (chosen)."""
+    pushing_share: float = -0.85
+    """Doubts the sign of a joint's effort when this share of it goes against all friction: a delay or a resonance of
+    size 3 can push as much, but then brakes no other joint (measured)."""
+    braking_share: float = 0.3
+    """Asks also that friction is this share of the other joints' median effort: a real UR3's are 0.42 to 0.98."""
+    bad_fit: float = 0.03
+    """Looks for a wrong label only when the recording as declared misfits the description by this (measured: mistakes
+    put into real recordings make the misfit grow twice to seventy times)."""
+    far_better: float = 0.6
+    """Accepts another label that lowers the misfit to this share of it: with any effect of size 3 the best wrong one
+    keeps 1.04 of it (117 recordings), on real arms 0.98 (measured)."""
+    good_fit: float = 0.25
+    """Accepts another label only when the misfit with it is below this (measured, as before)."""
+    no_match_share: float = 0.4
+    """Doubts the robot description when the best inertias leave this share of variance: the worst effect of size 3
+    leaves 0.32, other arms' descriptions and sensor frames 0.43 to 1 (measured)."""
+    most_relabellings: int = 2
+    """Corrects so many wrong labels one after the other; a third would be another robot (chosen)."""
+    degrees_beyond: float = 3.2
+    """Tries degrees when a position exceeds this [rad], a little more than half a turn."""
+
+    # --- setup: misfit of the description ---
+
+    inertia_deviation: float = 0.3
+    """Allows an inertial parameter one standard deviation of this share of the body's own size (chosen)."""
+    wrench_price: float = 1e-3
+    """Charges this share of a wrench's variance for one such deviation (chosen; far_better was measured with it)."""
+    effort_price: float = 1e-4
+    """Charges this for efforts: they hold rotors and cables that no description has (chosen, as before)."""
+    friction_turn_share: float = 0.05
+    """Lets dry friction turn over within this share of a joint's highest speed (chosen)."""
+
+    # --- search: rounds and candidates ---
+
+    most_rounds: int = 12
+    """Stops the search after so many rounds (chosen; it ends before by itself)."""
+    least_evidence: float = 12.0
+    """Accepts an effect from this log evidence on [nat], odds of 160 000 to 1, because a hundred candidates are tried;
+    with nothing hidden the best of 48 recordings reached 2.1 (measured)."""
+    kept_share: float = 0.5
+    """Adds a further joint's effect in the same round if it keeps this share of its evidence beside the first."""
+    refined_candidates: int = 8
+    """Refines so many of the best candidates of a round: the coarse order is nearly the final one (chosen)."""
+    refined_at_joint: int = 3
+    """Refines so many of the best candidates of each joint, since all joints may win in one round (chosen)."""
+    refine_evaluations: int = 14
+    """Spends so many evaluations on the line search of one value: its bracket then shrinks a thousandfold."""
+    bracket_factor: float = 2.5
+    """Searches a value between its coarse one over and times this (chosen)."""
+    bracket_order: float = 0.15
+    """Searches the order of a ripple this far to either side of its coarse value [1/rad] (chosen)."""
+    bracket_frequency: float = 0.5
+    """Searches a frequency this many times 1 / (length of the recording) to either side (chosen)."""
+    start_grid: int = 60
+    """Tries so many starts of an effect, evenly spread, before the best is refined (chosen)."""
+    start_margin: float = 0.1
+    """Tries no start within this share of either end: too little would be seen before or after it (chosen)."""
+    start_worth: float = 1.1
+    """Believes in a start when from there on an effect explains this many times what it explains throughout."""
+    point_steps: int = 4
+    """Moves a point of application by at most so many Gauss-Newton steps (chosen)."""
+    longest_lever_m: float = 0.3
+    """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
+    gauss_newton_steps: int = 4
+    """Settles calibrations in at most so many Gauss-Newton steps (chosen)."""
+    settled_step: float = 1e-4
+    """Ends the Gauss-Newton steps once the largest change [rad, s or 1] is below this: it no longer matters."""
+    shortened_step: float = 0.1
+    """Keeps the derivatives as long as each step is at most this share of the one before (chosen)."""
+
+    # --- search: several joint offsets, delay beside friction, elimination ---
+
+    offset_felt: float = 1.0
+    """Tries the offset of a joint of which one radian changes the outputs by this many residual deviations."""
+    offsets_worth: float = 0.5
+    """Settles the offsets of all joints together if before that they reach this share of the best evidence."""
+    delay_rounds: int = 2
+    """Searches the shapes of all frictions beside a delay so many times, until they fit each other (chosen)."""
+    undoubted_factor: float = 20.0
+    """Asks no further about an effect that is worth this many times the least evidence, all else left as it is."""
+
+    # --- search: ambiguity ---
+
+    rival_nats: float = 6.0
+    """Calls effects rivals that differ by less than this log evidence [nat], odds of 400 to 1 (chosen)."""
+    rival_share: float = 0.02
+    """Widens that by this share of the evidence for each sample over which the residual stays correlated (chosen)."""
+    most_rival_share: float = 0.2
+    """Widens it by no more than this share of the evidence (chosen)."""
+    rival_overlap: float = 0.7
+    """Calls effects rivals only if what they explain has this cosine: else they explain different things (chosen)."""
+
+    # --- residual: is anything left? ---
+
+    structure_least_samples: int = 300
+    """Looks for structure only in this many samples: a flexible regression says nothing on fewer (chosen)."""
+    structure_samples: int = 4000
+    """Looks at no more than so many samples, evenly spread, which takes seconds (chosen)."""
+    structure_blocks: int = 60
+    """Cuts the residual into so many short blocks, so that every fold sees the whole recording (chosen)."""
+    structure_folds: int = 5
+    """Deals these blocks out to so many folds (chosen)."""
+    structure_share: float = 0.015
+    """Calls structure significant from this share of the residual on, all channels together (measured: clean recordings
+    keep at most 0.004)."""
+    structure_deviations: float = 2.0
+    """Asks also for a mean gain of the blocks of this many standard errors (chosen)."""
+    large_structure_share: float = 0.06
+    """From this share on, asks for fewer standard errors: few blocks may hold it, as when something is touched."""
+    large_structure_deviations: float = 0.9
+    """Asks for this many standard errors there (chosen)."""
+    channel_share: float = 0.05
+    """Calls structure in one channel alone significant from this share of its residual on (chosen)."""
+    channel_deviations: float = 3.0
+    """Asks there for a mean gain of the blocks of this many standard errors (chosen)."""
+    chance_draws: int = 16
+    """Compares with so many draws of noise of the residual's colour (chosen)."""
+    beyond_chance: float = 3.0
+    """Asks that the share exceeds that of such noise by this many of its standard deviations: noise correlated over
+    0.2 to 4 s exceeds it by up to 2.0 (measured)."""
+    channel_beyond_chance: float = 5.0
+    """Asks the same of one channel: such noise exceeds it by up to 3.5 (measured)."""
+    penalty_exponents: tuple[float, ...] = tuple(half / 2.0 for half in range(-6, 9))
+    """Offers each channel 10 to these powers as variance of the noise over that of the function (chosen)."""
+    motion_features: int = 240
+    """Draws so many random features of the whole motion at each length scale (chosen)."""
+    motion_scales: tuple[float, ...] = (1.0, 3.0)
+    """Gives the features these length scales, over the square root of the number of inputs (chosen)."""
+    waves: int = 12
+    """Describes what changes with time by so many waves: the fastest lasts a tenth of the recording (chosen)."""
+    slow_waves: int = 3
+    """Describes a coefficient that changes slowly by so many waves (chosen)."""
+    bells: int = 9
+    """Describes a function of one variable by so many bells across its range (chosen)."""
+
+    # --- residual: what it depends on ---
+
+    dependence_samples: int = 1500
+    """Ranks the variables on no more than so many samples, which takes seconds (chosen)."""
+    dependence_features: int = 60
+    """Draws so many random features of the variables chosen together (chosen)."""
+    most_variables: int = 4
+    """Names at most so many variables: a reader cannot do with more (chosen)."""
+    variable_share: float = 0.01
+    """Adds a variable that adds this share of the residual (chosen)."""
+    variable_part: float = 0.05
+    """Asks also that it adds this part of what the variables before it explain (chosen)."""
+    weak_single: float = 0.5
+    """Tries pairs when the best single variable predicts less than this part of what is within reach (chosen)."""
+    pair_worth: float = 1.5
+    """Takes a pair that predicts this many times what any single variable does (chosen)."""
+    plainer_share: float = 0.05
+    """Prefers position to velocity to acceleration by this share each, since noise spoils derivatives (chosen)."""
+
+    # --- residual: a formula ---
+
+    formula_variables: int = 4
+    """Builds formulas from so many of the variables (chosen)."""
+    most_terms: int = 6
+    """Gives a formula at most so many terms: a reader cannot do with more (chosen)."""
+    formula_share: float = 0.05
+    """Shows a formula that explains this share of the residual on unseen blocks (chosen)."""
+    formula_blocks: int = 15
+    """Judges a formula on so many longer blocks: it is meant to carry over (chosen)."""
+    formula_enough: float = 0.9
+    """Takes the shortest formula that explains this share of what the best one explains (chosen)."""
+    declared_share: float = 0.25
+    """Offers a formula as an effect when it explains this share of a channel's residual on unseen blocks (chosen)."""
+    bump_quantiles: tuple[float, ...] = (0.02, 0.15, 0.3, 0.5, 0.7, 0.85, 0.98)
+    """Places bumps at these quantiles of a position, from end to end (chosen)."""
+    bump_widths: tuple[float, ...] = (0.25, 0.6)
+    """Makes bumps this wide, in standard deviations of the position (chosen)."""
+
+    # --- verdict ---
+
+    pushed_share: float = 0.1
+    """Believes a first effect rather than that the description is wrong if it leaves this share of variance at most."""
+    patch_rounds: int = 2
+    """Suspects a cause of another kind when so many rounds still leave structure (chosen)."""
+    patch_share: float = 1.0 / 3.0
+    """Suspects it when the structure is more than this share of what is left (chosen)."""
+
+
+DEFAULTS = DiagnosisConfig()
+"""The values that every figure in the documentation was measured with."""
