@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli.options import (
@@ -21,6 +21,7 @@ from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.diagnosis.diagnose import Diagnosis
+    from semiparam_ros.experiments.variants_with_effects import VariantFigures
     from semiparam_ros.settings import Settings
 
 HELP = 'Find what the model lacks in a recording, name the effect, add it, and show the error before and after.'
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         write_parameters(args.output, settings, diagnosis)
     if args.html:
         from semiparam_ros.report.diagnosis_page import diagnosis_page
-        write_text(args.html, diagnosis_page(diagnosis, result, str(args.bag)))
+        write_text(args.html, diagnosis_page(diagnosis, variants, str(args.bag)))
     for path in filter(None, (args.json, args.output, args.html)):
         output.print(f'written: {path}', highlight=False, markup=False, soft_wrap=True)
     return 0
@@ -114,7 +115,7 @@ def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> No
     dump_params(replace(settings, effects=tuple(map(effect_to_text, standing.values()))), path)
 
 
-def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, Any]:
+def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, VariantFigures]:
     if not args.variants:
         return {}
     from semiparam_ros.cli.evaluate import chosen_variants
@@ -126,7 +127,7 @@ def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: 
                                  lambda done, total: bar.update(task, completed=done, total=total))
 
 
-def _show(diagnosis: Diagnosis, variants: dict[str, Any]) -> None:
+def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures]) -> None:
     from rich import box
     from rich.table import Table
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypedDict
 
 import numpy as np
 
@@ -13,6 +14,17 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.regression import Fit
+
+
+class EvaluationFigures(TypedDict):
+    """An evaluation in the machine-readable report: (n,) by output, or means; ``eps_force`` is None for efforts."""
+
+    nmse: list[float]
+    rmse: list[float]
+    nmse_mean: float
+    nmse_mean_interval: list[float]
+    eps_force: float | None
+    eps_torque: float
 
 
 @dataclass(frozen=True)
@@ -60,7 +72,7 @@ class Evaluation:
         draws = np.random.default_rng(0).integers(count, size=(self.config.bootstrap_draws, count))
         return np.asarray(np.percentile(means[draws].mean(axis=1), self.config.confidence_percentiles, axis=0))
 
-    def as_dict(self) -> dict[str, object]:
+    def as_dict(self) -> EvaluationFigures:
         """The entry ``before`` or ``after`` of the machine-readable report."""
         eps = self.eps
         force, torque = (float(eps[:3].mean()), float(eps[3:].mean())) if self.wrench else (None, float(eps.mean()))

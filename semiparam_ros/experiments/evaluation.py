@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -71,11 +70,11 @@ class Scores:
         """(N,) times of the origins since the start of the first recording [s], and (N, n_indices) values."""
         return np.array(self._times), np.array(self._indices).reshape(-1, len(self.index_names))
 
-    def result(self, series: bool = False) -> dict[str, Any]:
+    def result(self, series: bool = False) -> dict[str, object]:
         """All figures by name, in SI units; None where there is nothing to take the mean of."""
         nmse, rmse = normalised_errors(np.array(self._errors), np.array(self._measured))
         known = [value for value in nmse if value is not None]
-        figures: dict[str, Any] = {'samples': len(self), 'nmse': nmse, 'nmse_mean': _mean(known), 'rmse': rmse}
+        figures: dict[str, object] = {'samples': len(self), 'nmse': nmse, 'nmse_mean': _mean(known), 'rmse': rmse}
         figures |= dict.fromkeys(('eps_force', 'eps_torque'))
         times, values = self.index_series()
         figures |= {name: by_phase(times, column) for name, column in zip(self.index_names, values.T, strict=True)}

@@ -6,11 +6,14 @@ import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 
 from semiparam_ros.errors import SemiparamError
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 Result = TypeVar('Result')
 ANSWER_S = 10.0
@@ -44,22 +47,22 @@ def workers(jobs: int, scheduler: str | None = None) -> Iterator[int]:
         client.close()
 
 
-def run_all(function: Callable[..., Result], arguments: Sequence[tuple[Any, ...]],
+def run_all(function: Callable[..., Result], arguments: Sequence[tuple[object, ...]],
             done: Callable[[], None] = lambda: None) -> list[Result]:
     """``function(*arguments[i])`` for every i, in any order; the results in the order of the arguments."""
-    results: list[Any] = [None] * len(arguments)
+    results: dict[int, Result] = {}
     calls = (delayed(_numbered)(index, function, call) for index, call in enumerate(arguments))
     for index, result in Parallel(return_as='generator_unordered')(calls):
         results[index] = result
         done()
-    return results
+    return [results[index] for index in range(len(arguments))]
 
 
-def _numbered(index: int, function: Callable[..., Result], call: tuple[Any, ...]) -> tuple[int, Result]:
+def _numbered(index: int, function: Callable[..., Result], call: tuple[object, ...]) -> tuple[int, Result]:
     return index, function(*call)
 
 
-def _client(address: str) -> Any:
+def _client(address: str) -> Client:
     try:
         from distributed import Client
     except ImportError as error:

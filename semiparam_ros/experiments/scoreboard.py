@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -49,7 +49,42 @@ class Plan:
         return len(self.cases)
 
 
-def scoreboard(plan: Plan, jobs: int, progress: Callable[[int], None]) -> dict[str, Any]:
+class Row(TypedDict):
+    """One recording: what was hidden and what was found; None where nothing was hidden."""
+
+    kind: str
+    size: float
+    seed: int
+    where: str | None
+    verdict: str
+    visible_share: float | None
+    found: list[str]
+    found_where: list[str | None]
+    group: list[str]
+    removed: float | None
+
+
+class Summary(TypedDict):
+    """Shares of the rows (None without rows), by kind, and how often each kind was found for each hidden one."""
+
+    right_first: float | None
+    right_or_in_group: float | None
+    false_alarms: float | None
+    removed_median: float | None
+    by_kind: dict[str, float]
+    confusion: dict[str, dict[str, int]]
+
+
+class Scores(TypedDict):
+    """The scoreboard as the machine-readable report has it."""
+
+    outputs: str
+    samples: int
+    rows: list[Row]
+    summary: Summary
+
+
+def scoreboard(plan: Plan, jobs: int, progress: Callable[[int], None]) -> Scores:
     """Diagnose every case of the plan; rows and a summary."""
     rows = []
     results = Parallel(n_jobs=jobs, return_as='generator')(delayed(case)(plan, *entry) for entry in plan.cases)
@@ -59,7 +94,7 @@ def scoreboard(plan: Plan, jobs: int, progress: Callable[[int], None]) -> dict[s
     return {'outputs': plan.outputs, 'samples': plan.samples, 'rows': rows, 'summary': summary(rows)}
 
 
-def case(plan: Plan, kind: str, size: float, seed: int) -> dict[str, Any]:
+def case(plan: Plan, kind: str, size: float, seed: int) -> Row:
     """One recording: what was hidden, what was found, and the share of the removable error that was removed."""
     hidden = () if kind == NOTHING else (EffectRequest(kind, size=size),)
     clean = Scenario(motion=MOTION, samples=plan.samples, seed=seed, outputs=plan.outputs)
@@ -103,7 +138,7 @@ def removed_share(found: Diagnosis, twin: Samples) -> float:
     return (before - after) / max(before - least, 1e-12)
 
 
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(rows: Sequence[Row]) -> Summary:
     """Right kinds, false alarms, removed shares, and the confusion matrix."""
     hidden = [row for row in rows if row['kind'] != NOTHING]
     clean = [row for row in rows if row['kind'] == NOTHING]
@@ -114,16 +149,16 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
             'right_or_in_group': _share([named(row) for row in hidden]),
             'false_alarms': _share([row['verdict'] != 'nothing_missing' for row in clean]),
             'removed_median': float(np.median([row['removed'] for row in hidden])) if hidden else None,
-            'by_kind': {name: _share([named(row) for row in hidden if row['kind'] == name]) for name in names},
+            'by_kind': {name: float(np.mean([named(row) for row in hidden if row['kind'] == name])) for name in names},
             'confusion': confusion}
 
 
-def named(row: dict[str, Any]) -> bool:
+def named(row: Row) -> bool:
     """The hidden kind was found first, or stands in the group that the first one cannot be told from."""
     return row['kind'] == _first(row) or (_first(row) is not None and row['kind'] in row['group'])
 
 
-def _first(row: dict[str, Any]) -> str | None:
+def _first(row: Row) -> str | None:
     """The kind that the report names, None where it says that nothing is missing, or that no kind explains it."""
     return row['found'][0] if row['found'] and row['verdict'] == 'effect_found' else None
 
@@ -132,7 +167,7 @@ def _share(values: list[bool]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def print_scoreboard(console: Console, result: dict[str, Any]) -> None:
+def print_scoreboard(console: Console, result: Scores) -> None:
     """The confusion matrix, a line for each hidden kind, and the summary."""
     rows, totals = result['rows'], result['summary']
     table = Table('hidden', 'named', 'removed (median)', 'found first')
@@ -141,7 +176,9 @@ def print_scoreboard(console: Console, result: dict[str, Any]) -> None:
         found = ', '.join(f'{kind} {count}' for kind, count in sorted(counts.items(), key=lambda item: -item[1]))
         table.add_row(name, f'{100 * totals["by_kind"][name]:.0f} %', f'{100 * removed:.0f} %', found)
     console.print(table)
-    for label, key in (('right kind first', 'right_first'), ('right kind first or in its group', 'right_or_in_group'),
-                       ('false alarms', 'false_alarms'), ('removable error removed, median', 'removed_median')):
-        if totals[key] is not None:
-            console.print(f'{label}: {100 * totals[key]:.1f} %', highlight=False)
+    for label, share in (('right kind first', totals['right_first']),
+                         ('right kind first or in its group', totals['right_or_in_group']),
+                         ('false alarms', totals['false_alarms']),
+                         ('removable error removed, median', totals['removed_median'])):
+        if share is not None:
+            console.print(f'{label}: {100 * share:.1f} %', highlight=False)

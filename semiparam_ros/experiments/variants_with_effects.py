@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -18,21 +18,34 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.variants import variant_named
 from semiparam_ros.diagnosis.diagnose import Diagnosis, Recorded
-from semiparam_ros.diagnosis.evaluation import evaluation_of
+from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluation_of
 from semiparam_ros.effects import Effect
 from semiparam_ros.experiments.parallel import run_all, workers
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import model_options
 
 DRAWS = 5
-LABELS = ('before', 'after')
+"""Draws of the features; a variant without features has one."""
+
+
+class Draws(TypedDict):
+    """The normalised error of each draw of the features."""
+
+    before: list[float]
+    after: list[float]
+
+
+class VariantFigures(TypedDict):
+    """A variant without the effects found and with them: means over the draws, and the draws."""
+
+    before: EvaluationFigures
+    after: EvaluationFigures
+    draws: Draws
 
 
 def evaluate_variants(settings: Settings, diagnosis: Diagnosis, variants: Sequence[str], jobs: int,
-                      progress: Callable[[int, int], None]) -> dict[str, Any]:
-    """``{variant: {'before': ..., 'after': ..., 'draws': {'before': [...], 'after': [...]}}}`` on the held-out samples.
-
-    Figures are means over the draws of the features; ``draws`` holds the normalised error of each.
+                      progress: Callable[[int, int], None]) -> dict[str, VariantFigures]:
+    """Figures of each variant on the held-out samples.
 
     :param jobs: how many to learn at a time.
     :param progress: called with the number of models learnt, and of all.
@@ -45,25 +58,32 @@ def evaluate_variants(settings: Settings, diagnosis: Diagnosis, variants: Sequen
     done = iter(range(1, len(calls) + 1))
     with workers(jobs):
         evaluations = dict(zip(keys, run_all(_judge, calls, lambda: progress(next(done), len(calls))), strict=True))
-    judged: dict[str, Any] = {}
+    judged: dict[str, VariantFigures] = {}
     for variant in variants:
-        draws = [[evaluations[variant, label, draw] for draw in range(_draws(variant))] for label in (0, 1)]
-        judged[variant] = {name: mean_of(each) for name, each in zip(LABELS, draws, strict=True)} | {
-            'draws': {name: [one['nmse_mean'] for one in each] for name, each in zip(LABELS, draws, strict=True)}}
+        before, after = ([evaluations[variant, label, draw] for draw in range(_draws(variant))] for label in (0, 1))
+        judged[variant] = {'before': mean_of(before), 'after': mean_of(after),
+                           'draws': {'before': [one['nmse_mean'] for one in before],
+                                     'after': [one['nmse_mean'] for one in after]}}
     return judged
 
 
-def mean_of(evaluations: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def mean_of(evaluations: Sequence[EvaluationFigures]) -> EvaluationFigures:
     """Every figure's mean."""
-    return {name: None if first is None else np.mean([each[name] for each in evaluations], axis=0).tolist()
-            for name, first in evaluations[0].items()}
+    def mean(name: Literal['nmse', 'rmse', 'nmse_mean_interval']) -> list[float]:
+        return np.mean([each[name] for each in evaluations], axis=0).tolist()  # type: ignore[no-any-return]
+
+    forces = [each['eps_force'] for each in evaluations if each['eps_force'] is not None]
+    return {'nmse': mean('nmse'), 'rmse': mean('rmse'),
+            'nmse_mean': float(np.mean([each['nmse_mean'] for each in evaluations])),
+            'nmse_mean_interval': mean('nmse_mean_interval'), 'eps_force': float(np.mean(forces)) if forces else None,
+            'eps_torque': float(np.mean([each['eps_torque'] for each in evaluations]))}
 
 
 def _draws(variant: str) -> int:
     return DRAWS if variant_named(variant).features else 1
 
 
-def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Sequence[Effect]) -> dict[str, Any]:
+def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Sequence[Effect]) -> EvaluationFigures:
     options = model_options(settings)
     window = min(options.initial_samples, int(recorded.fitting.sum()))
     first, judged = recorded.samples, recorded.judged

@@ -4,9 +4,9 @@ and as JSON.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
@@ -73,7 +73,7 @@ def cells(comparison: Comparison, column: Column) -> dict[str, Cell]:
                           figure.mean == best) for variant, figure in figures.items() if figure is not None}
 
 
-def as_dictionary(comparison: Comparison) -> dict[str, Any]:
+def as_dictionary(comparison: Comparison) -> dict[str, object]:
     """Every figure in SI units; None where a recording is too short or a seed alone."""
     scenario = comparison.scenario
     return {
@@ -86,14 +86,14 @@ def as_dictionary(comparison: Comparison) -> dict[str, Any]:
         'variants': {variant: _variant(one) for variant, one in comparison.figures.items()}}
 
 
-def _estimation(comparison: Comparison) -> dict[str, Any]:
+def _estimation(comparison: Comparison) -> dict[str, object]:
     estimation, settings = comparison.scenario.estimation, comparison.scenario.settings
     return {'method': estimation.method, 'starts': estimation.starts, 'drifting_noise': estimation.drifting,
             'length_scales': settings.features_length_scales, 'noise': settings.noise,
             'forgetting': settings.forgetting}
 
 
-def _variant(one: VariantFigures) -> dict[str, Any]:
+def _variant(one: VariantFigures) -> dict[str, object]:
     return {'seeds': list(one.seeds), 'first_recording': _mode(one.first),
             'learning': _mode(one.adaptive), 'frozen': _mode(one.frozen),
             **{name: _index_dictionary(index) for name, index in one.indices.items()},
@@ -101,13 +101,13 @@ def _variant(one: VariantFigures) -> dict[str, Any]:
             'fit_seconds': one.fit_seconds}
 
 
-def _mode(mode: ModeFigures) -> dict[str, Any]:
+def _mode(mode: ModeFigures) -> dict[str, object]:
     return {'nmse': mode.nmse._asdict(), 'nmse_by_output': mode.nmse_by_channel, 'coverage': mode.coverage._asdict(),
             'coverage_by_level': dict(zip(map(str, LEVELS), mode.coverage_by_level, strict=True)),
             'log_density': mode.log_density._asdict()}
 
 
-def _index_dictionary(index: IndexFigures) -> dict[str, Any]:
+def _index_dictionary(index: IndexFigures) -> dict[str, object]:
     phases: Mapping[str, Spread | None] = {'first_30_s': index.first_30_s, 'first_60_s': index.first_60_s,
                                            'steady_state': index.steady_state, 'interquartile_range': index.spread}
     return {name: None if spread is None else spread._asdict() for name, spread in phases.items()}
@@ -120,7 +120,7 @@ def _index(name: str, field: str) -> Callable[[VariantFigures], Spread | None]:
     return get
 
 
-def _nearest_band(values: Any) -> float:
+def _nearest_band(values: Iterable[float]) -> float:
     nearest: float = min(values, key=lambda value: abs(value - BAND))
     return nearest
 

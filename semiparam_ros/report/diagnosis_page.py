@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -21,6 +21,9 @@ from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.report import diagnosis_figures as figures
 from semiparam_ros.report.diagnosis_figures import Suspicion, against_suspected, against_unexplained, suspicions
 from semiparam_ros.report.html import environment, inline_svg
+
+if TYPE_CHECKING:
+    from semiparam_ros.experiments.variants_with_effects import VariantFigures
 
 MOST_ODDS = 1000
 
@@ -133,7 +136,7 @@ def odds_text(odds: float) -> str:
     return f'{number} : 1' if odds >= 1.0 else f'1 : {number}'
 
 
-def variant_rows(variants: Mapping[str, Any]) -> list[tuple[str, float, float, str]]:
+def variant_rows(variants: Mapping[str, VariantFigures]) -> list[tuple[str, float, float, str]]:
     """Variant, mean held-out error without the effects and with them, and in how many draws of features it fell."""
     rows = []
     for name, entry in variants.items():
@@ -152,10 +155,10 @@ class Picture(NamedTuple):
     caption: str
 
 
-def diagnosis_page(diagnosis: Diagnosis, result: dict[str, Any], title: str) -> str:
+def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantFigures], title: str) -> str:
     """The page's text.
 
-    :param result: the machine-readable report, for what the diagnosis itself does not hold (other variants).
+    :param variants: other models without and with the effects, where they were evaluated.
     :param title: name of the recording.
     """
     opening, *words = text_report(diagnosis)
@@ -167,11 +170,11 @@ def diagnosis_page(diagnosis: Diagnosis, result: dict[str, Any], title: str) -> 
         structure=structure, unexplained=_unexplained(diagnosis.final, structure) if structure else None,
         formulas=_formulas(structure, diagnosis.config.declared_share) if structure else [],
         spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
-        variants=variant_rows(result.get('variants') or {}), open=SHOWN_OPEN, facts=_facts(diagnosis),
+        variants=variant_rows(variants), open=SHOWN_OPEN, facts=_facts(diagnosis),
         effects=[effect_to_text(effect) for effect in diagnosis.final.effects])
 
 
-def _headline(diagnosis: Diagnosis) -> dict[str, Any]:
+def _headline(diagnosis: Diagnosis) -> dict[str, float]:
     """The mean normalised errors that matter most."""
     low, high = diagnosis.after.interval()
     return {'before': diagnosis.before.nmse.mean(), 'after': diagnosis.after.nmse.mean(), 'low': low, 'high': high,
@@ -237,7 +240,7 @@ def _unexplained(fit: Fit, structure: Structure) -> Picture:
 
 def _formulas(structure: Structure, least_share: float) -> list[tuple[Formula, str]]:
     """Each formula, and the effect that declares it where it is worth declaring."""
-    worth = structure.effects(least_share)
+    worth = structure.declarable(least_share)
     return [(formula, effect_to_text(formula.effect) if formula.effect in worth else '')
             for formula in structure.formulas]
 

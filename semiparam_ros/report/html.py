@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 INK, FAINT = '#010203', '#010204'
 _PAGE_COLOURS = {INK: 'currentColor', FAINT: 'var(--faint)'}
 
+# Any, because the type of matplotlib's keys differs between its versions
 STYLE: Any = {
     'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 9.0, 'axes.edgecolor': FAINT,
     'axes.labelcolor': INK, 'axes.titlecolor': INK, 'axes.titlesize': 10.0, 'axes.titlelocation': 'left',

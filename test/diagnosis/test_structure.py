@@ -135,7 +135,7 @@ def test_a_hidden_formula_is_found_again(formula, names):
     found = remaining_structure(body, samples, residual, np.ones(2500, dtype=bool), np.ones(6))
     assert found.significant and found.channels == ('fy',)
     assert {each.name for each in found.variables[:len(names)]} == names
-    left = signal[:, 1] - prediction(found.effects[0], body, samples)
+    left = signal[:, 1] - prediction(found.declarable(DEFAULTS.declared_share)[0], body, samples)
     assert np.var(left) < 0.05 * np.var(signal[:, 1])
 
 

@@ -33,7 +33,7 @@ class Structure:
     formulas: tuple[Formula, ...]
     families: dict[str, float]
 
-    def effects(self, least_share: float) -> tuple[Terms, ...]:
+    def declarable(self, least_share: float) -> tuple[Terms, ...]:
         """The formulas that explain more than a share of their channel's residual, as effects that can be declared."""
         return tuple(formula.effect for formula in self.formulas if formula.share > least_share)
 
