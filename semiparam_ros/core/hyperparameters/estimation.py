@@ -16,6 +16,7 @@ from semiparam_ros.core.hyperparameters.window import (
     input_groups,
     least_squares_beside,
     residual_scale,
+    without_rounding,
 )
 from semiparam_ros.core.types import Array
 from semiparam_ros.core.variants import VARIANTS
@@ -67,6 +68,7 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
     if variant not in VARIANTS:
         raise SemiparamError(f"unknown variant '{variant}'; expected one of {', '.join(VARIANTS)}.")
     check_window(outputs, coupled, inputs)
+    coupled = without_rounding(coupled, coupled.shape[2] - n_effects)
     kind, _, selection = variant.partition('-')
     scale = np.ones(coupled.shape[2]) if prior_scale is None else np.asarray(prior_scale, dtype=float)
     groups = input_groups('kind' if selection == 'VS' and length_scales == 'input' else length_scales,

@@ -14,6 +14,8 @@ Noise = Literal['one', 'output']
 
 KINDS = 3  # position, velocity, acceleration
 FEWEST_SAMPLES = 20
+ROUNDING = 1e-12
+"""A column less than this, over the largest of the rigid body, holds rounding errors alone."""
 
 
 def input_groups(length_scales: str, n_inputs: int) -> Stamps:
@@ -43,6 +45,17 @@ def check_window(outputs: Array, coupled: Array, inputs: Array) -> None:
         channels = ', '.join(str(channel) for channel in constant)
         raise SemiparamError(f'output {channels} (counted from 0) is constant over the initial window; '
                              'expected every output to vary, for its noise is estimated there.')
+
+
+def without_rounding(coupled: Array, n_own: int) -> Array:
+    """C (t, n, p) with those columns zero that hold rounding errors alone, as most of a robot at rest.
+
+    Scaled up they would fit a constant with coefficients of 1e15, the start of the search for gamma among them.
+
+    :param n_own: columns of the rigid body and the offset, [N] or [N m] for a coefficient of 1.
+    """
+    sizes = np.sqrt(np.mean(coupled**2, axis=(0, 1)))
+    return coupled * (sizes > ROUNDING * max(1.0, sizes[:n_own].max(initial=0.0)))
 
 
 def least_squares(outputs: Array, coupled: Array) -> Array:
