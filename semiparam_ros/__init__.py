@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from semiparam_ros.core.estimator import Estimator, ModelOptions
     from semiparam_ros.core.robot.rigid_body import RigidBody
     from semiparam_ros.core.samples import Sample, Samples
+    from semiparam_ros.diagnosis.config import DiagnosisConfig
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.effects.base import Effect
     from semiparam_ros.effects.registry import effect_from_text
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 __version__ = '0.2.0'
 
 __all__ = [
+    'DiagnosisConfig',
     'Effect',
     'Estimator',
     'ModelOptions',
@@ -51,6 +53,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    'DiagnosisConfig': 'semiparam_ros.diagnosis.config',
     'Effect': 'semiparam_ros.effects.base',
     'Estimator': 'semiparam_ros.core.estimator',
     'ModelOptions': 'semiparam_ros.core.estimator',

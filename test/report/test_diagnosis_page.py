@@ -333,7 +333,8 @@ def test_what_was_added_is_shown_however_far_down_it_ranked():
         return Trial(effect, np.zeros((1, 1)), 1, evidence=evidence)
 
     ranking = tuple(trial(number, 100.0 - 10.0 * number) for number in range(12))
-    step = Step((ranking[0], ranking[11]), ((Rival('viscous_friction', 'joint3', 0.5),), ()), ranking, None, None)
+    step = Step(added=(ranking[0], ranking[11]), rivals=((Rival('viscous_friction', 'joint3', 0.5),), ()),
+                ranking=ranking, before=None, after=None)
     shown = figures.foremost(step)
     assert shown == list(ranking[:figures.MOST_BARS])  # nothing is shown that explains nothing
     better = tuple(replace(each, evidence=each.evidence + 50.0) for each in ranking)

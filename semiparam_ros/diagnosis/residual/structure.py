@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,10 +28,10 @@ class Structure:
     share: float
     channel_shares: Array
     significant: bool
-    channels: tuple[str, ...]
-    variables: tuple[Dependence, ...]
-    formulas: tuple[Formula, ...]
-    families: dict[str, float]
+    channels: tuple[str, ...] = ()
+    variables: tuple[Dependence, ...] = ()
+    formulas: tuple[Formula, ...] = ()
+    families: dict[str, float] = field(default_factory=dict)
 
     def declarable(self, least_share: float) -> tuple[Terms, ...]:
         """The formulas that explain more than a share of their channel's residual, as effects that can be declared."""
@@ -65,7 +65,7 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, trai
     """
     rows = _thinned(train_mask, config.structure_samples)
     if len(rows) < config.structure_least_samples:
-        return Structure(0.0, np.zeros(body.n_outputs), False, (), (), (), {})
+        return Structure(share=0.0, channel_shares=np.zeros(body.n_outputs), significant=False)
     motion = Motion(body.joints, samples[rows], config)
     guarded = without_input_errors(body, samples, residual, train_mask, scale, config)[rows] / scale
     found, families = explained(motion, guarded)
@@ -80,11 +80,11 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, trai
         beyond, beyond_in = _beyond_chance(motion, guarded)
         together, affected = together and beyond, affected & beyond_in
     if not together and not affected.any():
-        return Structure(share, shares, False, (), (), (), families)
+        return Structure(share=share, channel_shares=shares, significant=False, families=families)
     if not affected.any():
         affected = shares >= shares.max()
     return _described(body, samples[rows], motion, residual[rows], scale, affected,
-                      Structure(share, shares, True, (), (), (), families))
+                      Structure(share=share, channel_shares=shares, significant=True, families=families))
 
 
 def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Array, scale: Array, affected: Array,
@@ -95,8 +95,8 @@ def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Arra
     names = [each.name for each in variables][:motion.config.formula_variables]
     formulas = [find_formula(names, body, samples, residual[:, channel], int(channel), motion.config)
                 for channel in numbers]
-    return Structure(structure.share, structure.channel_shares, True, tuple(body.output_names[k] for k in numbers),
-                     variables, tuple(formula for formula in formulas if formula is not None), structure.families)
+    return replace(structure, channels=tuple(body.output_names[k] for k in numbers), variables=variables,
+                   formulas=tuple(formula for formula in formulas if formula is not None))
 
 
 def _beyond_chance(motion: Motion, residual: Array) -> tuple[bool, Mask]:

@@ -15,7 +15,7 @@ from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, wi
 from semiparam_ros.diagnosis.search.ambiguity import Rival, rivals_of, simplest, tolerance
 from semiparam_ros.diagnosis.search.candidates import candidates, others
 from semiparam_ros.diagnosis.search.delay_with_friction import KIND as DELAY
-from semiparam_ros.diagnosis.search.delay_with_friction import delay_with_friction, reshaped
+from semiparam_ros.diagnosis.search.delay_with_friction import Place, delay_with_friction, reshaped
 from semiparam_ros.diagnosis.search.elimination import without_needless
 from semiparam_ros.diagnosis.search.joint_offsets import joint_offsets
 from semiparam_ros.diagnosis.search.refit import declare
@@ -25,7 +25,7 @@ from semiparam_ros.effects import Effect
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Step:
     """One round: the effects added, the rivals of each, the trials by evidence, and effects that it made needless."""
 
@@ -74,12 +74,12 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     return steps
 
 
-def _delay_step(fit: Fit, kinds: dict[str, type[Effect]], declared: set[tuple[str, str | None]]) -> Step | None:
+def _delay_step(fit: Fit, kinds: dict[str, type[Effect]], declared: set[Place]) -> Step | None:
     found = delay_with_friction(fit, kinds, declared)
     if found is None or found[0].evidence < fit.config.least_evidence:
         return None
     trial, after = found
-    return Step((trial,), ((),), (trial,), fit, after)
+    return Step(added=(trial,), rivals=((),), ranking=(trial,), before=fit, after=after)
 
 
 def _in_round(progress: Progress, number: int) -> Progress:
@@ -133,10 +133,10 @@ def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> S
     ranking = ranked(fit, kinds, progress)
     if not ranking or ranking[0].evidence < fit.config.least_evidence:
         return None
-    zeros = joint_offsets(fit, kinds, ranking)
-    if zeros is not None and len(zeros[0]) > 1 and carries_over(fit, zeros[1]) \
-            and zeros[0][0].evidence > ranking[0].evidence + tolerance(fit, zeros[0][0]):
-        return Step(tuple(zeros[0]), ((),) * len(zeros[0]), tuple(ranking), fit, zeros[1])
+    found, after = joint_offsets(fit, kinds, ranking) or ([], fit)
+    if len(found) > 1 and carries_over(fit, after) \
+            and found[0].evidence > ranking[0].evidence + tolerance(fit, found[0]):
+        return Step(added=tuple(found), rivals=((),) * len(found), ranking=tuple(ranking), before=fit, after=after)
     chosen = [simplest(fit, ranking, list(kinds))]
     first_tried = list(chosen)
     after = declare(fit, [chosen[0].effect])
@@ -158,7 +158,7 @@ def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> S
             names = {(part.effect.kind, part.effect.where) for part in parts}
             those = tuple(rival for rival in those if (rival.kind, rival.where) not in names)
             chosen[at:at + 1], rivals[at:at + 1], after = parts, [those] * len(parts), simpler
-    return Step(tuple(chosen), tuple(rivals), tuple(ranking), fit, after)
+    return Step(added=tuple(chosen), rivals=tuple(rivals), ranking=tuple(ranking), before=fit, after=after)
 
 
 def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:

@@ -1,5 +1,4 @@
-"""What goes wrong most in practice, checked before any effect: units, signs, orders, axes, clocks, mounting, and too
-little motion.
+"""Checks of what the recording says it is, before any effect: units, signs, orders, axes, clocks and mounting.
 
 Do positions, velocities, accelerations and stamps tell the same story? No model is needed to see it. The change of a
 signal over a fraction of a second is compared with the integral of its declared rate; their ratio is 1 when units,
@@ -30,7 +29,6 @@ DEGREE = float(np.pi / 180.0)
 MOTION_UNITS = {1.0 / DEGREE: ('position', 'degrees', DEGREE), DEGREE: ('velocity', 'degrees per second', DEGREE),
                 0.5 / np.pi: ('position', 'revolutions', 2.0 * np.pi),
                 np.pi / 30.0: ('velocity', 'revolutions per minute', np.pi / 30.0)}
-RATE_UNITS = {DEGREE: 'degrees per second squared'}
 OUTPUT_UNITS = {1.0 / 9.81: 'kilograms-force', 9.81: 'newtons taken for kilograms-force', 1e3: 'thousandths (mN, N mm)',
                 1e-3: 'thousands (kN, kN m)', 1e2: 'hundredths (N cm)'}
 NO_MATCH = 'robot_description'
@@ -48,18 +46,34 @@ class SetupProblem(NamedTuple):
     sentence: str
 
 
-class Ratio(NamedTuple):
-    """Change of a signal over the integral of its declared rate: the median, whether the spans agree on it, and the
-    factor within which it is taken for a known one."""
+def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[SetupProblem]:
+    """What is wrong with the recording or with its declaration, each with its remedy; empty when all is well.
 
-    value: float
-    is_telling: bool
-    tolerance: float
+    :param samples: as recorded; ``config.setup_samples`` of them, spread over the recording, are looked at.
+    """
+    if len(samples) < config.setup_least_samples or np.all(
+            np.ptp(samples.position, axis=0) < config.setup_least_motion):
+        return []
+    if not np.ptp(samples.outputs, axis=0).any():
+        return [_constant(body)]
+    found, right = motion_problems(body.joints, samples, config)
+    if any(problem.what in ('clock', 'velocity_order') for problem in found):
+        return found
+    usable = np.flatnonzero(~excluded(samples, config))
+    if len(usable) < config.setup_least_samples:
+        return found
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, config.setup_samples).astype(int))]
+    return found + layout_problems(body, right[chosen], config)
 
-    def near(self, value: float) -> bool:
-        """Whether it is ``value``, sign included, beyond doubt."""
-        share = self.value / value
-        return self.is_telling and 1.0 / self.tolerance < share < self.tolerance
+
+def _constant(body: RigidBody) -> SetupProblem:
+    what = 'wrench' if body.outputs == 'wrench' else 'efforts'
+    return SetupProblem('outputs_constant', body.sensor_frame, (
+        f'The {what} never change{"s" if what == "wrench" else ""} while the robot moves: check that the sensor is '
+        'switched on and that its driver publishes what it measures.'))
+
+
+# --- do positions, velocities, accelerations and stamps tell the same story? ---
 
 
 def motion_problems(joints: Sequence[str], samples: Samples,
@@ -86,6 +100,31 @@ def motion_problems(joints: Sequence[str], samples: Samples,
     return problems + _accelerations(joints, samples, right, moving, config), right
 
 
+class Ratio(NamedTuple):
+    """Change of a signal over the integral of its declared rate: the median, whether the spans agree on it, and the
+    factor within which it is taken for a known one."""
+
+    value: float
+    is_telling: bool
+    tolerance: float
+
+    def near(self, value: float) -> bool:
+        """Whether it is ``value``, sign included, beyond doubt."""
+        share = self.value / value
+        return self.is_telling and 1.0 / self.tolerance < share < self.tolerance
+
+
+def _ratio(changes: Array, integrals: Array, config: DiagnosisConfig) -> Ratio:
+    """Of one joint, from the faster half of its spans."""
+    fast = np.abs(integrals) > np.median(np.abs(integrals))
+    if not fast.any():
+        return Ratio(1.0, False, config.ratio_tolerance)
+    shares = changes[fast] / integrals[fast]
+    middle = float(np.median(shares))
+    agreeing = np.mean(np.abs(shares - middle) < config.agreeing_width * abs(middle))
+    return Ratio(middle, bool(agreeing > config.agreeing_share), config.ratio_tolerance)
+
+
 def _spans(time: Array, values: Array, rates: Array, config: DiagnosisConfig) -> tuple[Array, Array]:
     """(M, k) changes of values (N, k) over ``config.span_s``, and the integrals of their rates over the same spans."""
     steps = np.diff(time)
@@ -98,17 +137,6 @@ def _spans(time: Array, values: Array, rates: Array, config: DiagnosisConfig) ->
     whole = time[ends] - time[starts] < (width + config.gap_steps) * typical
     starts, ends = starts[whole], ends[whole]
     return values[ends] - values[starts], total[ends] - total[starts]
-
-
-def _ratio(changes: Array, integrals: Array, config: DiagnosisConfig) -> Ratio:
-    """Of one joint, from the faster half of its spans."""
-    fast = np.abs(integrals) > np.median(np.abs(integrals))
-    if not fast.any():
-        return Ratio(1.0, False, config.ratio_tolerance)
-    shares = changes[fast] / integrals[fast]
-    middle = float(np.median(shares))
-    agreeing = np.mean(np.abs(shares - middle) < config.agreeing_width * abs(middle))
-    return Ratio(middle, bool(agreeing > config.agreeing_share), config.ratio_tolerance)
 
 
 def _velocity_order(joints: Sequence[str], changes: Array, integrals: Array, moving: Array,
@@ -175,6 +203,13 @@ def _velocity(name: str, ratio: Ratio) -> tuple[SetupProblem, str, float] | None
         'and the units in the driver.')), 'velocity', ratio.value
 
 
+def _scaled(samples: Samples, role: str, joint: int, factor: float) -> Samples:
+    """The samples with one joint's position, or its velocity, times a factor."""
+    values = getattr(samples, role).copy()
+    values[:, joint] *= factor
+    return replace(samples, **{role: values})
+
+
 def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, moving: Array,
                    config: DiagnosisConfig) -> list[SetupProblem]:
     """Accelerations that contradict the velocities as they are recorded and as they should be."""
@@ -185,149 +220,22 @@ def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, movi
         if not moving[joint] or _ratio(recorded[0][:, joint], recorded[1][:, joint], config).near(1.0):
             continue
         ratio = _ratio(corrected[0][:, joint], corrected[1][:, joint], config)
-        units = [unit for known, unit in RATE_UNITS.items() if ratio.near(known)]
         if ratio.near(-1.0):
             found.append(SetupProblem('acceleration_sign', name, (
                 f"The measured acceleration of '{name}' has the opposite sign of its change of velocity: negate it, or "
                 'set acceleration.source to filter.')))
-        elif units:
+        elif ratio.near(DEGREE):
             found.append(SetupProblem('acceleration_units', name, (
-                f"The measured acceleration of '{name}' is in {units[0]}: publish it in rad/s^2, or set "
-                'acceleration.source to filter.')))
+                f"The measured acceleration of '{name}' is in degrees per second squared: publish it in "
+                'rad/s^2, or set acceleration.source to filter.')))
     return found
 
 
-def _scaled(samples: Samples, role: str, joint: int, factor: float) -> Samples:
-    """The samples with one joint's position, or its velocity, times a factor."""
-    values = getattr(samples, role).copy()
-    values[:, joint] *= factor
-    return replace(samples, **{role: values})
-
-
-def turned_over(body: RigidBody) -> RigidBody:
-    """The body as it hangs from a ceiling."""
-    return body.with_gravity(-_gravity(body))
-
-
-def other_mountings(body: RigidBody, same_cosine: float) -> Iterator[tuple[RigidBody, SetupProblem]]:
-    """The body with gravity along each other axis of its base, and what to say if that is how it is."""
-    present = _gravity(body)
-    strength = float(np.linalg.norm(present))
-    for sign, (axis, name) in product((1.0, -1.0), enumerate('xyz')):
-        gravity = sign * strength * np.eye(3)[axis]
-        if gravity @ present < same_cosine * strength**2:
-            along = f"with gravity along its {'-' if sign < 0 else ''}{name} axis"
-            hanging = gravity @ present < -same_cosine * strength**2
-            yield body.with_gravity(gravity), mounting_problem('upside down' if hanging else f'on its side, {along}')
-
-
-def _gravity(body: RigidBody) -> Array:
-    return np.array(body.arm.gravity.linear)
-
-
-def mounting_problem(how: str) -> SetupProblem:
-    """The base is mounted in another way."""
-    return SetupProblem('base_mounting', None, (
-        f'The recording fits the robot description far better when the base is mounted {how}: turn the first link in '
-        'the robot description as the robot is mounted.'))
-
-
-def output_problems(body: RigidBody, samples: Samples,
-                    config: DiagnosisConfig) -> tuple[list[SetupProblem], RigidBody, Samples]:
-    """Signs and units of the outputs that are wrong, and the body and the samples put right."""
-    wrench = body.outputs == 'wrench'
-    slopes, likeness = _slopes(body, samples, config)
-    found, factors = [], np.ones(body.n_outputs)
-    blocks = [('force', slice(0, 3)), ('torque', slice(3, 6))] if wrench else [('effort', slice(None))]
-    if likeness[-1] < config.opposite_correlation and _is_turned_over(body, samples, config):
-        body = turned_over(body)
-        found.append(mounting_problem('upside down'))
-    elif likeness[-1] < config.opposite_correlation:
-        found.append(_sign(body))
-        factors *= -1.0
-    for (name, channels), slope, like in zip(blocks, slopes, likeness, strict=False):
-        unit = next((known for known in OUTPUT_UNITS
-                     if 1.0 / config.unit_tolerance < abs(slope) / known < config.unit_tolerance), None)
-        if abs(like) > config.alike_correlation and unit is not None:
-            found.append(_unit(body, name, unit))
-            factors[channels] /= unit
-    return found, body, replace(samples, outputs=samples.outputs * factors)
-
-
-def _is_turned_over(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> bool:
-    """Whether opposite outputs come from a base that hangs rather than from a sign: inertia and friction do not turn
-    over with gravity."""
-    if body.outputs == 'effort':
-        friction = float(dissipation(body, samples, config).sum())
-        if abs(friction) > config.friction_share:
-            return friction > 0.0
-    negated = misfit(equations(body, samples, config), -samples.outputs, body.outputs == 'wrench')
-    hanging = misfit(equations(turned_over(body), samples, config), samples.outputs, body.outputs == 'wrench')
-    return hanging.total < negated.total
-
-
-def friction_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
-    """Joints whose effort would drive them where friction holds them back."""
-    share = dissipation(body, samples, config)
-    others = np.array([np.median(np.delete(share, joint)) if len(share) > 1 else 0.0 for joint in range(len(share))])
-    wrong = (share < config.pushing_share) & (others > config.braking_share)
-    return [SetupProblem('effort_sign', name, (
-        f"The effort of '{name}' goes with its motion as no friction can: it has the opposite sign of its velocity's; "
-        'negate it in the driver.')) for name, flag in zip(body.joints, wrong, strict=True) if flag]
-
-
-def _slopes(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> tuple[Array, Array]:
-    """Slope of the outputs against the description's prediction, and their correlation, for force and torque or for
-    efforts; the last correlation is over all channels."""
-    predicted = body.regressors(samples) @ body.base_parameters
-    free = nuisances(body, samples, config)
-    measured, predicted = (_without(free, values) for values in (samples.outputs, predicted))
-    pairs = [(measured, predicted)]
-    if body.outputs == 'wrench':
-        parts = [(measured[:, part], predicted[:, part]) for part in (slice(0, 3), slice(3, 6))]
-        pairs = [*parts, (measured / channel_scale(measured, True), predicted / channel_scale(predicted, True))]
-    inner = np.array([[np.sum(y * p), np.sum(p * p), np.sum(y * y)] for y, p in pairs])
-    return inner[:, 0] / (inner[:, 1] + 1e-300), inner[:, 0] / np.sqrt(inner[:, 1] * inner[:, 2] + 1e-300)
-
-
-def _without(columns: Array, values: Array) -> Array:
-    """Values (N, n) less what the nuisances explain of each channel."""
-    left = np.empty_like(values)
-    for channel in range(values.shape[1]):
-        own = columns[:, channel, np.any(columns[:, channel] != 0.0, axis=0)]
-        left[:, channel] = values[:, channel] - own @ np.linalg.lstsq(own, values[:, channel], rcond=1e-9)[0]
-    return left
-
-
-def _sign(body: RigidBody) -> SetupProblem:
-    if body.outputs == 'effort':
-        return SetupProblem('effort_sign', None, (
-            'The efforts have the opposite sign of what the robot description predicts: negate them (semiparam convert '
-            '--effort-sign -1).'))
-    other = 'action' if body.sign < 0 else 'reaction'
-    return SetupProblem('wrench_sign', body.sensor_frame, (
-        'The wrench has the opposite sign of what the robot description predicts: set the parameter wrench_convention '
-        f'to {other}.'))
-
-
-def _unit(body: RigidBody, name: str, unit: float) -> SetupProblem:
-    right = {'force': 'N', 'torque': 'N m', 'effort': 'N m'}[name]
-    return SetupProblem('output_units', body.sensor_frame, (
-        f'The {name} is {unit:.3g} times what the robot description predicts, as if it were in {OUTPUT_UNITS[unit]}: '
-        'publish '
-        f'it in {right}.'))
-
-
-class Alternative(NamedTuple):
-    """The samples as they would be, and what to say if that is how they are; the body where it is another one."""
-
-    samples: Samples
-    problem: SetupProblem
-    body: RigidBody | None = None
+# --- what would the recording say under other labels? ---
 
 
 def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
-    """Everything that a relabelling of the samples would put right, the plainest first."""
+    """Everything that other labels of the samples would put right, the plainest first."""
     found, body, samples = output_problems(body, samples, config)
     for _ in range(config.most_relabellings):
         best = _best_alternative(body, samples, config)
@@ -341,6 +249,22 @@ def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) 
     if body.outputs == 'effort' and left < config.good_fit:
         found += friction_problems(body, samples, config)
     return found
+
+
+def _no_match(body: RigidBody, left: float) -> SetupProblem:
+    there = f" or the parameter sensor_frame ('{body.sensor_frame}')" if body.outputs == 'wrench' else ''
+    return SetupProblem(NO_MATCH, body.sensor_frame, (
+        f'No inertias explain the outputs: {100 * min(left, 1.0):.0f} % of their variance stay with the best ones, '
+        'and no other order, sign or unit helps; check that the robot description is that of this robot, the parameter '
+        f'joints{there}, and that the outputs are not compensated for gravity.'))
+
+
+class Alternative(NamedTuple):
+    """The samples as they would be, and what to say if that is how they are; the body where it is another one."""
+
+    samples: Samples
+    problem: SetupProblem
+    body: RigidBody | None = None
 
 
 def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Alternative | None:
@@ -411,6 +335,18 @@ def _other_effort_signs(body: RigidBody, samples: Samples) -> Iterator[Alternati
             'driver.')))
 
 
+def other_mountings(body: RigidBody, same_cosine: float) -> Iterator[tuple[RigidBody, SetupProblem]]:
+    """The body with gravity along each other axis of its base, and what to say if that is how it is."""
+    present = _gravity(body)
+    strength = float(np.linalg.norm(present))
+    for sign, (axis, name) in product((1.0, -1.0), enumerate('xyz')):
+        gravity = sign * strength * np.eye(3)[axis]
+        if gravity @ present < same_cosine * strength**2:
+            along = f"with gravity along its {'-' if sign < 0 else ''}{name} axis"
+            hanging = gravity @ present < -same_cosine * strength**2
+            yield body.with_gravity(gravity), mounting_problem('upside down' if hanging else f'on its side, {along}')
+
+
 def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
     for joint, name in enumerate(body.joints):
         mirrored = replace(samples, position=_negated(samples.position, joint),
@@ -437,51 +373,121 @@ def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
             '--joint NAME=NEW) or the parameter joints.')))
 
 
-def _radians(samples: Samples) -> Alternative:
-    turn = np.pi / 180.0
-    right = replace(samples, position=samples.position * turn, velocity=samples.velocity * turn,
-                    acceleration=samples.acceleration * turn)
-    return Alternative(right, SetupProblem('position_units', None, (
-        'Positions and velocities are in degrees: publish them in rad and rad/s (for a text table: semiparam convert '
-        '--degrees).')))
-
-
 def _negated(values: Array, column: int) -> Array:
     values = values.copy()
     values[:, column] *= -1.0
     return values
 
 
-def _no_match(body: RigidBody, left: float) -> SetupProblem:
-    there = f" or the parameter sensor_frame ('{body.sensor_frame}')" if body.outputs == 'wrench' else ''
-    return SetupProblem(NO_MATCH, body.sensor_frame, (
-        f'No inertias explain the outputs: {100 * min(left, 1.0):.0f} % of their variance stay with the best ones, '
-        'and no other order, sign or unit helps; check that the robot description is that of this robot, the parameter '
-        f'joints{there}, and that the outputs are not compensated for gravity.'))
+def _radians(samples: Samples) -> Alternative:
+    right = replace(samples, position=samples.position * DEGREE, velocity=samples.velocity * DEGREE,
+                    acceleration=samples.acceleration * DEGREE)
+    return Alternative(right, SetupProblem('position_units', None, (
+        'Positions and velocities are in degrees: publish them in rad and rad/s (for a text table: semiparam convert '
+        '--degrees).')))
 
 
-def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[SetupProblem]:
-    """What is wrong with the recording or with its declaration, each with its remedy; empty when nothing is.
+# --- signs and units of the outputs ---
 
-    :param samples: as recorded; ``config.setup_samples`` of them, spread over the recording, are looked at.
+
+def output_problems(body: RigidBody, samples: Samples,
+                    config: DiagnosisConfig) -> tuple[list[SetupProblem], RigidBody, Samples]:
+    """Signs and units of the outputs that are wrong, and the body and the samples put right."""
+    wrench = body.outputs == 'wrench'
+    slopes, likeness = _slopes(body, samples, config)
+    found, factors = [], np.ones(body.n_outputs)
+    blocks = [('force', slice(0, 3)), ('torque', slice(3, 6))] if wrench else [('effort', slice(None))]
+    if likeness[-1] < config.opposite_correlation and _is_turned_over(body, samples, config):
+        body = turned_over(body)
+        found.append(mounting_problem('upside down'))
+    elif likeness[-1] < config.opposite_correlation:
+        found.append(_sign(body))
+        factors *= -1.0
+    for (name, channels), slope, like in zip(blocks, slopes, likeness, strict=False):
+        unit = next((known for known in OUTPUT_UNITS
+                     if 1.0 / config.unit_tolerance < abs(slope) / known < config.unit_tolerance), None)
+        if abs(like) > config.alike_correlation and unit is not None:
+            found.append(_unit(body, name, unit))
+            factors[channels] /= unit
+    return found, body, replace(samples, outputs=samples.outputs * factors)
+
+
+def _slopes(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> tuple[Array, Array]:
+    """Slope of the outputs against the description's prediction, and their correlation, for force and torque or for
+    efforts; the last correlation is over all channels."""
+    predicted = body.regressors(samples) @ body.base_parameters
+    free = nuisances(body, samples, config)
+    measured, predicted = (_without(free, values) for values in (samples.outputs, predicted))
+    pairs = [(measured, predicted)]
+    if body.outputs == 'wrench':
+        parts = [(measured[:, part], predicted[:, part]) for part in (slice(0, 3), slice(3, 6))]
+        pairs = [*parts, (measured / channel_scale(measured, True), predicted / channel_scale(predicted, True))]
+    inner = np.array([[np.sum(y * p), np.sum(p * p), np.sum(y * y)] for y, p in pairs])
+    return inner[:, 0] / (inner[:, 1] + 1e-300), inner[:, 0] / np.sqrt(inner[:, 1] * inner[:, 2] + 1e-300)
+
+
+def _without(columns: Array, values: Array) -> Array:
+    """Values (N, n) less what the nuisances explain of each channel."""
+    left = np.empty_like(values)
+    for channel in range(values.shape[1]):
+        own = columns[:, channel, np.any(columns[:, channel] != 0.0, axis=0)]
+        left[:, channel] = values[:, channel] - own @ np.linalg.lstsq(own, values[:, channel], rcond=1e-9)[0]
+    return left
+
+
+def _is_turned_over(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> bool:
+    """Whether opposite outputs come from a base that hangs rather than from a sign.
+
+    Gravity turns over with the base; inertia and friction do not.
     """
-    if len(samples) < config.setup_least_samples or np.all(
-            np.ptp(samples.position, axis=0) < config.setup_least_motion):
-        return []
-    if not np.ptp(samples.outputs, axis=0).any():
-        return [_constant(body)]
-    found, right = motion_problems(body.joints, samples, config)
-    if any(problem.what in ('clock', 'velocity_order') for problem in found):
-        return found
-    usable = np.flatnonzero(~excluded(samples, config))
-    if len(usable) < config.setup_least_samples:
-        return found
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, config.setup_samples).astype(int))]
-    return found + layout_problems(body, right[chosen], config)
+    if body.outputs == 'effort':
+        friction = float(dissipation(body, samples, config).sum())
+        if abs(friction) > config.friction_share:
+            return friction > 0.0
+    negated = misfit(equations(body, samples, config), -samples.outputs, body.outputs == 'wrench')
+    hanging = misfit(equations(turned_over(body), samples, config), samples.outputs, body.outputs == 'wrench')
+    return hanging.total < negated.total
 
 
-def _constant(body: RigidBody) -> SetupProblem:
-    what = 'wrench' if body.outputs == 'wrench' else 'efforts'
-    return SetupProblem('outputs_constant', body.sensor_frame, (
-        f'The {what} never change{"s" if what == "wrench" else ""} while the robot moves: check that the sensor is '
-        'switched on and that its driver publishes what it measures.'))
+def turned_over(body: RigidBody) -> RigidBody:
+    """The body as it hangs from a ceiling."""
+    return body.with_gravity(-_gravity(body))
+
+
+def _gravity(body: RigidBody) -> Array:
+    return np.array(body.arm.gravity.linear)
+
+
+def mounting_problem(how: str) -> SetupProblem:
+    """The base is mounted in another way."""
+    return SetupProblem('base_mounting', None, (
+        f'The recording fits the robot description far better when the base is mounted {how}: turn the first link in '
+        'the robot description as the robot is mounted.'))
+
+
+def _sign(body: RigidBody) -> SetupProblem:
+    if body.outputs == 'effort':
+        return SetupProblem('effort_sign', None, (
+            'The efforts have the opposite sign of what the robot description predicts: negate them (semiparam convert '
+            '--effort-sign -1).'))
+    other = 'action' if body.sign < 0 else 'reaction'
+    return SetupProblem('wrench_sign', body.sensor_frame, (
+        'The wrench has the opposite sign of what the robot description predicts: set the parameter wrench_convention '
+        f'to {other}.'))
+
+
+def _unit(body: RigidBody, name: str, unit: float) -> SetupProblem:
+    right = {'force': 'N', 'torque': 'N m', 'effort': 'N m'}[name]
+    return SetupProblem('output_units', body.sensor_frame, (
+        f'The {name} is {unit:.3g} times what the robot description predicts, as if it were in {OUTPUT_UNITS[unit]}: '
+        f'publish it in {right}.'))
+
+
+def friction_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
+    """Joints whose effort would drive them where friction holds them back."""
+    share = dissipation(body, samples, config)
+    others = np.array([np.median(np.delete(share, joint)) if len(share) > 1 else 0.0 for joint in range(len(share))])
+    wrong = (share < config.pushing_share) & (others > config.braking_share)
+    return [SetupProblem('effort_sign', name, (
+        f"The effort of '{name}' goes with its motion as no friction can: it has the opposite sign of its velocity's; "
+        'negate it in the driver.')) for name, flag in zip(body.joints, wrong, strict=True) if flag]
