@@ -1,4 +1,4 @@
-"""Weighted least squares of the declared model, and what a few more columns would explain of its residual."""
+"""Weighted least squares of the declared model, and of further columns on its residual."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Explained(NamedTuple):
 class Fit:
     """The declared model fitted to the samples where ``train_mask`` is true.
 
-    :param train_mask: (N,) samples that take part. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
+    :param train_mask: (N,) samples that fit. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
     :param columns: C (N, n, p). :param theta: (p,). :param residual: (N, n) of all samples, in the outputs' units.
     """
 

@@ -1,4 +1,4 @@
-"""What cannot be told from a recording, whatever the model: said by name, in plain words."""
+"""Names what a recording cannot show, whatever the model: joints, outputs and masses."""
 
 from __future__ import annotations
 
@@ -69,9 +69,10 @@ def _unseen(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[
 
 
 def unseen_bodies(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
-    """Bodies that hold most of a direction of masses and first moments which hardly moves the outputs.
+    """Names of the bodies whose masses or first moments the motion does not show.
 
-    Only combinations that some motion could show are looked at; a wrench's constant offset hides what is constant.
+    Looks for combinations that hardly move the outputs, and names the body that has the largest part in each. Leaves
+    out combinations that no motion could show. A wrench's constant offset hides what is constant.
     """
     columns = body.regressors(samples)
     if body.outputs == 'wrench':

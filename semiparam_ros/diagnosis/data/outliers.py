@@ -1,4 +1,4 @@
-"""Which samples to leave out everywhere, by rules that look at the data alone and never at the model.
+"""Leaves out samples near gaps and shocks, by rules that look at the data alone and never at the model.
 
 A gap spoils every quantity that is differentiated across it. A shock (a collision, a protective stop, a corrupted
 reading) is a change between successive samples that the channel makes at no other time; what follows rings for a while.
@@ -44,7 +44,7 @@ def typical_step(time: Array) -> float:
 
 
 def excluded(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
-    """(N,) true for samples near a gap or a shock: no fit and no judgement should use them."""
+    """(N,) true for samples near a gap or a shock: neither a fit nor an evaluation should use them."""
     mask = np.zeros(len(samples), dtype=bool)
     for gap in gaps(samples, config):
         mask[max(gap.before + 1 - config.gap_margin, 0):gap.before + 1 + config.gap_margin] = True

@@ -1,4 +1,4 @@
-"""Which samples fit and which judge: contiguous blocks, for neighbouring samples tell the same story; and whether an
+"""Splits a recording into contiguous blocks, because neighbouring samples repeat each other, and tests whether an
 effect helps on blocks that did not fit it.
 """
 

@@ -129,7 +129,7 @@ def _pursuit(columns: Array, values: Array, most: int) -> list[int]:
 def _held_out_shares(columns: Array, values: Array, config: DiagnosisConfig) -> Array:
     """(most_terms,) share of the variance of values that formulas of 1, 2, ... terms predict of unseen blocks.
 
-    Each fold chooses its own terms: a choice that has seen the blocks which judge it flatters itself.
+    Each fold chooses its own terms: terms chosen with the held-out blocks would score too well on them.
     """
     most, folds = config.most_terms, config.structure_folds
     labels = fold_labels(len(values), config.formula_blocks, folds)

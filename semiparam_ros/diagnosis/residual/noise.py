@@ -1,10 +1,9 @@
-"""How much of a residual is noise: its floor, the number of independent samples it is worth, noise of its colour, and
-what noise in the inputs leaves in it.
+"""How much of a residual is noise: its floor, its correlation time, noise of the same colour, and what noise in the
+inputs leaves in it.
 
-Noise with the colour of a residual: what flexible regression finds in it is chance. A sensor's noise may be correlated
-over a second. A function of the motion fitted on some blocks then predicts a little of their neighbours, though nothing
-is missing. How much, autoregressive noise with the residual's own autocorrelation tells: it knows nothing of the
-motion.
+A sensor's noise may be correlated over a second. A function of the motion fitted on some blocks then predicts a little
+of their neighbours, though nothing is missing. Autoregressive noise with the residual's own autocorrelation shows how
+much: it knows nothing of the motion, so what flexible regression finds in it is chance.
 
 Noise in the inputs leaves structure in a residual that is no effect of the robot. Least squares on noisy regressors is
 pulled towards zero where the motion hardly excites them, and what it then leaves is a function of the motion. That

@@ -1,4 +1,4 @@
-"""Effects that explain the same about as well: which of them is taken, and which are reported as its rivals."""
+"""Ambiguity: takes one of several effects that explain the same about as well, and reports the others as rivals."""
 
 from __future__ import annotations
 

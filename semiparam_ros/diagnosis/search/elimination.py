@@ -1,4 +1,4 @@
-"""Backward elimination: an effect that only stood in for a later one goes."""
+"""Backward elimination: drops effects that only stood in for later ones."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ Place = tuple[str, str | None]
 
 
 def without_needless(fit: Fit, declared: set[Place]) -> tuple[Fit, tuple[Effect, ...]]:
-    """The model without the effects that the others make needless, and those.
+    """The model without the effects that the others make needless, and the effects dropped.
 
-    The one of least evidence over the model without it goes first; then the others are asked again. A last effect
-    stays.
+    Drops the effect of least evidence over the model without it, then asks about the others again. Keeps a last one.
 
     :param declared: kinds and places that were in the model before the search and stay.
     """

@@ -1,4 +1,4 @@
-"""Find what the model lacks: rank the candidates, add the best, refit, repeat until nothing significant is left."""
+"""Stepwise search: rank the candidates, add the best, refit, and repeat until nothing significant is left."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Checks of what the recording says it is, before any effect: units, signs, orders, axes, clocks and mounting.
 
-Do positions, velocities, accelerations and stamps tell the same story? No model is needed to see it. The change of a
+Do positions, velocities, accelerations and stamps agree? That needs no model. The change of a
 signal over a fraction of a second is compared with the integral of its declared rate; their ratio is 1 when units,
 signs, order and clock are right. Measured: 0.92 to 0.97 on a real iCub (its velocities lag), 1.00 on a UR3, 1.02 on a
 Franka arm.
@@ -73,12 +73,12 @@ def _constant(body: RigidBody) -> SetupProblem:
         'switched on and that its driver publishes what it measures.'))
 
 
-# --- do positions, velocities, accelerations and stamps tell the same story? ---
+# --- do positions, velocities, accelerations and stamps agree? ---
 
 
 def motion_problems(joints: Sequence[str], samples: Samples,
                     config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
-    """Contradictions between positions, velocities, accelerations and stamps, and the samples put right."""
+    """Contradictions between positions, velocities, accelerations and stamps, and the corrected samples."""
     moving = np.ptp(samples.position, axis=0) > config.setup_least_motion
     changes, integrals = _spans(samples.time, samples.position, samples.velocity, config)
     order = _velocity_order(joints, changes, integrals, moving, config)
@@ -235,7 +235,7 @@ def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, movi
 
 
 def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
-    """Everything that other labels of the samples would put right, the plainest first."""
+    """Everything that other labels of the samples would correct, the plainest first."""
     found, body, samples = output_problems(body, samples, config)
     for _ in range(config.most_relabellings):
         best = _best_alternative(body, samples, config)
@@ -392,7 +392,7 @@ def _radians(samples: Samples) -> Alternative:
 
 def output_problems(body: RigidBody, samples: Samples,
                     config: DiagnosisConfig) -> tuple[list[SetupProblem], RigidBody, Samples]:
-    """Signs and units of the outputs that are wrong, and the body and the samples put right."""
+    """Signs and units of the outputs that are wrong, and the body and the corrected samples."""
     wrench = body.outputs == 'wrench'
     slopes, likeness = _slopes(body, samples, config)
     found, factors = [], np.ones(body.n_outputs)
