@@ -110,7 +110,7 @@ def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> No
     from semiparam_ros.effects import effect_to_text
     from semiparam_ros.settings import dump_params
 
-    standing = {(effect.kind, effect.where, *effect.without_start().shape.items()): effect.without_start()
+    standing = {effect_to_text(effect.without_start()): effect.without_start()
                 for effect in diagnosis.final.effects}  # two loads picked up one after the other are one now
     dump_params(replace(settings, effects=tuple(map(effect_to_text, standing.values()))), path)
 

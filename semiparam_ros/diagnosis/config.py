@@ -194,12 +194,6 @@ class DiagnosisConfig:
     """Refines so many of the best candidates of each joint, since all joints may win in one round (chosen)."""
     refine_evaluations: int = 14
     """Spends so many evaluations on the line search of one value: its bracket then shrinks a thousandfold."""
-    bracket_factor: float = 2.5
-    """Searches a value between its coarse one over and times this (chosen)."""
-    bracket_order: float = 0.15
-    """Searches the order of a ripple this far to either side of its coarse value [1/rad] (chosen)."""
-    bracket_frequency: float = 0.5
-    """Searches a frequency this many times 1 / (length of the recording) to either side (chosen)."""
     start_grid: int = 60
     """Tries so many starts of an effect, evenly spread, before the best is refined (chosen)."""
     start_margin: float = 0.1

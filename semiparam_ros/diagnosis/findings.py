@@ -13,7 +13,6 @@ from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.stepwise import Step
 from semiparam_ros.effects import Effect, kinds
-from semiparam_ros.effects.base import FLAGS, STARTS
 
 
 @dataclass(frozen=True)
@@ -91,6 +90,4 @@ def _calibrations(fit: Fit, effect: Effect) -> dict[str, Quantity]:
 
 
 def _searched(effect: Effect) -> dict[str, Quantity]:
-    calibrated = {coefficient.name for coefficient in effect.calibrations}
-    return {name: Quantity(float(value), None, effect.unit_of(name)) for name, value in effect.shape.items()
-            if name not in calibrated and name not in (*FLAGS, *STARTS)}
+    return {name: Quantity(effect.value(name), None, effect.unit_of(name)) for name in effect.searched}

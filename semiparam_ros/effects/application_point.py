@@ -18,7 +18,7 @@ POINT: Mapping[str, str] = {'x': 'm', 'y': 'm', 'z': 'm'}
 class AtPoint(Effect):
     """Something whose point of application matters: the origin of the link's frame, or x, y and z [m] in it."""
 
-    shape_units: ClassVar[Mapping[str, str]] = POINT
+    parameter_units: ClassVar[Mapping[str, str]] = POINT
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:

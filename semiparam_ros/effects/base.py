@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,15 +21,39 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
-Shape = dict[str, float]
+Values = dict[str, float]
+"""Parameters, options and the start of an effect by name, as its text form has them."""
 Self = TypeVar('Self', bound='Effect')
 CHANNELS = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
-ALWAYS: Shape = {}
-FLAGS = ('link_axes',)
-"""Values of a shape that choose the form of the columns; they are no physical quantities."""
+NO_VALUES: Values = {}
 STARTS = ('start_s', 'start_stamp_s')
+BRACKET = 2.5
+"""A line search looks from a value over this factor to the value times it."""
 STAMP_TOLERANCE_NS = 1000
 """A double holds today's stamps [s] to 0.24 us."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """When an effect begins; without either value it was always there.
+
+    :param seconds: [s] after the start of the recording (of the node's life).
+    :param stamp_s: [s] as the stamps of headers count.
+    """
+
+    seconds: float | None = None
+    stamp_s: float | None = None
+
+    @property
+    def values(self) -> Values:
+        """By the names of the text form."""
+        named = zip(STARTS, (self.seconds, self.stamp_s), strict=True)
+        return {name: value for name, value in named if value is not None}
+
+
+ALWAYS = Start()
+Axis = Literal['any', 'time', 'position', 'velocity', 'acceleration', 'output', 'output_rate', 'link_velocity', 'phase']
+"""What a residual is drawn against so that an effect shows; ``any``: whichever of time and motion tells most."""
 
 
 class Coefficient(NamedTuple):
@@ -44,13 +68,16 @@ class Effect:
     """Base of every kind.
 
     :param where: joint, axis or link that it acts on; None when it has no place.
-    :param shape: nonlinear parameters by name. What begins at some time has ``start_s`` [s] after the start of the
-        recording (of the node's life), or ``start_stamp_s`` [s] as the stamps of headers count.
-    :param reference: (p,) base parameters, for the few kinds whose columns depend on the arm's own load.
+    :param parameters: nonlinear parameters and calibrations by name.
+    :param options: values that choose the form of the columns; they are no physical quantities.
+    :param start: when it begins.
+    :param reference: (p,) base parameters, for kinds with ``needs_reference``; () for those of the description.
     """
 
     where: str | None = None
-    shape: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, float] = field(default_factory=dict)
+    start: Start = ALWAYS
     reference: tuple[float, ...] = ()
 
     kind: ClassVar[str] = ''
@@ -63,11 +90,23 @@ class Effect:
     of_one_recording: ClassVar[bool] = False
     of_sensor: ClassVar[bool] = False
     refine_link: ClassVar[bool] = False
+    is_load: ClassVar[bool] = False
+    """True for a body that the link carries: its coefficients are the ten inertial parameters in the link's frame."""
+    needs_reference: ClassVar[bool] = False
+    """True when the columns depend on the load that the rigid body predicts, with base parameters that stay fixed."""
+    shows_against: ClassVar[Axis] = 'any'
     calibrations: ClassVar[tuple[Coefficient, ...]] = ()
-    shape_units: ClassVar[Mapping[str, str]] = {}
+    parameter_units: ClassVar[Mapping[str, str]] = {}
+    option_names: ClassVar[tuple[str, ...]] = ()
     positive: ClassVar[tuple[str, ...]] = ()
-    """Values of the shape that make sense above 0 alone."""
+    """Parameters that make sense above 0 alone."""
     coefficient_scale: ClassVar[float] = 100.0
+
+    @classmethod
+    def from_values(cls: type[Self], where: str | None, values: Mapping[str, float],
+                    reference: tuple[float, ...] = ()) -> Self:
+        """The effect from values by the names of the text form; ``reference`` is kept by kinds that need one."""
+        return cls(where, reference=reference if cls.needs_reference else ()).with_values(**values)
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
@@ -81,12 +120,25 @@ class Effect:
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None,
-                 residual: Array) -> Sequence[Shape]:
-        """Coarse values of the nonlinear parameters (start times aside) among which to look first.
+                 residual: Array) -> Sequence[Values]:
+        """Coarse values of the nonlinear parameters and the options (start times aside) among which to look first.
 
         :param residual: (N, n) what the model has left so far; a spectrum of it may say where to look.
         """
-        return (ALWAYS,)
+        return (NO_VALUES,)
+
+    def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
+        """Between which values a line search refines the nonlinear parameter ``name``; see :meth:`searches`."""
+        value = self.value(name)
+        if value == 0.0:  # nothing to take a share of: as far as the next value that the search tried
+            tried = (abs(values.get(name, 0.0)) for values in self.searches(body, samples, self.where, residual))
+            reach = min(filter(None, tried), default=0.0)
+            return -reach, reach
+        return min(value / BRACKET, value * BRACKET), max(value / BRACKET, value * BRACKET)
+
+    def relocated(self, body: RigidBody, coefficients: Array) -> Effect:
+        """The same effect at the place that its coefficients (c,) tell; most kinds stay where they are."""
+        return self
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         """Names and units of the columns' coefficients, in order; they follow from kind, place and robot alone."""
@@ -109,11 +161,11 @@ class Effect:
         if self.where not in places:
             raise SemiparamError(self._misplaced([place for place in places if place is not None]))
         for name in self.positive:
-            if name in self.shape and not self.value(name) > 0.0:
+            if name in self.parameters and not self.value(name) > 0.0:
                 raise SemiparamError(f"effect '{self.kind}' has {name} {self.value(name):g}; expected more than 0.")
-        if all(name in self.shape for name in STARTS):
+        if len(self.start.values) > 1:
             raise SemiparamError(f"effect '{self.kind}' has {' and '.join(STARTS)}; expected one of them.")
-        if self.is_calibration and self.shape.keys() & STARTS:
+        if self.is_calibration and self.start != ALWAYS:
             raise SemiparamError(f"effect '{self.kind}' has a start; expected none, for a calibration acts from the "
                                  'beginning.')
         if len(self.reference) not in (0, body.n_parameters):
@@ -146,13 +198,12 @@ class Effect:
     @property
     def start_s(self) -> float | None:
         """Seconds after the start of the recording when it begins; None when it was always there, or has a stamp."""
-        return self.shape.get('start_s')
+        return self.start.seconds
 
     @property
     def start_stamp(self) -> int | None:
         """Stamp [ns] from which on it is there; None when it was always there, or counts from the start."""
-        seconds = self.shape.get('start_stamp_s')
-        return None if seconds is None else round(Fraction(seconds) * 10**9)
+        return None if self.start.stamp_s is None else round(Fraction(self.start.stamp_s) * 10**9)
 
     def at_stamp(self: Self, origin: int) -> Self:
         """The same effect with the absolute stamp of its start, for whoever counts time from elsewhere.
@@ -161,17 +212,17 @@ class Effect:
         """
         if self.start_s is None:
             return self
-        return self.without_start().with_shape(start_stamp_s=(origin + round(self.start_s * 1e9)) / 10**9)
+        return replace(self, start=Start(stamp_s=(origin + round(self.start_s * 1e9)) / 10**9))
 
     def in_recording(self: Self, origin: int) -> Self:
         """The same effect with its start in seconds after ``origin`` [ns]; the inverse of :meth:`at_stamp`."""
         if self.start_stamp is None:
             return self
-        return self.without_start().with_shape(start_s=(self.start_stamp - origin) * 1e-9)
+        return replace(self, start=Start((self.start_stamp - origin) * 1e-9))
 
     def without_start(self: Self) -> Self:
         """The same effect, there from the beginning."""
-        return replace(self, shape={name: value for name, value in self.shape.items() if name not in STARTS})
+        return replace(self, start=ALWAYS)
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         """Inputs are left as they are unless a kind says otherwise."""
@@ -199,22 +250,37 @@ class Effect:
         """
         return self
 
-    def with_shape(self: Self, **values: float) -> Self:
-        """The same effect with some nonlinear parameters changed."""
-        return replace(self, shape={**self.shape, **values})
+    def with_values(self: Self, **values: float) -> Self:
+        """The same effect with some values changed, by the names of the text form."""
+        start = {**self.start.values, **{name: value for name, value in values.items() if name in STARTS}}
+        options = {name: value for name, value in values.items() if name in self.option_names}
+        parameters = {name: value for name, value in values.items() if name not in (*STARTS, *self.option_names)}
+        return replace(self, parameters={**self.parameters, **parameters}, options={**self.options, **options},
+                       start=Start(*(start.get(name) for name in STARTS)))
+
+    @property
+    def values(self) -> Values:
+        """Parameters, options and start by the names of the text form; :meth:`from_values` takes them back."""
+        return {**self.parameters, **self.options, **self.start.values}
 
     def value(self, name: str, default: float = 0.0) -> float:
-        """A nonlinear parameter, ``default`` when it is not set."""
-        return float(self.shape.get(name, default))
+        """A parameter or an option, ``default`` when it is not set."""
+        return float(self.parameters.get(name, self.options.get(name, default)))
+
+    @property
+    def searched(self) -> tuple[str, ...]:
+        """Names of the nonlinear parameters that are set, without the calibrations."""
+        calibrated = {name for name, _ in self.calibrations}
+        return tuple(name for name in self.parameters if name not in calibrated)
 
     @classmethod
     def value_names(cls) -> tuple[str, ...]:
-        """Everything that a shape of this kind may hold."""
-        return *STARTS, *cls.shape_units, *(name for name, _ in cls.calibrations), *FLAGS
+        """Everything that the text form of this kind may hold."""
+        return *STARTS, *cls.parameter_units, *(name for name, _ in cls.calibrations), *cls.option_names
 
     def unit_of(self, name: str) -> str:
         """Unit of a nonlinear parameter or calibration."""
-        known: dict[str, Any] = {**dict.fromkeys(STARTS, 's'), **self.shape_units, **dict(self.calibrations)}
+        known: dict[str, Any] = {**dict.fromkeys(STARTS, 's'), **self.parameter_units, **dict(self.calibrations)}
         return str(known.get(name, ''))
 
 

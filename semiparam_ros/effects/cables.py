@@ -13,7 +13,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.application_point import POINT, AtPoint
-from semiparam_ros.effects.base import CHANNELS, Coefficient, Shape, joint_index
+from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Values, joint_index
 from semiparam_ros.effects.hysteresis import dahl_state
 
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -38,6 +38,7 @@ class CableSpring(_Cable):
     """A spring: at a link its force is affine in position, along a joint its wrench is linear in the angle."""
 
     kind: ClassVar[str] = 'cable_spring'
+    shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = 'a cable or hose pulls like a spring'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_hysteresis', 'external_force', 'gravity_tilt')
     separated_by: ClassVar[str] = 'slow motion over the whole workspace, where inertia plays no part'
@@ -70,15 +71,16 @@ class CableHysteresis(_Cable):
     """Dahl's model: the cable pulls back over ``slip`` of travel, then slips (z' = dx - |dx| z / slip)."""
 
     kind: ClassVar[str] = 'cable_hysteresis'
+    shows_against: ClassVar[Axis] = 'position'
     refine_link: ClassVar[bool] = True
     sentence: ClassVar[str] = 'a cable or hose drags with hysteresis: it pulls back, then slips'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_spring', 'viscous_drag')
     separated_by: ClassVar[str] = 'reversals after long and after short travels'
-    shape_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **POINT}
+    parameter_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **POINT}
     positive: ClassVar[tuple[str, ...]] = ('slip',)
 
     @classmethod
-    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         if where in body.joints:
             reach = float(np.ptp(samples.position[:, joint_index(body, where)]))
         else:

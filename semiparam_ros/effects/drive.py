@@ -12,11 +12,13 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import Coefficient, Effect, Shape, joint_index, on_joint
+from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
 from semiparam_ros.effects.friction import JointEffect
 from semiparam_ros.effects.hysteresis import play_place
 
 ORDERS = np.arange(2.0, 240.0, 0.1)
+ORDER_REACH = 0.15
+"""A line search looks so far [1/rad] on either side of an order: past its neighbours among ORDERS."""
 PEAKS = 3
 FLANK = 0.15
 """Share of half the gap over which a flank takes the load: teeth give."""
@@ -26,6 +28,7 @@ class RotorInertia(JointEffect):
     """The motor's own inertia, seen through the gear."""
 
     kind: ClassVar[str] = 'rotor_inertia'
+    shows_against: ClassVar[Axis] = 'acceleration'
     resists: ClassVar[bool] = True
     sentence: ClassVar[str] = "the motor's rotor resists acceleration"
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload',)
@@ -40,6 +43,7 @@ class JointSpring(JointEffect):
     """A spring across the joint, as a balancer or a stiff cable is."""
 
     kind: ClassVar[str] = 'joint_spring'
+    shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = 'a spring acts across the joint'
     mistaken_for: ClassVar[tuple[str, ...]] = ('effort_offset', 'gravity_tilt', 'joint_offset')
     separated_by: ClassVar[str] = "the joint's whole range in several postures of the others"
@@ -53,6 +57,7 @@ class EffortOffset(JointEffect):
     """A constant added to the measured effort."""
 
     kind: ClassVar[str] = 'effort_offset'
+    shows_against: ClassVar[Axis] = 'time'
     sentence: ClassVar[str] = "the joint's measured effort has a constant offset"
     mistaken_for: ClassVar[tuple[str, ...]] = ('asymmetric_friction', 'joint_spring', 'external_force')
     separated_by: ClassVar[str] = 'motion through the whole range in both directions'
@@ -67,6 +72,7 @@ class EffortGain(Effect):
     """The measured effort of one joint is too large or too small by a factor."""
 
     kind: ClassVar[str] = 'effort_gain'
+    shows_against: ClassVar[Axis] = 'output'
     outputs: ClassVar[tuple[str, ...]] = ('effort',)
     sentence: ClassVar[str] = "the joint's effort is measured with a wrong gain (torque constant, gear ratio)"
     mistaken_for: ClassVar[tuple[str, ...]] = ('load_friction',)
@@ -87,14 +93,15 @@ class TransmissionRipple(JointEffect):
     """A torque that repeats with the joint's angle, as gears and cogging make it."""
 
     kind: ClassVar[str] = 'transmission_ripple'
+    shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = "the gear's torque ripples with the joint's angle"
     mistaken_for: ClassVar[tuple[str, ...]] = ('periodic_disturbance', 'joint_spring')
     separated_by: ClassVar[str] = 'the same path at two speeds: a ripple follows the angle, not the clock'
-    shape_units: ClassVar[dict[str, str]] = {'order': '1/rad'}
+    parameter_units: ClassVar[dict[str, str]] = {'order': '1/rad'}
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('sin', 'N m'), Coefficient('cos', 'N m'))
 
     @classmethod
-    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         joint = joint_index(body, where)
         position, left = samples.position[:, joint], residual[:, joint] - residual[:, joint].mean()
         reach = max(float(np.ptp(position)), 1e-6)
@@ -106,6 +113,9 @@ class TransmissionRipple(JointEffect):
         best = peaks[np.argsort(power[peaks])[::-1][:PEAKS]]
         return [{'order': float(orders[index])} for index in best]
 
+    def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
+        return self.value(name) - ORDER_REACH, self.value(name) + ORDER_REACH
+
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         angle = self.value('order', 1.0) * position
         return np.column_stack([np.sin(angle), np.cos(angle)])
@@ -115,16 +125,17 @@ class Backlash(JointEffect):
     """Play in the gear: what rubs behind it is felt on either flank, and not while the gap is crossed."""
 
     kind: ClassVar[str] = 'backlash'
+    shows_against: ClassVar[Axis] = 'position'
     resists: ClassVar[bool] = True
     sentence: ClassVar[str] = 'the gear has play: after each reversal its torque is gone until the gap is crossed'
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction',)
     separated_by: ClassVar[str] = 'small reversals, within and beyond the play'
-    shape_units: ClassVar[dict[str, str]] = {'gap': 'rad'}
+    parameter_units: ClassVar[dict[str, str]] = {'gap': 'rad'}
     positive: ClassVar[tuple[str, ...]] = ('gap',)
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('torque', 'N m'),)
 
     @classmethod
-    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         reach = max(float(np.ptp(samples.position[:, joint_index(body, where)])), 1e-6)
         return [{'gap': reach * share} for share in (0.03, 0.06, 0.1, 0.16, 0.3)]
 

@@ -11,7 +11,7 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import Coefficient, Effect, Shape, joint_index, on_joint
+from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
 from semiparam_ros.effects.hysteresis import dahl_state
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
@@ -49,12 +49,12 @@ class JointEffect(Effect):
 class _Sliding(JointEffect):
     """Depends on the direction of sliding, which turns over within ``turn_speed`` or within a way of ``presliding``."""
 
-    shape_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'presliding': 'rad', 'stribeck_speed': 'rad/s'}
+    parameter_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'presliding': 'rad', 'stribeck_speed': 'rad/s'}
     positive: ClassVar[tuple[str, ...]] = ('turn_speed', 'presliding', 'stribeck_speed')
     resists: ClassVar[bool] = True
 
     @classmethod
-    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         joint = joint_index(body, where)
         fastest = max(float(np.abs(samples.velocity[:, joint]).max()), 1e-6)
         reach = max(float(np.ptp(samples.position[:, joint])), 1e-6)
@@ -63,7 +63,7 @@ class _Sliding(JointEffect):
 
     def direction(self, position: Array, velocity: Array, memory: Memory) -> tuple[Array, Memory]:
         """(N,) direction of sliding in [-1, 1]: of the velocity, or of a bristle that bends before it slides."""
-        if 'presliding' in self.shape:
+        if 'presliding' in self.parameters:
             state, memory = dahl_state(position[:, None], self.value('presliding'), memory)
             return state[:, 0], memory
         return np.tanh(velocity / self.value('turn_speed', 0.01)), None
@@ -83,6 +83,7 @@ class ViscousFriction(JointEffect):
     """Friction in proportion to speed."""
 
     kind: ClassVar[str] = 'viscous_friction'
+    shows_against: ClassVar[Axis] = 'velocity'
     resists: ClassVar[bool] = True
     sentence: ClassVar[str] = 'the joint has viscous friction'
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'asymmetric_friction', 'time_delay')
@@ -97,6 +98,7 @@ class CoulombFriction(_Sliding):
     """Dry friction: constant against the direction of motion."""
 
     kind: ClassVar[str] = 'coulomb_friction'
+    shows_against: ClassVar[Axis] = 'velocity'
     sentence: ClassVar[str] = 'the joint has dry (Coulomb) friction'
     mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_friction', 'stribeck_friction', 'load_friction', 'backlash')
     separated_by: ClassVar[str] = 'constant speeds, slow and fast, in both directions'
@@ -110,24 +112,25 @@ class StribeckFriction(_Sliding):
     """Dry friction that is higher near standstill: a part that fades as exp(-(velocity / stribeck_speed)^2)."""
 
     kind: ClassVar[str] = 'stribeck_friction'
+    shows_against: ClassVar[Axis] = 'velocity'
     sentence: ClassVar[str] = 'the joint sticks: its friction is higher near standstill (Stribeck)'
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'asymmetric_friction')
     separated_by: ClassVar[str] = 'slow motion, below and above the speed where sticking ends'
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('coulomb', 'N m'), Coefficient('stiction', 'N m'))
 
     @classmethod
-    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         fastest = float(np.abs(samples.velocity[:, joint_index(body, where)]).max())
         coarse = super().searches(body, samples, where, residual)
-        return [{**shape, 'stribeck_speed': max(fastest, 1e-6) * share}
-                for shape in (coarse[1], coarse[2], coarse[5]) for share in (0.05, 0.12, 0.3)]
+        return [{**values, 'stribeck_speed': max(fastest, 1e-6) * share}
+                for values in (coarse[1], coarse[2], coarse[5]) for share in (0.05, 0.12, 0.3)]
 
     def physical(self, coefficients: Array) -> bool:
         return bool(np.all(coefficients > 0.0))
 
     def plainer(self) -> tuple[Effect, ...]:
-        shape = {name: value for name, value in self.shape.items() if name != 'stribeck_speed'}
-        return (CoulombFriction(self.where, shape, self.reference),)
+        parameters = {name: value for name, value in self.parameters.items() if name != 'stribeck_speed'}
+        return (CoulombFriction(self.where, parameters, start=self.start),)
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
         fading = np.exp(-((velocity / self.value('stribeck_speed', 0.1)) ** 2))
@@ -138,6 +141,7 @@ class AsymmetricFriction(_Sliding):
     """Dry and viscous friction that differ between the two directions."""
 
     kind: ClassVar[str] = 'asymmetric_friction'
+    shows_against: ClassVar[Axis] = 'velocity'
     sentence: ClassVar[str] = "the joint's friction differs between its two directions"
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'viscous_friction', 'effort_offset')
     separated_by: ClassVar[str] = 'equal motion in both directions'
@@ -146,7 +150,7 @@ class AsymmetricFriction(_Sliding):
         Coefficient('viscous_forward', 'N m s/rad'), Coefficient('viscous_backward', 'N m s/rad'))
 
     def plainer(self) -> tuple[Effect, ...]:
-        return CoulombFriction(self.where, self.shape, self.reference), ViscousFriction(self.where)
+        return CoulombFriction(self.where, self.parameters, start=self.start), ViscousFriction(self.where)
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
         return np.column_stack([np.maximum(direction, 0.0), np.minimum(direction, 0.0),
@@ -157,6 +161,8 @@ class LoadFriction(_Sliding):
     """Dry friction in proportion to the load that the joint carries, as the rigid body predicts it."""
 
     kind: ClassVar[str] = 'load_friction'
+    needs_reference: ClassVar[bool] = True
+    shows_against: ClassVar[Axis] = 'velocity'
     sentence: ClassVar[str] = "the joint's friction grows with the load that it carries"
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'effort_gain')
     separated_by: ClassVar[str] = 'the same motion with and without a load'

@@ -13,13 +13,14 @@ from semiparam_ros.core.columns import Absent, Memory
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
-from semiparam_ros.effects.base import Coefficient, Effect, joint_index
+from semiparam_ros.effects.base import Axis, Coefficient, Effect, joint_index
 
 
 class JointOffset(Effect):
     """The true angle is the encoder's plus ``offset``."""
 
     kind: ClassVar[str] = 'joint_offset'
+    shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = "the joint's zero is off"
     mistaken_for: ClassVar[tuple[str, ...]] = ('gravity_tilt', 'sensor_misalignment', 'sensor_crosstalk')
     separated_by: ClassVar[str] = ('motion of the joints before it, which turns a tilt of the base against '
@@ -40,6 +41,7 @@ class GravityTilt(Effect):
     """The base is turned by a small rotation about its horizontal axes, so gravity points elsewhere."""
 
     kind: ClassVar[str] = 'gravity_tilt'
+    shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = 'the base is not level'
     mistaken_for: ClassVar[tuple[str, ...]] = ('joint_offset', 'sensor_misalignment')
     separated_by: ClassVar[str] = 'a turn of the arm about a vertical axis, or a spirit level on the base'
@@ -63,6 +65,7 @@ class TimeDelay(Effect):
     """The outputs lag the joint states by ``delay_s`` (lead, when negative)."""
 
     kind: ClassVar[str] = 'time_delay'
+    shows_against: ClassVar[Axis] = 'output_rate'
     sentence: ClassVar[str] = 'the outputs and the joint states are stamped at different times'
     mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_drag', 'viscous_friction')
     separated_by: ClassVar[str] = 'faster motion: a delay grows with speed, a friction does not'

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.robot.frames import felt_links, links_beside, load_regressor, loaded_links
+from semiparam_ros.core.robot.frames import felt_links, links_beside, load_regressor, loaded_links, nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.application_point import AtPoint
-from semiparam_ros.effects.base import Coefficient, Effect
+from semiparam_ros.effects.base import Axis, Coefficient, Effect
 
 
 class Payload(Effect):
     """A body picked up: mass, first moment and inertia in the link's frame."""
 
     kind: ClassVar[str] = 'payload'
+    shows_against: ClassVar[Axis] = 'time'
     sentence: ClassVar[str] = 'the arm carries a load that the model does not know'
     mistaken_for: ClassVar[tuple[str, ...]] = ('external_force', 'sensor_offset')
     separated_by: ClassVar[str] = 'fast motion that turns the load about every axis: weight alone is only a force'
     must_start: ClassVar[bool] = True
+    is_load: ClassVar[bool] = True
     coefficient_scale: ClassVar[float] = 10.0
 
     @classmethod
@@ -42,6 +45,12 @@ class Payload(Effect):
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         return load_regressor(body, samples, str(self.where)), None
 
+    def relocated(self, body: RigidBody, coefficients: Array) -> Effect:
+        """At the link nearest to the load's centre of mass."""
+        mass, *moment = coefficients[:4]
+        return replace(self, where=nearest_link(body, str(self.where), np.array(moment) / mass)[0]) \
+            if mass > 0.0 else self
+
 
 class AtAnyLink(AtPoint):
     """Its search begins at the origin of every link of a body."""
@@ -55,6 +64,7 @@ class ExternalForce(AtAnyLink):
     """A constant force along the base's axes, at a point of the link."""
 
     kind: ClassVar[str] = 'external_force'
+    shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = 'something pulls or pushes the link with a constant force'
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'gravity_tilt', 'sensor_offset')
     separated_by: ClassVar[str] = 'faster motion: a load has inertia, a constant force has none'
@@ -88,6 +98,7 @@ class ViscousDrag(_Drag):
     """Resistance in proportion to speed."""
 
     kind: ClassVar[str] = 'viscous_drag'
+    shows_against: ClassVar[Axis] = 'link_velocity'
     sentence: ClassVar[str] = 'the link moves through something viscous'
     mistaken_for: ClassVar[tuple[str, ...]] = ('quadratic_drag', 'time_delay')
     separated_by: ClassVar[str] = 'motion at clearly different speeds'
@@ -106,6 +117,7 @@ class QuadraticDrag(_Drag):
     """Resistance in proportion to the square of the speed."""
 
     kind: ClassVar[str] = 'quadratic_drag'
+    shows_against: ClassVar[Axis] = 'link_velocity'
     sentence: ClassVar[str] = 'the link moves through a fluid that resists with the square of the speed'
     mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_drag', 'time_delay')
     separated_by: ClassVar[str] = 'motion at clearly different speeds'

@@ -13,7 +13,7 @@ from semiparam_ros.core.robot.frames import felt_links, frame_motion, loaded_lin
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, joint_index
+from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Values, joint_index
 
 PEAKS = 4
 
@@ -22,12 +22,14 @@ class PeriodicDisturbance(Effect):
     """A sine and a cosine: in the sensor's axes, at a link along its own or the base's axes, or on a joint."""
 
     kind: ClassVar[str] = 'periodic_disturbance'
+    shows_against: ClassVar[Axis] = 'phase'
     refine_link: ClassVar[bool] = True
     of_one_recording: ClassVar[bool] = True
     sentence: ClassVar[str] = 'something shakes the arm at one frequency'
     mistaken_for: ClassVar[tuple[str, ...]] = ('transmission_ripple', 'viscous_drag', 'cable_spring')
     separated_by: ClassVar[str] = 'standing still: the disturbance goes on'
-    shape_units: ClassVar[dict[str, str]] = {'frequency_hz': 'Hz'}
+    parameter_units: ClassVar[dict[str, str]] = {'frequency_hz': 'Hz'}
+    option_names: ClassVar[tuple[str, ...]] = ('link_axes',)
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
@@ -42,15 +44,19 @@ class PeriodicDisturbance(Effect):
         return Absent(self)
 
     @classmethod
-    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Shape]:
+    def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         turning = (0.0, 1.0) if where is not None and body.outputs == 'wrench' else (0.0,)
-        found: list[Shape] = []
+        found: list[Values] = []
         for along in turning:
             directions = cls._directions(body, samples, where, along)
             signal = np.einsum('tni,tn->ti', directions, residual)
             found += [{'frequency_hz': frequency, 'link_axes': along}
                       for frequency in spectral_peaks(samples.time, signal)]
         return found
+
+    def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
+        width = 0.5 / float(samples.time[-1] - samples.time[0])  # half the resolution of the spectrum
+        return self.value(name) - width, self.value(name) + width
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         if body.outputs == 'effort':

@@ -83,7 +83,7 @@ def kinds(outputs: str | None = None) -> dict[str, type[Effect]]:
 
 def effect_to_text(effect: Effect) -> str:
     """The effect as the parameter ``effects`` holds it; :func:`effect_from_text` reads it back exactly."""
-    values: dict[str, object] = dict(effect.shape)
+    values: dict[str, object] = dict(effect.values)
     if effect.reference:
         values['reference'] = list(effect.reference)
     return effect.kind + (f'@{effect.where}' if effect.where else '') + (json.dumps(values) if values else '')
@@ -110,8 +110,8 @@ def effect_from_text(text: str) -> Effect:
     unknown = [key for key in values if key not in known]
     if unknown:
         raise SemiparamError(f"effect '{text}' has no value '{unknown[0]}'; expected some of {', '.join(known)}.")
-    shape = {key: float(str(value)) for key, value in values.items()}
-    return _all_kinds()[name](where or None, shape, tuple(float(value) for value in reference))
+    numbers = {key: float(str(value)) for key, value in values.items()}
+    return _all_kinds()[name].from_values(where or None, numbers, tuple(float(value) for value in reference))
 
 
 def _values(text: str, part: str) -> dict[str, object]:

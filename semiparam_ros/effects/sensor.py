@@ -12,7 +12,7 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import CHANNELS, Coefficient, Effect, Shape, channel_units
+from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Values, channel_units
 
 N_CHANNELS = 6
 
@@ -39,6 +39,7 @@ class SensorOffset(_ChannelEffect):
     """A jump of the bias; the constant bias of a recording is part of every model with a wrench."""
 
     kind: ClassVar[str] = 'sensor_offset'
+    shows_against: ClassVar[Axis] = 'time'
     sentence: ClassVar[str] = "the sensor's bias jumped, as after a knock, a re-zeroing or a pinched cable"
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'external_force', 'sensor_drift')
     separated_by: ClassVar[str] = 'turning the sensor through gravity: a bias does not turn with it'
@@ -49,6 +50,7 @@ class SensorDrift(_ChannelEffect):
     """A bias that grows in proportion to time."""
 
     kind: ClassVar[str] = 'sensor_drift'
+    shows_against: ClassVar[Axis] = 'time'
     of_one_recording: ClassVar[bool] = True
     sentence: ClassVar[str] = "the sensor's bias drifts steadily with time"
     mistaken_for: ClassVar[tuple[str, ...]] = ('thermal_drift', 'sensor_offset')
@@ -63,16 +65,17 @@ class ThermalDrift(_ChannelEffect):
     """A bias that settles as exp(-t / time constant)."""
 
     kind: ClassVar[str] = 'thermal_drift'
+    shows_against: ClassVar[Axis] = 'time'
     of_one_recording: ClassVar[bool] = True
     sentence: ClassVar[str] = 'the sensor warms up: its bias settles exponentially'
     mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_drift', 'sensor_offset')
     separated_by: ClassVar[str] = 'a recording of several time constants from a cold start'
-    shape_units: ClassVar[dict[str, str]] = {'time_constant_s': 's'}
+    parameter_units: ClassVar[dict[str, str]] = {'time_constant_s': 's'}
     positive: ClassVar[tuple[str, ...]] = ('time_constant_s',)
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None,
-                 residual: Array) -> Sequence[Shape]:
+                 residual: Array) -> Sequence[Values]:
         span = float(samples.time[-1] - samples.time[0])
         return [{'time_constant_s': span * share} for share in (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6, 1.0)]
 
@@ -98,6 +101,7 @@ class SensorGain(_Calibration):
     """Each channel reads too much or too little. The common gain of all forces cannot be told from the masses."""
 
     kind: ClassVar[str] = 'sensor_gain'
+    shows_against: ClassVar[Axis] = 'output'
     sentence: ClassVar[str] = 'channels of the sensor have wrong gains'
     mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_crosstalk', 'sensor_misalignment')
     separated_by: ClassVar[str] = 'motion that turns gravity through every axis of the sensor'
@@ -120,6 +124,7 @@ class SensorCrosstalk(_Calibration):
     """Each channel hears the others: the off-diagonal part of the calibration matrix."""
 
     kind: ClassVar[str] = 'sensor_crosstalk'
+    shows_against: ClassVar[Axis] = 'output'
     sentence: ClassVar[str] = 'channels of the sensor hear one another: its calibration matrix is off'
     mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_misalignment', 'sensor_gain', 'joint_offset', 'gravity_tilt')
     separated_by: ClassVar[str] = 'motion that turns gravity through every axis of the sensor'
@@ -138,6 +143,7 @@ class SensorMisalignment(_Calibration):
     """The sensor is turned in its mount by a rotation vector, so the wrench arrives turned the other way."""
 
     kind: ClassVar[str] = 'sensor_misalignment'
+    shows_against: ClassVar[Axis] = 'output'
     sentence: ClassVar[str] = 'the sensor sits turned in its mount'
     mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_crosstalk', 'joint_offset', 'gravity_tilt')
     separated_by: ClassVar[str] = 'motion of the joints before the sensor about more than one axis'

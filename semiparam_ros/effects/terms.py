@@ -166,7 +166,7 @@ class Terms(Effect):
     @property
     def names(self) -> tuple[str, ...]:
         """The terms, in the order of the columns."""
-        return tuple(name for name in self.shape if name not in STARTS)
+        return tuple(self.parameters)
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
@@ -179,7 +179,7 @@ class Terms(Effect):
                 _joint(factor.variable.split('_', 1)[1], body)
 
     def prior_scale(self, body: RigidBody) -> Array:
-        found = np.array([abs(self.shape[name]) for name in self.names])
+        found = np.array([abs(self.parameters[name]) for name in self.names])
         return np.asarray(np.where(found > 0.0, FREEDOM * found, self.coefficient_scale))
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:

@@ -108,7 +108,7 @@ def payload(estimator: Estimator) -> Payload | None:
 
 def _declared_payload(estimator: Estimator) -> Payload | None:
     for index, effect in enumerate(estimator.columns.effects):
-        if getattr(effect, 'kind', '') == 'payload':
+        if getattr(effect, 'is_load', False):
             theta = estimator.model.part(estimator.columns.blocks[str(index)])
             return _payload(str(getattr(effect, 'where', '')), theta)
     return None

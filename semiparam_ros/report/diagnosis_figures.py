@@ -2,12 +2,13 @@
 and the error of each output.
 
 Against what a residual should be drawn so that an effect shows: time, a joint's motion, a link's, or the load. Every
-kind has a role (a friction depends on velocity, a spring on position); which joint or axis of that role is taken from
+kind says which (a friction shows against velocity, a spring against position); of which joint or axis is taken from
 the effect's place, or, where it has none, from what its explanation depends on most.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,16 +29,10 @@ from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step
 from semiparam_ros.diagnosis.text_report import place
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import Axis
 from semiparam_ros.effects.terms import variable_values
 from semiparam_ros.report.html import FAINT, INK, page_style
 
-TIME = ('payload', 'sensor_offset', 'sensor_drift', 'thermal_drift', 'effort_offset')
-VELOCITY = ('viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmetric_friction', 'load_friction')
-ACCELERATION = ('rotor_inertia',)
-OUTPUT = ('sensor_gain', 'sensor_crosstalk', 'sensor_misalignment', 'effort_gain')
-LINK_VELOCITY = ('viscous_drag', 'quadratic_drag')
-POSITION = ('joint_offset', 'gravity_tilt', 'joint_spring', 'transmission_ripple', 'backlash', 'cable_spring',
-            'cable_hysteresis', 'external_force')
 DEPENDENCE_BINS = 20
 
 BEFORE, AFTER, CHOSEN, RIVAL, OTHER = '#e08a00', '#3b7dd8', '#1a9c78', '#c060a8', '#8c8c8c'
@@ -67,16 +62,9 @@ def suspected_variable(effect: Effect, fit: Fit, explained: Array, channel: int)
 
     :param fit: the fit of which it explains a part. :param explained: (N,) that part, in output ``channel``.
     """
-    if effect.kind in TIME or effect.start_s is not None:
+    if effect.start_s is not None:
         return _time(fit)
-    if effect.kind == 'periodic_disturbance':
-        frequency = effect.value('frequency_hz', 1.0)
-        return Variable(f'phase at {frequency:.3g} Hz [cycles]', np.mod(frequency * fit.samples.time, 1.0))
-    if effect.kind == 'time_delay':
-        rate = np.gradient(_predicted(fit)[:, channel], fit.samples.time)
-        unit = fit.body.output_units[channel]
-        return Variable(f'rate of change of {fit.body.output_names[channel]} [{unit}/s]', rate)
-    return most_telling(_in_role(effect, fit, channel), explained)
+    return most_telling(VARIABLES[effect.shows_against](effect, fit, channel), explained)
 
 
 def most_telling(variables: list[Variable], explained: Array) -> Variable:
@@ -92,18 +80,6 @@ def dependence(variable: Array, explained: Array) -> float:
     mean = np.bincount(bins, explained, DEPENDENCE_BINS) / np.maximum(count, 1)
     spread = float(np.sum((explained - explained.mean()) ** 2))
     return float(count @ (mean - explained.mean()) ** 2) / spread if spread > 0.0 else 0.0
-
-
-def _in_role(effect: Effect, fit: Fit, channel: int) -> list[Variable]:
-    if effect.kind in OUTPUT:
-        return _outputs(fit)
-    if effect.kind in LINK_VELOCITY:
-        return _link_velocity(effect, fit)
-    for role, kinds in (('position', POSITION), ('velocity', VELOCITY), ('acceleration', ACCELERATION)):
-        if effect.kind in kinds:
-            return _joints(effect, fit, role)
-    return [_time(fit), *(variable for role in ('position', 'velocity', 'acceleration')
-                          for variable in _joints(effect, fit, role))]
 
 
 def _time(fit: Fit) -> Variable:
@@ -134,9 +110,39 @@ def _outputs(fit: Fit) -> list[Variable]:
     return [Variable(f'predicted {name} [{unit}]', predicted[:, index]) for index, (name, unit) in enumerate(named)]
 
 
+def _output_rate(fit: Fit, channel: int) -> Variable:
+    rate = np.gradient(_predicted(fit)[:, channel], fit.samples.time)
+    unit = fit.body.output_units[channel]
+    return Variable(f'rate of change of {fit.body.output_names[channel]} [{unit}/s]', rate)
+
+
+def _phase(effect: Effect, fit: Fit) -> Variable:
+    frequency = effect.value('frequency_hz', 1.0)
+    return Variable(f'phase at {frequency:.3g} Hz [cycles]', np.mod(frequency * fit.samples.time, 1.0))
+
+
+def _any(effect: Effect, fit: Fit) -> list[Variable]:
+    return [_time(fit), *(variable for role in ('position', 'velocity', 'acceleration')
+                          for variable in _joints(effect, fit, role))]
+
+
 def _predicted(fit: Fit) -> Array:
     """(N, n) outputs as the fit predicts them."""
     return np.asarray(fit.samples.outputs - fit.residual)
+
+
+VARIABLES: dict[Axis, Callable[[Effect, Fit, int], list[Variable]]] = {
+    'any': lambda effect, fit, channel: _any(effect, fit),
+    'time': lambda effect, fit, channel: [_time(fit)],
+    'position': lambda effect, fit, channel: _joints(effect, fit, 'position'),
+    'velocity': lambda effect, fit, channel: _joints(effect, fit, 'velocity'),
+    'acceleration': lambda effect, fit, channel: _joints(effect, fit, 'acceleration'),
+    'output': lambda effect, fit, channel: _outputs(fit),
+    'output_rate': lambda effect, fit, channel: [_output_rate(fit, channel)],
+    'link_velocity': lambda effect, fit, channel: _link_velocity(effect, fit),
+    'phase': lambda effect, fit, channel: [_phase(effect, fit)],
+}
+"""The variables among which an effect shows, for each of what kinds say they show against."""
 
 
 class Curve(NamedTuple):

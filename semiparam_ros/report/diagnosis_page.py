@@ -254,7 +254,7 @@ def _spectra(diagnosis: Diagnosis) -> Picture:
 
 def _candidates(diagnosis: Diagnosis) -> list[Picture]:
     return [_picture(f'Candidates of round {number}', f'round{number}', figures.candidates_of(step, number),
-                     LOADS if any(trial.effect.kind == 'payload' for trial in step.added) else '')
+                     LOADS if any(trial.effect.is_load for trial in step.added) else '')
             for number, step in enumerate(diagnosis.steps, start=1)]
 
 

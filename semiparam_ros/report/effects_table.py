@@ -12,7 +12,6 @@ import numpy as np
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects import Coefficient, Effect
-from semiparam_ros.effects.base import FLAGS
 from semiparam_ros.effects.registry import BUILT_IN
 from semiparam_ros.simulation.robots import ICUB_JOINTS, ICUB_SENSOR, bundled_urdf
 
@@ -61,11 +60,11 @@ def _physics(kind: type[Effect]) -> str:
 def _values(kind: type[Effect], body: RigidBody) -> str:
     """What is learnt or calibrated, in every form that the kind has at its places, and what is searched."""
     motion = _motion(body)
-    tried = [kind(where, dict(shape)) for where in kind.places(body)
-             for shape in kind.searches(body, motion, where, motion.outputs)]
+    tried = [kind.from_values(where, values) for where in kind.places(body)
+             for values in kind.searches(body, motion, where, motion.outputs)]
     forms = dict.fromkeys(_listed([*effect.coefficients(body), *kind.calibrations]) for effect in tried)
     start = ('start_s',) if kind.may_start or kind.must_start else ()
-    names = dict.fromkeys([*start, *(name for effect in tried for name in effect.shape if name not in FLAGS)])
+    names = dict.fromkeys([*start, *(name for effect in tried for name in effect.parameters)])
     searched = [Coefficient(name, kind().unit_of(name)) for name in names]
     return '; or '.join(forms) + (f'; searched: {_listed(searched)}' if searched else '')
 

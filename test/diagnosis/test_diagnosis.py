@@ -27,6 +27,7 @@ from semiparam_ros.diagnosis.search.scoring import Trial, score
 from semiparam_ros.diagnosis.search.stepwise import worth_refining
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
+from semiparam_ros.effects.base import Start
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.experiments.variants_with_effects import evaluate_variants
@@ -70,7 +71,7 @@ def test_a_push_beside_every_link_is_found_and_is_no_wrong_description(outputs, 
     """Between the links' origins, and so strong that the arm's own weight hardly shows."""
     recording = simulate(Scenario(samples=SAMPLES, outputs=outputs, seed=2))
     body, samples = body_of(recording), samples_of(recording)
-    push = kinds()['external_force']('r_gripper', {'start_s': START_S, 'x': -0.032, 'y': 0.02, 'z': 0.034})
+    push = kinds()['external_force']('r_gripper', {'x': -0.032, 'y': 0.02, 'z': 0.034}, start=Start(START_S))
     pushed = replace(samples, outputs=samples.outputs + push.columns(body, samples, None)[0] @ np.array(force))
     found = diagnose(body, pushed)
     assert found.verdict == 'effect_found' and not found.setup
@@ -89,7 +90,7 @@ def test_a_wrong_description_is_not_taken_for_an_effect(force):
     body, samples = body_of(recording), samples_of(recording)
     others = np.random.default_rng(0).permuted(body.inertial_parameters)
     elsewhere = samples[np.random.default_rng(1).permutation(len(samples))]
-    push = kinds()['external_force']('r_gripper', {'start_s': START_S}).columns(body, samples, None)[0]
+    push = kinds()['external_force']('r_gripper', start=Start(START_S)).columns(body, samples, None)[0]
     outputs = body.full_regressors(elsewhere) @ others + push @ np.array(force)
     found = diagnose(body, replace(samples, outputs=outputs))
     assert (found.verdict, [problem.what for problem in found.setup]) == ('unexplained', ['robot_description'])
@@ -174,7 +175,7 @@ def test_a_payload_is_named_with_its_start_and_mass(payload):
 
 def test_what_was_found_late_is_there_for_whoever_loads_the_file(payload, tmp_path):
     twice = replace(payload, final=replace(payload.final, effects=(
-        *payload.final.effects, payload.final.effects[0].with_shape(start_s=45.0))))
+        *payload.final.effects, payload.final.effects[0].with_values(start_s=45.0))))
     for number, diagnosis in enumerate((payload, twice)):
         write_parameters(tmp_path / f'{number}.yaml', Settings(sensor_frame='r_arm_ft_sensor'), diagnosis)
         effects = [effect_from_text(text) for text in load_params(tmp_path / f'{number}.yaml').effects]
@@ -256,7 +257,7 @@ class TurnedMagnet(Magnet):
     """The same near an angle that is searched, which may be on either side of zero."""
 
     kind = 'turned_magnet'
-    shape_units = {'angle': 'rad'}  # noqa: RUF012
+    parameter_units = {'angle': 'rad'}  # noqa: RUF012
 
     @classmethod
     def searches(cls, body, samples, where, residual):
@@ -283,7 +284,7 @@ def test_a_kind_of_another_package_takes_part(monkeypatch, kind, true):
         found = diagnose(body_of(simulated), pulled, only=(kind.kind, 'viscous_drag', 'sensor_drift'))
         assert [finding.effect.kind for finding in found.findings] == [kind.kind]
         assert found.findings[0].parameters['pull'].value == pytest.approx(0.8, rel=0.1)
-        assert dict(found.findings[0].effect.shape) == pytest.approx(true, abs=0.02)
+        assert found.findings[0].effect.values == pytest.approx(true, abs=0.02)
     finally:
         registry._all_kinds.cache_clear()
 
@@ -577,7 +578,7 @@ def test_a_calibration_is_settled_by_gauss_newton():
     moved, _ = CoupledColumns(BODY, [offset]).batch(MOTION)
     theta = np.concatenate([BODY.base_parameters, np.zeros(6)])
     samples = replace(MOTION, outputs=moved @ theta)
-    settled = declare(state_of(samples), [offset.with_shape(offset=0.0)])
+    settled = declare(state_of(samples), [offset.with_values(offset=0.0)])
     assert settled.effects[0].value('offset') == pytest.approx(0.12, abs=1e-4)
     assert np.abs(settled.residual).max() < 1e-3 * np.abs(samples.outputs).max()
 
@@ -630,13 +631,13 @@ def test_errors_are_over_the_variance_and_over_the_horizon():
 
 def test_what_belongs_to_one_recording_is_not_carried_to_another():
     """A drift does not go on in a later recording; a load that was picked up is there from its start."""
-    drift, load = kinds()['sensor_drift'](None, {}), kinds()['payload']('r_hand', {'start_s': 10.0})
+    drift, load = kinds()['sensor_drift'](None, {}), kinds()['payload']('r_hand', start=Start(10.0))
     fit = state_of(RECORDED, [drift, load])
     blocks = CoupledColumns(BODY, [drift, load]).blocks
     theta = fit.theta.copy()
     theta[blocks['0']], theta[blocks['1']] = 5.0, np.eye(10)[0]
     judged = evaluate_there(replace(fit, theta=theta), RECORDED, EVERYTHING)
-    always, _ = CoupledColumns(BODY, [load.with_shape(start_s=-1.0)]).batch(RECORDED)
+    always, _ = CoupledColumns(BODY, [load.with_values(start_s=-1.0)]).batch(RECORDED)
     kept = np.delete(theta, np.arange(blocks['0'].start, blocks['0'].stop))
     np.testing.assert_allclose(judged.residual, RECORDED.outputs - always @ kept, atol=1e-9)
 

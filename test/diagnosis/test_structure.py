@@ -148,7 +148,7 @@ MOTION = smooth_motion(4, 400)
 
 def prediction(effect, body, samples):
     """(N,) the channel fy with the coefficients that were found."""
-    return effect.columns(body, samples, None)[0][:, 1] @ np.array(list(effect.shape.values()))
+    return effect.columns(body, samples, None)[0][:, 1] @ np.array(list(effect.parameters.values()))
 
 
 def test_a_formula_is_sparse_has_units_and_can_be_declared():

@@ -18,7 +18,8 @@ from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step
 from semiparam_ros.diagnosis.text_report import text_report
-from semiparam_ros.effects import kinds
+from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects.base import Start
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report import diagnosis_figures as figures
 from semiparam_ros.report.diagnosis_figures import dependence, suspected_variable, suspicions
@@ -249,17 +250,23 @@ def test_all_listed_kinds_have_a_variable_of_their_own():
 
 
 def test_what_starts_is_drawn_against_time():
-    effect = kinds()['external_force']('r_hand', {'start_s': 3.0})
+    effect = kinds()['external_force']('r_hand', start=Start(3.0))
     assert suspected_variable(effect, state_of('wrench'), MOTION.position[:, 1], 0).label == 'time [s]'
 
 
-def test_a_kind_of_another_package_is_drawn_against_what_it_follows():
-    class Own(kinds()['joint_offset']):
+@pytest.mark.parametrize(('axis', 'label'), [('any', 'velocity of r_shoulder_yaw [rad/s]'), ('time', 'time [s]'),
+                                             ('position', 'position of r_shoulder_yaw [rad]')])
+def test_a_kind_of_another_package_is_drawn_against_what_it_says_or_follows(axis, label):
+    class Own(Effect):
         kind = 'own'
+        shows_against = axis
 
     explained = np.abs(MOTION.velocity[:, 2])
-    variable = suspected_variable(Own(None, {}), state_of('wrench'), explained, 0)
-    assert variable.label == 'velocity of r_shoulder_yaw [rad/s]'
+    effect = Own('r_shoulder_yaw' if axis == 'position' else None)
+    variable = suspected_variable(effect, state_of('wrench'), explained, 0)
+    assert variable.label == label
+    assert suspected_variable(kinds()['joint_offset']('r_elbow'), state_of('wrench'), explained, 0).label == \
+        'position of r_elbow [rad]'
 
 
 def test_dependence_is_the_share_of_the_variance_that_a_variable_explains():

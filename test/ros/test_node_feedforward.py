@@ -98,9 +98,9 @@ def test_an_effort_model_predicts_them_and_a_purely_nonparametric_one_knows_no_o
 def wanted(effect):
     """An effect with values that show, begun during the motion where it may."""
     if effect.kind == 'time_delay':
-        return effect.with_shape(delay_s=0.0047)
+        return effect.with_values(delay_s=0.0047)
     values = {name: 0.05 for name, _ in effect.calibrations}
-    return effect.with_shape(**values, **({'start_s': 0.3} if effect.may_start or effect.must_start else {}))
+    return effect.with_values(**values, **({'start_s': 0.3} if effect.may_start or effect.must_start else {}))
 
 
 def learnt(body, effects, count=40):
@@ -141,7 +141,7 @@ def test_what_was_measured_does_not_mix_with_a_desired_state(outputs, effect):
     sample = Sample(now, *row, np.full(body.n_outputs, np.nan))
     acting = CoupledColumns(body, [effect.desired()])
     fresh, memory = acting.one(sample, MOTION.origin)
-    if effect.kind in ('cable_hysteresis', 'backlash') or 'presliding' in effect.shape:
+    if effect.kind in ('cable_hysteresis', 'backlash') or 'presliding' in effect.parameters:
         assert memory[0][1] is not None
         assert np.abs(shown[:, columns.n_own:]).max() > 0.0, 'slides on at its own velocity'
     else:

@@ -19,9 +19,8 @@ def everywhere() -> list[tuple[str, Effect]]:
     for outputs, body in BODIES.items():
         for kind in kinds(outputs).values():
             for where in kind.places(body):
-                shapes = kind.searches(body, MOTION, where, RESIDUALS[outputs])
-                reference = tuple(body.base_parameters) if kind.kind == 'load_friction' else ()
-                cases.append((outputs, kind(where, dict(shapes[0]), reference)))
+                values = kind.searches(body, MOTION, where, RESIDUALS[outputs])[0]
+                cases.append((outputs, kind.from_values(where, values, tuple(body.base_parameters))))
         cases.append((outputs, kinds()['terms'](body.output_names[0], FORMULA[outputs])))
     return cases
 

@@ -116,7 +116,8 @@ class RandomSettings:
         for kind in kinds('wrench').values():
             for where in kind.places(BODY):
                 for shape in kind.searches(BODY, self._motion, where, residual)[:3]:
-                    texts += [effect_to_text(kind(where, values)) for values in (shape, {**shape, 'start_s': 3.0})]
+                    texts += [effect_to_text(kind.from_values(where, values))
+                              for values in (shape, {**shape, 'start_s': 3.0})]
         return [*texts, 'terms@fx{"sin(q_a)": 1.2, "time*dq_b": 0.1}']
 
 

@@ -144,12 +144,12 @@ def effect_of(row: Row, duration_s: float) -> Effect | None:
     reference: tuple[float, ...] = ()
     if row['values'] == 'all':
         shape = all_values(kind, where, str(row['outputs']))
-        reference = tuple(body.base_parameters) if kind.kind == 'load_friction' else ()
+        reference = tuple(body.base_parameters)
     if row['start'] == 'late':
         shape['start_s'] = 0.7 * duration_s
     elif row['start'] == 'stamp':
         shape['start_stamp_s'] = 1e-9 * START_NS + 0.05 * duration_s
-    return kind(where, shape, reference)
+    return kind.from_values(where, shape, reference)
 
 
 def all_values(kind: type[Effect], where: str | None, outputs: str) -> dict[str, float]:
@@ -162,7 +162,7 @@ def all_values(kind: type[Effect], where: str | None, outputs: str) -> dict[str,
     residual = np.random.default_rng(0).standard_normal((len(motion), body.n_outputs))
     found = kind.searches(body, motion, where, residual)
     small = dict.fromkeys((name for name, _ in kind.calibrations), 0.01)
-    return {**dict.fromkeys(kind.shape_units, 0.05), **small, **(dict(found[-1]) if len(found) else {})}
+    return {**dict.fromkeys(kind.parameter_units, 0.05), **small, **(dict(found[-1]) if len(found) else {})}
 
 
 def settings_of(row: Row, count: int) -> Settings:

@@ -12,6 +12,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import Values
 
 DERIVATIVE_STEP = 1e-5
 START_RIDGE = 1e-6
@@ -19,11 +20,11 @@ START_RIDGE = 1e-6
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at one place, with the coarse values of its nonlinear parameters to try."""
+    """An effect at one place, with the coarse values of its nonlinear parameters and its options to try."""
 
     kind: type[Effect]
     where: str | None
-    searches: tuple[dict[str, float], ...]
+    searches: tuple[Values, ...]
 
 
 def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
@@ -34,7 +35,7 @@ def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
         for where in kind.places(body):
             if (name, where) not in declared:
                 searches = kind.searches(body, samples, where, fit.residual)
-                yield Candidate(kind, where, tuple(dict(shape) for shape in searches))
+                yield Candidate(kind, where, tuple(dict(values) for values in searches))
 
 
 def added_columns(fit: Fit, effect: Effect) -> Array:
@@ -56,7 +57,7 @@ def _derivative(fit: Fit, effect: Effect, name: str, load: Array | None) -> Arra
     """(N, n) central difference of the prediction by one calibration, at its present value."""
     sides = []
     for step in (DERIVATIVE_STEP, -DERIVATIVE_STEP):
-        moved = effect.with_shape(**{name: effect.value(name) + step})
+        moved = effect.with_values(**{name: effect.value(name) + step})
         sides.append(moved.transform(fit.body, load) if load is not None
                      else rigid_prediction(fit, [*others(fit, effect), moved]))
     return np.asarray((sides[0] - sides[1])[:, :, 0] / (2.0 * DERIVATIVE_STEP))

@@ -1,7 +1,8 @@
 """Efforts that come late, beside friction: two causes of which each hides the other.
 
 Dry friction turns over when its joint does; in efforts that come late it seems to turn a little way after, as if every
-joint had bristles that bend first. So a delay is tried together with frictions whose shapes are searched anew.
+joint had bristles that bend first. So a delay is tried together with frictions whose nonlinear parameters are searched
+anew.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from semiparam_ros.diagnosis.search.candidates import Candidate, others
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, nonlinear, refined, score
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.geometry import TimeDelay
 
-KIND = 'time_delay'
+KIND = TimeDelay.kind
 Place = tuple[str, str | None]
 
 
@@ -38,7 +40,7 @@ def reshaped(fit: Fit, declared: set[Place]) -> Fit:
     for effect in _at_stake(fit, declared):
         without = with_effects(fit, others(fit, effect))
         searches = effect.searches(fit.body, fit.samples, effect.where, without.residual)
-        trial = coarse_trial(without, Candidate(type(effect), effect.where, tuple(dict(shape) for shape in searches)))
+        trial = coarse_trial(without, Candidate(type(effect), effect.where, tuple(dict(values) for values in searches)))
         if trial is None:
             continue
         other = declare(without, [refined(without, trial).effect])

@@ -17,8 +17,9 @@ from semiparam_ros.diagnosis.search.elimination import without_needless
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, score
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.geometry import JointOffset
 
-KIND = 'joint_offset'
+KIND = JointOffset.kind
 
 
 def joint_offsets(fit: Fit, kinds: dict[str, type[Effect]], ranking: list[Trial]) -> tuple[list[Trial], Fit] | None:

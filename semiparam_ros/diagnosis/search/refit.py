@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.robot.frames import nearest_link
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, others
@@ -45,8 +42,8 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
 
 def _moved(effect: Effect, step: Array) -> Effect:
     names = [coefficient.name for coefficient in effect.calibrations]
-    return effect.with_shape(**{name: effect.value(name) + float(change)
-                                for name, change in zip(names, step, strict=True)})
+    return effect.with_values(**{name: effect.value(name) + float(change)
+                                 for name, change in zip(names, step, strict=True)})
 
 
 def declare(fit: Fit, effects: list[Effect]) -> Fit:
@@ -56,19 +53,15 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
         known = [one for one in (fit.effects if effect.must_start else others(fit, effect))
                  if (one.kind, one.where) not in replaced]
         fit = with_effects(fit, [*known, effect])
-    fit = _loads_at_nearest_link(refit_weights(fit))
+    fit = _relocated(refit_weights(fit))
     calibrations = [effect for effect in fit.effects if effect.is_calibration]
     return refit_weights(gauss_newton(fit, calibrations)) if calibrations else fit
 
 
-def _loads_at_nearest_link(fit: Fit) -> Fit:
-    """The same model with every load named after the link nearest to its centre of mass."""
+def _relocated(fit: Fit) -> Fit:
+    """The same model with every effect at the place that its coefficients tell, such as a load's nearest link."""
     effects = list(fit.effects)
     blocks = CoupledColumns(fit.body, effects).blocks
     for index, effect in enumerate(effects):
-        if effect.kind == 'payload':
-            mass, *moment = fit.theta[blocks[str(index)]][:4]
-            if mass > 0.0:
-                link, _ = nearest_link(fit.body, str(effect.where), np.array(moment) / mass)
-                effects[index] = replace(effect, where=link)
+        effects[index] = effect.relocated(fit.body, fit.theta[blocks[str(index)]])
     return fit if effects == list(fit.effects) else with_effects(fit, effects)

@@ -22,7 +22,7 @@ from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, 
 from semiparam_ros.diagnosis.search.refit import gauss_newton, replace_effect
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
-from semiparam_ros.effects.base import FLAGS, STARTS
+from semiparam_ros.effects.base import ALWAYS, Start
 
 POINT_DIFFERENCE = 1e-3
 """Difference of a point of application [m] that stands for a derivative."""
@@ -40,10 +40,11 @@ class Trial:
 
 
 def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
-    """The candidate at the best of its coarse shapes and starts; None when none is physical."""
+    """The candidate at the best of its coarse values and starts; None when none is physical."""
     best: tuple[float, Trial] | None = None
-    for shape in candidate.searches:
-        trial = _linear_trial(fit, candidate.kind(candidate.where, shape, tuple(fit.rigid_part.tolist())))
+    reference = next((known.reference for known in fit.effects if known.reference), tuple(fit.rigid_part.tolist()))
+    for values in candidate.searches:
+        trial = _linear_trial(fit, candidate.kind.from_values(candidate.where, values, reference))
         explained = _explained_share(fit, trial)
         if trial.physical and (best is None or explained > best[0]):
             best = (explained, trial)
@@ -56,20 +57,19 @@ def _linear_trial(fit: Fit, effect: Effect) -> Trial:
     if not effect.is_calibration:
         start, late, always = best_start(fit, columns) if effect.must_start or effect.may_start else (0, 0.0, 1.0)
         if effect.must_start or (effect.may_start and late > fit.config.start_worth * always):
-            effect = effect.with_shape(start_s=float(fit.samples.time[start]))
+            effect = replace(effect, start=Start(float(fit.samples.time[start])))
             columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
     explained = fit.explain(columns)
     if effect.is_calibration:
         names = [coefficient.name for coefficient in effect.calibrations]
-        effect = effect.with_shape(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
+        effect = effect.with_values(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
     physical = effect.is_calibration or effect.physical(explained.coefficients)
     return Trial(effect, explained.residual, explained.rank + nonlinear(effect), physical)
 
 
 def nonlinear(effect: Effect) -> int:
     """Number of values that an effect's search chose."""
-    calibrated = {coefficient.name for coefficient in effect.calibrations}
-    return len(set(effect.shape) - calibrated - set(FLAGS))
+    return len(effect.searched) + (effect.start != ALWAYS)
 
 
 def _explained_share(fit: Fit, trial: Trial) -> float:
@@ -91,9 +91,8 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     if trial.effect.is_calibration:
         return _calibrated(near, trial)
     effect = trial.effect
-    for name in effect.shape:
-        if name not in (*FLAGS, *STARTS):
-            effect = _line_search(near, effect, name)
+    for name in effect.searched:
+        effect = _line_search(near, effect, name)
     best = _at_best_link(near, _linear_trial(near, effect.without_start()))
     return _at_best_point(fit, best) if best.physical else trial
 
@@ -114,7 +113,7 @@ def _at_best_link(fit: Fit, trial: Trial) -> Trial:
 
 def _at_best_point(fit: Fit, trial: Trial) -> Trial:
     """The trial at the point of its body that explains most, by Gauss-Newton, if that is worth the parameters."""
-    if not POINT.keys() <= trial.effect.shape_units.keys() or trial.effect.where in fit.body.joints:
+    if not POINT.keys() <= trial.effect.parameter_units.keys() or trial.effect.where in fit.body.joints:
         return trial
     best = trial
     for _ in range(fit.config.point_steps):
@@ -132,47 +131,31 @@ def _towards_best_point(fit: Fit, effect: Effect) -> Effect:
     here = added_columns(fit, effect)
     coefficients = fit.explain(here).coefficients
     place = {axis: effect.value(axis) for axis in POINT}
-    moved = [effect.with_shape(**{axis: value + POINT_DIFFERENCE}) for axis, value in place.items()]
+    moved = [effect.with_values(**{axis: value + POINT_DIFFERENCE}) for axis, value in place.items()]
     slopes = [(added_columns(fit, there) - here) @ (coefficients / POINT_DIFFERENCE) for there in moved]
     step = fit.explain(np.concatenate([here, np.stack(slopes, axis=2)], axis=2)).coefficients[-len(POINT):]
     step *= min(1.0, fit.config.longest_lever_m / (float(np.linalg.norm(step)) + 1e-300))
     link, inside = nearest_link(fit.body, str(effect.where), np.array(list(place.values())) + step)
-    return replace(effect, where=link).with_shape(**dict(zip(POINT, inside.tolist(), strict=True)))
+    return replace(effect, where=link).with_values(**dict(zip(POINT, inside.tolist(), strict=True)))
 
 
 def retried(fit: Fit, trial: Trial) -> Trial:
-    """The trial's effect, its shape kept, tried and scored on another declared model."""
+    """The trial's effect, its parameters kept, tried and scored on another declared model."""
     again = _linear_trial(fit, trial.effect)
     return score(fit, again, correlation_of(fit, [again]))
 
 
 def _line_search(fit: Fit, effect: Effect, name: str) -> Effect:
     """One nonlinear parameter at its best near its present value."""
-    low, high = _bracket(fit, effect, name)
+    low, high = effect.bounds(name, fit.body, fit.samples, fit.residual)
 
     def cost(value: float) -> float:
-        moved = effect.with_shape(**{name: value})
+        moved = effect.with_values(**{name: value})
         return -_explained_share(fit, Trial(moved, fit.explain(added_columns(fit, moved)).residual, 0))
 
     best = minimize_scalar(cost, bounds=(low, high), method='bounded',
                            options={'maxiter': fit.config.refine_evaluations})
-    return effect.with_shape(**{name: float(best.x)}) if best.fun < cost(effect.value(name)) else effect
-
-
-def _bracket(fit: Fit, effect: Effect, name: str) -> tuple[float, float]:
-    value, config = effect.value(name), fit.config
-    if name == 'frequency_hz':
-        width = config.bracket_frequency / float(fit.samples.time[-1] - fit.samples.time[0])
-        return value - width, value + width
-    if name == 'order':
-        return value - config.bracket_order, value + config.bracket_order
-    if value == 0.0:  # nothing to take a share of: as far as the next value that the search tried
-        tried = (abs(shape.get(name, 0.0)) for shape in
-                 effect.searches(fit.body, fit.samples, effect.where, fit.residual))
-        reach = min(filter(None, tried), default=0.0)
-        return -reach, reach
-    low, high = sorted((value / config.bracket_factor, value * config.bracket_factor))
-    return low, high
+    return effect.with_values(**{name: float(best.x)}) if best.fun < cost(effect.value(name)) else effect
 
 
 def _calibrated(fit: Fit, trial: Trial) -> Trial:
