@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from typing import Any
 
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.base import BagReader, Message
@@ -40,7 +39,7 @@ class Edits:
         concerned = {_JOINT_STATE: named or self.effort_sign != 1.0, _TRAJECTORY: named, _WRENCH: turned}
         return concerned.get(type_name, False)
 
-    def apply(self, message: Message) -> Any:
+    def apply(self, message: Message) -> object:
         """The message's data, changed in place."""
         data = message.data
         if self.stamps_from_log:

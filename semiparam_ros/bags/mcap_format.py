@@ -7,12 +7,13 @@ chunk stands for itself, and whatever is wrong with it becomes a :class:`Damage`
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import lz4.frame
 import zstandard
@@ -22,6 +23,22 @@ from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
 MAGIC = b'\x89MCAP0\r\n'
 FOOTER_BYTES = 9 + 20
+Buffer: TypeAlias = bytes | bytearray | mmap.mmap
+
+
+class Readable(Protocol):
+    """A record class of the ``mcap`` package."""
+
+    @staticmethod
+    def read(stream: ReadDataStream) -> Any:
+        """The record whose body is next."""
+
+    def write(self, stream: RecordBuilder) -> None:
+        """Append it."""
+
+
+Record = TypeVar('Record', bound=Readable)
+
 LARGEST_CHUNK = 2**30  # bytes; a damaged length must not be taken for an order to allocate memory
 
 _PREFIX = struct.Struct('<BQ')
@@ -57,7 +74,7 @@ class Entry(NamedTuple):
     raw: bytes
 
 
-def record_at(buffer: Any, offset: int, limit: int) -> tuple[int, int, int]:
+def record_at(buffer: Buffer, offset: int, limit: int) -> tuple[int, int, int]:
     """(opcode, start of the body, end of the record) at ``offset``; Damage when it does not fit below ``limit``."""
     if offset + 9 > limit:
         raise Damage('the file ends inside a record')
@@ -67,18 +84,18 @@ def record_at(buffer: Any, offset: int, limit: int) -> tuple[int, int, int]:
     return opcode, offset + 9, offset + 9 + length
 
 
-def records(buffer: Any, offset: int, limit: int) -> Iterator[tuple[int, int, int]]:
+def records(buffer: Buffer, offset: int, limit: int) -> Iterator[tuple[int, int, int]]:
     """Successive records of ``buffer[offset:limit]``, which they must fill exactly."""
     while offset < limit:
         opcode, start, offset = record_at(buffer, offset, limit)
         yield opcode, start, offset
 
 
-def parse(kind: Any, body: bytes) -> Any:
+def parse(kind: type[Record], body: bytes) -> Record:
     """A record of the ``mcap`` package from its body; one that would be written in another way is Damage."""
     builder = RecordBuilder()
     try:
-        record = kind.read(ReadDataStream(BytesIO(body)))
+        record: Record = kind.read(ReadDataStream(BytesIO(body)))
         record.write(builder)
     except Exception as error:  # struct.error, UnicodeDecodeError, EndOfFile ...
         raise Damage(f'a {kind.__name__} record is unreadable') from error
@@ -88,7 +105,7 @@ def parse(kind: Any, body: bytes) -> Any:
     return record
 
 
-def chunk_at(buffer: Any, offset: int, limit: int, strict: bool = True) -> Chunk | None:
+def chunk_at(buffer: Buffer, offset: int, limit: int, strict: bool = True) -> Chunk | None:
     """The chunk that begins at ``offset``, None where its lengths contradict each other or the file.
 
     The opcode is not looked at: a chunk is known by its lengths and judged by its CRC. ``strict=False`` also accepts
@@ -109,7 +126,7 @@ def chunk_at(buffer: Any, offset: int, limit: int, strict: bool = True) -> Chunk
     return Chunk(offset, data + data_bytes, data, data_bytes, name.decode(), unpacked, crc, start_ns, end_ns)
 
 
-def indexed_chunk(buffer: Any, index: ChunkIndex) -> Chunk:
+def indexed_chunk(buffer: Buffer, index: ChunkIndex) -> Chunk:
     """The chunk an index entry points to. Lengths come from the index, whose own CRC vouches for them."""
     offset, data = index.chunk_start_offset, index.chunk_start_offset + _CHUNK.size + len(index.compression) + 8
     end = offset + index.chunk_length
@@ -120,7 +137,7 @@ def indexed_chunk(buffer: Any, index: ChunkIndex) -> Chunk:
                  index.message_start_time, index.message_end_time)
 
 
-def unpack(buffer: Any, chunk: Chunk, needs_crc: bool) -> bytes:
+def unpack(buffer: Buffer, chunk: Chunk, needs_crc: bool) -> bytes:
     """The records inside a chunk; Damage when it does not decompress or its CRC does not match.
 
     :param needs_crc: whether other chunks of the file have a CRC: one without has lost it.
@@ -145,7 +162,7 @@ def _decompress(packed: bytes, chunk: Chunk) -> bytes:
     return bytes(lz4.frame.decompress(packed)) if chunk.compression == 'lz4' else packed
 
 
-def entry(buffer: Any, start: int, end: int) -> Entry:
+def entry(buffer: Buffer, start: int, end: int) -> Entry:
     """The message record with this body."""
     if end - start < _MESSAGE.size:
         raise Damage('a message record is too short')
@@ -169,7 +186,7 @@ class Definitions(NamedTuple):
             self.channels.setdefault(channel.id, channel)
 
 
-def entries(data: Any, definitions: Definitions, start: int = 0, end: int | None = None) -> list[Entry]:
+def entries(data: Buffer, definitions: Definitions, start: int = 0, end: int | None = None) -> list[Entry]:
     """The messages among the records ``data[start:end]``; schemas and channels go to ``definitions``."""
     found = []
     for opcode, begin, stop in records(data, start, len(data) if end is None else end):
@@ -215,7 +232,7 @@ class Incomplete(Exception):
     """The file is not damaged, but its summary leaves out what is needed here."""
 
 
-def read_summary(buffer: Any) -> Index:
+def read_summary(buffer: Buffer) -> Index:
     """The index of a whole file; Damage when its end is damaged, Incomplete when it was written without one."""
     footer = _footer(buffer)
     if footer.summary_start == 0:
@@ -240,7 +257,7 @@ def read_summary(buffer: Any) -> Index:
     return index
 
 
-def _footer(buffer: Any) -> Footer:
+def _footer(buffer: Buffer) -> Footer:
     """The footer, once the CRC of the summary is found right."""
     start = len(buffer) - FOOTER_BYTES - len(MAGIC)
     if start < len(MAGIC) or bytes(buffer[-len(MAGIC):]) != MAGIC:
@@ -248,7 +265,7 @@ def _footer(buffer: Any) -> Footer:
     opcode, begin, end = record_at(buffer, start, len(buffer) - len(MAGIC))
     if opcode != Opcode.FOOTER or end != len(buffer) - len(MAGIC):
         raise Damage('the footer is damaged')
-    footer: Footer = parse(Footer, bytes(buffer[begin:end]))
+    footer = parse(Footer, bytes(buffer[begin:end]))
     if not (footer.summary_start == 0 or len(MAGIC) <= footer.summary_start <= start):
         raise Damage('the footer is damaged')
     # The CRC reaches from the first summary record to the footer's own CRC field.
@@ -267,7 +284,7 @@ def _covers(definitions: Definitions, chunks: list[ChunkIndex], statistics: Stat
     return named and defined and indexed and sum(statistics.channel_message_counts.values()) == statistics.message_count
 
 
-def _segment(buffer: Any, entry: ChunkIndex) -> Segment:
+def _segment(buffer: Buffer, entry: ChunkIndex) -> Segment:
     chunk = indexed_chunk(buffer, entry)
     channels = frozenset(entry.message_index_offsets) if entry.message_index_offsets else None
     return Segment(chunk.offset, chunk.end, chunk.start_ns, chunk.end_ns, chunk, channels)

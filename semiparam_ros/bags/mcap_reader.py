@@ -7,7 +7,6 @@ import mmap
 import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
 
 from semiparam_ros.bags import mcap_format, qos, recovery, schemas
 from semiparam_ros.bags.base import BagReader, Losses, Message, TopicInfo
@@ -23,7 +22,7 @@ class McapBag(BagReader):
         super().__init__(path)
         self._file = self.path.open('rb')
         try:
-            self._buffer: Any = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
+            self._buffer: mmap.mmap = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         except ValueError as error:
             self._file.close()
             raise SemiparamError(f'{str(path)!r} is empty: expected an MCAP bag.') from error
@@ -100,7 +99,7 @@ def _holds(segment: Segment, channels: Collection[int]) -> bool:
     return segment.channels is None or not segment.channels.isdisjoint(channels)
 
 
-def _index(buffer: Any) -> Index:
+def _index(buffer: mmap.mmap) -> Index:
     """The summary, or what a walk over the whole file finds."""
     reason = None if bytes(buffer[:len(MAGIC)]) == MAGIC else 'the start of the file is damaged'
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import yaml
 
@@ -39,7 +38,7 @@ class Qos:
 LATCHED = Qos(depth=1, durability='transient_local')
 
 
-def parse_profiles(text: str | Sequence[Any] | None) -> tuple[Qos, ...]:
+def parse_profiles(text: str | Sequence[object] | None) -> tuple[Qos, ...]:
     """The recorded offers, from YAML text or its parsed list; anything else that is not a profile is left out."""
     try:
         entries = yaml.safe_load(text) if isinstance(text, str) else text
@@ -50,7 +49,7 @@ def parse_profiles(text: str | Sequence[Any] | None) -> tuple[Qos, ...]:
     return tuple(_profile(entry) for entry in entries if isinstance(entry, Mapping))
 
 
-def _profile(entry: Mapping[str, Any]) -> Qos:
+def _profile(entry: Mapping[str, object]) -> Qos:
     depth = entry.get('depth', 10)
     return Qos(_policy(entry.get('history'), _HISTORY, 'keep_last'), depth if isinstance(depth, int) else 10,
                _policy(entry.get('reliability'), _RELIABILITY, 'reliable'),

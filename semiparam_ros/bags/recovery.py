@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Header, Metadata
 
 from semiparam_ros.bags import mcap_format
-from semiparam_ros.bags.mcap_format import MAGIC, Chunk, Damage, Entry, Index, Segment
+from semiparam_ros.bags.mcap_format import MAGIC, Buffer, Chunk, Damage, Entry, Index, Readable, Segment
 
 # Records that are kept for nothing, but have to be what they claim before their length is believed.
-_PASSED_BY: dict[int, Any] = {Opcode.HEADER: Header, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata}
+_PASSED_BY: dict[int, type[Readable]] = {Opcode.HEADER: Header, Opcode.ATTACHMENT: Attachment,
+                                         Opcode.METADATA: Metadata}
 _LAST_RECORDS: dict[int, int] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
 _PRIVATE_OPCODES = 0x80
 _LONGEST_RUN = 4096  # messages outside chunks that are read at once
@@ -25,7 +25,7 @@ _MARKERS = (b'\x04\x00\x00\x00zstd', b'\x03\x00\x00\x00lz4')
 _MARKER_OFFSET = 37  # of the compression's name in a chunk record
 
 
-def scan(buffer: Any, reason: str | None) -> Index:
+def scan(buffer: Buffer, reason: str | None) -> Index:
     """Find every readable segment of the file.
 
     :param reason: why there is no index; None for an undamaged file that was written without one.
@@ -36,7 +36,7 @@ def scan(buffer: Any, reason: str | None) -> Index:
 class _Scan:
     """One walk over the records of a file; the result is ``index``."""
 
-    def __init__(self, buffer: Any, reason: str | None) -> None:
+    def __init__(self, buffer: Buffer, reason: str | None) -> None:
         self.buffer = buffer
         self.index = Index(reasons=[] if reason is None else [reason])
         self._counts: Counter[int] = Counter()
@@ -166,18 +166,18 @@ class _Scan:
             index.intact = sum(self._counts.values()) + self._indexed_loss
 
 
-def _begins_like_a_chunk(buffer: Any, offset: int) -> bool:
+def _begins_like_a_chunk(buffer: Buffer, offset: int) -> bool:
     marker = bytes(buffer[offset + _MARKER_OFFSET:offset + _MARKER_OFFSET + 8])
     return buffer[offset] == Opcode.CHUNK or any(marker.startswith(known) for known in _MARKERS)
 
 
-def _next_chunk(buffer: Any, offset: int) -> Chunk | None:
+def _next_chunk(buffer: Buffer, offset: int) -> Chunk | None:
     """The first chunk at or after ``offset``: found by its compression's name, or by lengths that agree."""
     found = [*_packed_chunks(buffer, offset), *_plain_chunks(buffer, offset)]
     return min(found, default=None, key=lambda chunk: chunk.offset)
 
 
-def _packed_chunks(buffer: Any, offset: int) -> Iterator[Chunk]:
+def _packed_chunks(buffer: Buffer, offset: int) -> Iterator[Chunk]:
     for marker in _MARKERS:
         position = buffer.find(marker, offset + _MARKER_OFFSET)
         while position >= 0:
@@ -188,7 +188,7 @@ def _packed_chunks(buffer: Any, offset: int) -> Iterator[Chunk]:
             position = buffer.find(marker, position + 1)
 
 
-def _plain_chunks(buffer: Any, offset: int) -> Iterator[Chunk]:
+def _plain_chunks(buffer: Buffer, offset: int) -> Iterator[Chunk]:
     position = buffer.find(b'\x06', offset)
     while position >= 0:
         chunk = mcap_format.chunk_at(buffer, position, len(buffer))

@@ -53,7 +53,7 @@ class TableLayout:
             raise SemiparamError(sentence)
         return self
 
-    def merged(self, values: Mapping[str, Any], where: str) -> TableLayout:
+    def merged(self, values: Mapping[str, object], where: str) -> TableLayout:
         """This layout with ``values`` (names as in a YAML file) in place of its own.
 
         :param where: names the origin of the values in errors. 'rate' [Hz] may stand for 'period'.
@@ -124,14 +124,14 @@ def _number(name: str, value: Any, where: str) -> float:
         raise SemiparamError(f'{where}: {name} is {value!r}; expected a number.') from error
 
 
-def _positive(name: str, value: Any, where: str) -> float:
+def _positive(name: str, value: object, where: str) -> float:
     number = _number(name, value, where)
     if not 0.0 < number < float('inf'):
         raise SemiparamError(f'{where}: {name} is {value!r}; expected a positive number.')
     return number
 
 
-def _complaints(layout: TableLayout) -> Any:
+def _complaints(layout: TableLayout) -> Iterator[str]:
     """Sentences about what is wrong, the most basic first."""
     roles = layout.columns
     widths = {**WIDTHS, **dict.fromkeys(PER_JOINT, len(layout.joints))}
@@ -305,7 +305,7 @@ def _float(cell: str, role: str, where: str) -> float:
 
 def _write(bag: BagWriter, row: Row, layout: TableLayout) -> None:
     names = list(layout.joints)
-    header: dict[str, Any] = {'stamp': stamp_fields(row.stamp), 'frame_id': ''}
+    header: dict[str, object] = {'stamp': stamp_fields(row.stamp), 'frame_id': ''}
     _put(bag, layout_names.JOINT_STATES, row.stamp, {'header': header, 'name': names, 'position': row.position,
                                                      'velocity': row.velocity, 'effort': row.effort})
     if row.acceleration:
@@ -318,5 +318,5 @@ def _write(bag: BagWriter, row: Row, layout: TableLayout) -> None:
                                                    'wrench': {'force': force, 'torque': torque}})
 
 
-def _put(bag: BagWriter, topic: str, stamp: int, message: dict[str, Any]) -> None:
+def _put(bag: BagWriter, topic: str, stamp: int, message: dict[str, object]) -> None:
     bag.write(topic, layout_names.TYPES[topic], message, stamp)

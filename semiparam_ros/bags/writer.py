@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO
 
 from mcap.writer import CompressionType, Writer
 
@@ -72,7 +72,7 @@ class BagWriter:
             self._schemas[key] = self._writer.register_schema(type_name, schema.encoding, schema.text.encode())
         return self._schemas[key]
 
-    def write(self, topic: str, type_name: str, message: Mapping[str, Any] | object, stamp_ns: int,
+    def write(self, topic: str, type_name: str, message: Mapping[str, object] | object, stamp_ns: int,
               publish_ns: int | None = None) -> None:
         """Encode and append a message logged at ``stamp_ns`` [ns since the epoch].
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 OFFSET_PRIOR_SCALE = 100.0
-Memory = Any
+Memory: TypeAlias = object
 """What an effect remembers of earlier samples: None, numbers, texts, arrays, or tuples, lists and dicts of them, never
 changed in place; a saved state holds it."""
+Memories: TypeAlias = Sequence[tuple[Memory, Memory]] | None
+"""Of all effects: what each remembers for its corrections, and for its columns. None at the start."""
 
 APPROACH_NS = 100_000_000
 """How long a desired state has moved on at its own velocity, for what remembers the way travelled."""
@@ -132,7 +134,7 @@ class CoupledColumns:
         mean[:self.body.n_parameters] = self.body.base_parameters
         return mean
 
-    def one(self, sample: Sample, origin: int, memory: Memory = None) -> tuple[Array, Memory]:
+    def one(self, sample: Sample, origin: int, memory: Memories = None) -> tuple[Array, Memories]:
         """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]: where time starts."""
         if not self.effects:
             columns = self._without_effects.copy()
@@ -142,7 +144,7 @@ class CoupledColumns:
                                              sample.acceleration[None], sample.outputs[None], origin), memory)
         return columns[0], memory
 
-    def batch(self, samples: Samples, memory: Memory = None) -> tuple[Array, Memory]:
+    def batch(self, samples: Samples, memory: Memories = None) -> tuple[Array, Memories]:
         """(N, n, p) columns of consecutive samples and what the effects remember after the last one."""
         past = memory or [(None, None)] * len(self.effects)
         body, inputs, corrected = self.corrected(samples, [entry[0] for entry in past])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memory
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
 from semiparam_ros.core.horizon import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
@@ -126,7 +126,7 @@ class Prediction(NamedTuple):
     columns: Array
     fixed: Array
     output_scale: Array
-    memory: Memory
+    memory: Memories
 
     @property
     def log_density(self) -> float:
@@ -157,7 +157,7 @@ class EstimatorState(NamedTuple):
     window: tuple[Remembered, ...]
     origin: int | None  # [ns]
     newest: int | None  # [ns] stamp of the last sample
-    memory: Memory
+    memory: Memories
 
 
 class Estimator:
@@ -181,7 +181,7 @@ class Estimator:
         self.input_scaling: tuple[Array, Array] | None = None
         self.origin = origin
         self._newest: int | None = None
-        self._memory: Memory = None
+        self._memory: Memories = None
         given = self.options.hyperparameters
         self.ready = given is not None
         self.model = self._provisional() if given is None else self._given(given)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 NANOSECONDS = 1_000_000_000
 
 
-def stamp_ns(stamp: Any) -> int:
+class Time(Protocol):
+    """A builtin_interfaces/Time, of rclpy or as a bag decodes it."""
+
+    sec: int
+    nanosec: int
+
+
+def stamp_ns(stamp: Time) -> int:
     """A builtin_interfaces/Time in ns."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 

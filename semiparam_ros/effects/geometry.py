@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, cast
 
 import numpy as np
 import pinocchio as pin
@@ -88,7 +88,7 @@ class TimeDelay(Effect):
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         past = _Past(samples.stamps, samples.position, samples.velocity, samples.acceleration)
         if memory is not None:
-            past = _joined(memory, past)
+            past = _joined(cast('_Past', memory), past)
         wanted = samples.stamps - round(self.value('delay_s') * 1e9)
         inputs = _interpolated(past, wanted, np.arange(len(past.stamps) - len(samples), len(past.stamps)))
         delayed = replace(samples, position=inputs[0], velocity=inputs[1], acceleration=inputs[2])

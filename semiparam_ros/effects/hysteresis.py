@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
@@ -13,7 +15,7 @@ def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memor
 
     Each step of travel is followed exactly: the state decays towards its direction over ``slip``.
     """
-    place, state = memory if memory is not None else (travel[0], np.zeros(travel.shape[1]))
+    place, state = cast('tuple[Array, Array]', memory) if memory is not None else (travel[0], np.zeros(travel.shape[1]))
     steps = np.diff(travel, axis=0, prepend=place[None])
     length = np.linalg.norm(steps, axis=1)
     aims = np.divide(steps, length[:, None], out=np.zeros_like(steps), where=length[:, None] > 0.0)
@@ -32,7 +34,7 @@ def _follow(state: float, keep: list[float], aims: list[float]) -> list[float]:
 
 def play_place(travel: Array, gap: float, memory: Memory) -> tuple[Array, Memory]:
     """(N,) place in [-1, 1] between the flanks of a gap that travel (N,) crosses, and what to go on from."""
-    last, place = memory if memory is not None else (float(travel[0]), 0.0)
+    last, place = cast('tuple[float, float]', memory) if memory is not None else (float(travel[0]), 0.0)
     places = np.empty_like(travel)
     for index, step in enumerate((2.0 / gap * np.diff(travel, prepend=last)).tolist()):
         place = min(max(place + step, -1.0), 1.0)

@@ -8,12 +8,12 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeAlias
+from typing import IO, Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from semiparam_ros.atomic_write import remove_leftovers, replacing
-from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.columns import Memories, Memory
 from semiparam_ros.core.estimator import Estimator, EstimatorState, Remembered
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -230,7 +230,7 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
     estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
                                      _unstacked(_group(arrays, 'window'), body.n_joints, estimator.columns.n_columns),
                                      meta['origin'], meta['newest'],
-                                     _from_json(meta['memory'], _group(arrays, 'memory'))))
+                                     cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory')))))
     return estimator
 
 
@@ -251,7 +251,7 @@ def _unstacked(arrays: Mapping[str, Array], n_joints: int, n_columns: int) -> tu
     return tuple(Remembered(*pair) for pair in zip(samples, columns, strict=True))
 
 
-def _as_json(memory: Memory, arrays: dict[str, Array]) -> Any:
+def _as_json(memory: Memory, arrays: dict[str, Array]) -> object:
     """What effects remember, as JSON that refers to ``arrays`` by number. Raises SemiparamError for other objects."""
     if memory is None or isinstance(memory, bool | int | float | str):
         return memory
@@ -267,7 +267,7 @@ def _as_json(memory: Memory, arrays: dict[str, Array]) -> Any:
                          'numbers, texts, arrays, and tuples, lists and dicts of them.')
 
 
-def _from_json(value: Any, arrays: Mapping[str, Array]) -> Memory:
+def _from_json(value: object, arrays: Mapping[str, Array]) -> Memory:
     if not isinstance(value, dict):
         return value
     ((kind, parts),) = value.items()

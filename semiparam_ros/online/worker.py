@@ -15,7 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -32,7 +32,8 @@ from semiparam_ros.settings.snapshot import Settings
 if TYPE_CHECKING:
     from semiparam_ros.diagnosis.diagnose import Diagnosis
 
-Done = Callable[[Any, BaseException | None], None]
+Result = TypeVar('Result')
+Done = Callable[[Result | None, BaseException | None], None]
 NICENESS = 5
 MOST_DEATHS = 2
 """A job whose process dies so many times is given up: it is the job that kills it, by its memory for instance."""
@@ -53,7 +54,7 @@ class Job(Protocol):
 class Background(Protocol):
     """Runs functions elsewhere and hands their results back to the caller's own thread, in order."""
 
-    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
+    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """Run ``function(*arguments)``, then ``done(result, None)`` or ``done(None, error)``."""
 
     def later(self, function: Callable[[], None]) -> None:
@@ -75,7 +76,7 @@ class ProcessBackground:
         self._running: _ProcessJob | None = None
         self._closed = False
 
-    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
+    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
         job = _ProcessJob(function, arguments, done)
         self._queue.append(job)
@@ -103,7 +104,7 @@ class ProcessBackground:
                 future = self._submitted(job)
                 future.add_done_callback(lambda finished: self._later(lambda: self._finish(finished)))
 
-    def _submitted(self, job: _ProcessJob) -> Future[Any]:
+    def _submitted(self, job: _ProcessJob) -> Future[object]:
         """The process may have died while it had nothing to do."""
         try:
             return self._pool.submit(job.function, *job.arguments)
@@ -111,7 +112,7 @@ class ProcessBackground:
             self._pool = _new_pool()
             return self._pool.submit(job.function, *job.arguments)
 
-    def _finish(self, future: Future[Any]) -> None:
+    def _finish(self, future: Future[object]) -> None:
         job, self._running = self._running, None
         if job is None or self._closed or future.cancelled():
             return
@@ -139,9 +140,9 @@ class ProcessBackground:
 
 @dataclass
 class _ProcessJob:
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-    done: Done
+    function: Callable[..., object]
+    arguments: tuple[object, ...]
+    done: Done[Any]
     deaths: int = 0
     cancelled: bool = False
 
@@ -152,7 +153,7 @@ class _ProcessJob:
 class InlineBackground:
     """The same interface without a process: everything happens at once. For tests and for offline use."""
 
-    def submit(self, function: Callable[..., Any], *arguments: Any, done: Done) -> Job:
+    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
         try:
             result = function(*arguments)
@@ -255,7 +256,7 @@ class Outcome(NamedTuple):
 
     verdict: str
     words: list[str]
-    report: dict[str, Any]
+    report: dict[str, object]
     effects: tuple[str, ...]
 
 

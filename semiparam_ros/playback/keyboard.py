@@ -9,7 +9,6 @@ import termios
 import threading
 import tty
 from collections.abc import Callable, Mapping
-from typing import Any
 
 HELP = 'space: pause or go on, right arrow: next message'
 RATE_HELP = ', up and down arrow: 10 % faster or slower'
@@ -41,7 +40,7 @@ class Keyboard:
         self._descriptor = sys.stdin.fileno() if enabled and is_foreground_terminal() else None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._listen, name='keyboard', daemon=True)
-        self._saved: list[Any] = []
+        self._saved: list[int | list[bytes | int]] = []
 
     @property
     def active(self) -> bool:

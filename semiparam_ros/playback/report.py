@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from semiparam_ros.core.stamps import in_seconds
 from semiparam_ros.playback.flow_control import FlowControl
@@ -44,7 +43,7 @@ class Answers:
             text += f'; {self.unexpected} answers to nothing that was asked'
         return text + '.'
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """For ``--json``; stamps in ns."""
         return {'topic': self.topic, 'request_topic': self.request_topic, 'requests': self.requests,
                 'answers': self.answers, 'unexpected': self.unexpected, 'unanswered': len(self.unanswered_stamps),
@@ -90,7 +89,7 @@ class ReplayAccount:
         first = f'{verb} {self.messages} messages in {self.duration_s:.1f} s{pace}: {topics}.'
         return [first, *(each.sentence for each in self.answers), *self.losses]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """For ``--json``."""
         return {'ending': self.ending, 'duration_s': self.duration_s, 'messages': self.messages,
                 'published': dict(self.published), 'answers': [each.to_dict() for each in self.answers],

@@ -87,7 +87,7 @@ class Layout:
     """Where the parts of a message stand that begins with a header's stamp."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        self._values: list[Any] = [0, 0]
+        self._values: list[int | float | bytes] = [0, 0]
         self._numbers: list[slice] = []
         code = ''.join(self._floats(part) if isinstance(part, Floats) else self._texts(part) for part in parts)
         # The machine's own alignment is that of XCDR1, counted from behind the encapsulation.

@@ -10,8 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from types import TracebackType
-from typing import Any
+from types import FrameType, TracebackType
 
 import rclpy
 from rclpy.executors import Executor
@@ -46,7 +45,7 @@ class StopSignals:
         self._stop = stop
         self._first = 0.0
         self._thread = threading.Thread(target=self._listen, name='signals', daemon=True)
-        self._usual: dict[int, Any] = {}
+        self._usual: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
         self._terminal = _terminal()
 
     @property
@@ -99,7 +98,7 @@ class StopSignals:
                 os.write(2, b'\x1b[?25h')
 
 
-def _terminal() -> list[Any] | None:
+def _terminal() -> list[int | list[bytes | int]] | None:
     try:
         return termios.tcgetattr(0)
     except (OSError, termios.error):

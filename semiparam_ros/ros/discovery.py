@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 POLL_S = 0.02
 _PARTICIPANT_BYTES = 12
@@ -33,14 +33,14 @@ def wait_until(condition: Callable[[], bool], timeout_s: float, stopping: thread
     return True
 
 
-def owner(info: Any) -> str:
+def owner(info: TopicEndpointInfo) -> str:
     """The full node name behind an endpoint; the participant's number for one that is not of ROS."""
     if not is_named(info):
         return 'participant ' + bytes(info.endpoint_gid[:_PARTICIPANT_BYTES]).hex()
     return f'{info.node_namespace.rstrip("/")}/{info.node_name}'
 
 
-def is_named(info: Any) -> bool:
+def is_named(info: TopicEndpointInfo) -> bool:
     """Whether the node behind an endpoint is known by name."""
     return bool(info.node_name != _UNKNOWN)
 

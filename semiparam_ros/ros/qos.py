@@ -52,7 +52,7 @@ def subscription_qos(offers: Sequence[Qos]) -> Qos:
                durability='transient_local' if latched else 'volatile')
 
 
-def load_overrides(path: Path) -> dict[str, Mapping[str, Any]]:
+def load_overrides(path: Path) -> dict[str, Mapping[str, object]]:
     """Topic -> policies to change, from a YAML file. Raises SemiparamError naming file, topic and policy."""
     try:
         document = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
@@ -66,15 +66,16 @@ def load_overrides(path: Path) -> dict[str, Mapping[str, Any]]:
     return {str(topic): entry for topic, entry in document.items()}
 
 
-def overridden(qos: Qos, entry: Any, where: str) -> Qos:
+def overridden(qos: Qos, entry: object, where: str) -> Qos:
     """``qos`` with the policies of one overrides entry; raises SemiparamError saying ``where``."""
     if not isinstance(entry, Mapping):
         raise SemiparamError(f'{where}: expected a mapping of QoS policies, got {entry!r}.')
-    changes = dict(_change(str(name), value, where) for name, value in entry.items() if name not in _IGNORED)
+    changes: dict[str, Any] = dict(_change(str(name), value, where) for name, value in entry.items()
+                                   if name not in _IGNORED)
     return replace(qos, **changes)
 
 
-def _change(name: str, value: Any, where: str) -> tuple[str, Any]:
+def _change(name: str, value: object, where: str) -> tuple[str, object]:
     if name == 'depth':
         if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
             return name, value
@@ -89,7 +90,7 @@ def _change(name: str, value: Any, where: str) -> tuple[str, Any]:
     return name, value
 
 
-def _seconds(name: str, value: Any, where: str) -> int:
+def _seconds(name: str, value: object, where: str) -> int:
     """A duration {sec, nsec} in ns."""
     if not isinstance(value, Mapping) or not set(value) <= {'sec', 'nsec'} \
             or not all(isinstance(part, int) and part >= 0 for part in value.values()):

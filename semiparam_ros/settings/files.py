@@ -6,7 +6,6 @@ import re
 import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -33,10 +32,10 @@ def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
     return Settings.from_mapping(read_params(path, node) if path is not None else {}, where=str(path or ''))
 
 
-def read_params(path: str | Path, node: str = 'estimator') -> dict[str, Any]:
+def read_params(path: str | Path, node: str = 'estimator') -> dict[str, object]:
     """Unchecked names (dotted) and values of one node's sections."""
     document = _parse(Path(path))
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     sections = {name: body for name, body in document.items() if _applies(str(name), node)}
     if not sections:
         found = ', '.join(map(str, document)) or 'nothing'
@@ -73,14 +72,14 @@ def _comment(parameter: Parameter) -> str:
     return f'{parameter.description} ({", ".join(filter(None, [parameter.kind, *details]))})'
 
 
-def _scalar(value: Any) -> str:
+def _scalar(value: object) -> str:
     """One value on one line, as YAML and as ROS reads it."""
     flow = list(value) if isinstance(value, tuple) else value
     text = yaml.safe_dump(flow, default_flow_style=True, width=2**31, allow_unicode=True)
     return text.removesuffix('...\n').strip()
 
 
-def _parse(path: Path) -> Mapping[str, Any]:
+def _parse(path: Path) -> Mapping[str, object]:
     try:
         document = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)
     except OSError as error:
@@ -101,7 +100,7 @@ def _applies(section: str, node: str) -> bool:
     return name in ('**', '*', node) or section.lstrip('/') == node.lstrip('/')
 
 
-def _section(body: Any, name: str, path: str) -> dict[str, Any]:
+def _section(body: object, name: str, path: str) -> dict[str, object]:
     parameters = body.get('ros__parameters') if isinstance(body, dict) else None
     if not isinstance(parameters, dict):
         raise SemiparamError(f"{path}: section '{name}' holds no 'ros__parameters:'; expected a ROS parameter file.")
@@ -120,7 +119,7 @@ def _is_ours(name: str) -> bool:
     return name in BY_NAME or is_foreign(name) or nearest(name) is not None
 
 
-def _flat(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _flat(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, object]]:
     for key, value in tree.items():
         if isinstance(value, dict):
             yield from _flat(value, f'{prefix}{key}.')

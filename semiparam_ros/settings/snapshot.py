@@ -20,7 +20,7 @@ class Settings(Table):
     """
 
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any], where: str = '') -> Settings:
+    def from_mapping(cls, values: Mapping[str, object], where: str = '') -> Settings:
         """Checked settings from parameter names and values, the others at their defaults.
 
         :param where: named in errors, such as the parameter file.
@@ -32,9 +32,9 @@ class Settings(Table):
             raise SemiparamError(located(sentence, where))
         return settings
 
-    def changed(self, values: Mapping[str, Any], where: str = '') -> Settings:
+    def changed(self, values: Mapping[str, object], where: str = '') -> Settings:
         """These settings with some replaced; each value is checked by itself, the rules across are not."""
-        fields = {}
+        fields: dict[str, Any] = {}
         for name, value in values.items():
             if is_foreign(name):
                 continue
@@ -46,12 +46,12 @@ class Settings(Table):
             fields[BY_NAME[name].field] = converted
         return replace(self, **fields)
 
-    def mapping(self) -> dict[str, Any]:
+    def mapping(self) -> dict[str, object]:
         """Parameter name to value, in the order of the table."""
         return {parameter.name: getattr(self, parameter.field) for parameter in PARAMETERS}
 
 
-def refusal(settings: Settings, changes: Mapping[str, Any]) -> str | None:
+def refusal(settings: Settings, changes: Mapping[str, object]) -> str | None:
     """Why a change to valid settings is refused, as one sentence, or None: what the node answers."""
     for name in changes:
         if name in BY_NAME and not BY_NAME[name].live:

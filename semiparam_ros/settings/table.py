@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import Field, dataclass, field, fields
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 from semiparam_ros.core.variants import VARIANTS
 
@@ -54,7 +54,7 @@ class Parameter:
             return f'at least {_number(self.minimum)}'
         return '' if self.maximum is None else f'at most {_number(self.maximum)}'
 
-    def convert(self, value: Any) -> Any:
+    def convert(self, value: object) -> object:
         """Meet the spellings of YAML and of ROS: 1 for 1.0, and empty or unset lists; anything else unchanged."""
         if self.kind == 'double' and _is_integer(value):
             return float(value)
@@ -62,7 +62,7 @@ class Parameter:
             return _convert_items(value, self.kind)
         return value
 
-    def refusal(self, value: Any) -> str | None:
+    def refusal(self, value: object) -> str | None:
         """A sentence saying why a (converted) value is refused, or None."""
         if not _has_kind(value, self.kind):
             return f'{self.name} is {shown(value)}; expected {EXPECTED[self.kind]}{self._hint()}.'
@@ -87,7 +87,7 @@ class Parameter:
         return f', {self.permitted}' if self.permitted else ''
 
 
-def declare(name: str, default: Value, description: str, **details: Any) -> Any:
+def declare(name: str, default: Value, description: str, **details: object) -> Any:
     """A row of the table, written as a field of the snapshot."""
     return field(default=default, metadata={'name': name, 'description': description, **details})
 
@@ -98,7 +98,7 @@ def from_field(row: Field[Any]) -> Parameter:
     return Parameter(default=default, kind=KINDS[str(row.type)], **row.metadata)
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """A value as it would stand in a parameter file, shortened."""
     text = f"'{value}'" if isinstance(value, str) else str(list(value) if isinstance(value, Sequence) else value)
     text = {'True': 'true', 'False': 'false', 'None': 'empty'}.get(text, text)
@@ -109,11 +109,11 @@ def _number(bound: float) -> str:
     return str(int(bound)) if bound == int(bound) else f'{bound:g}'
 
 
-def _is_integer(value: Any) -> bool:
+def _is_integer(value: object) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _convert_items(value: Any, kind: str) -> Any:
+def _convert_items(value: object, kind: str) -> object:
     if value is None:
         return ()  # ROS reads an empty list in a file as an unset value
     if isinstance(value, str) or not hasattr(value, '__iter__'):
@@ -124,7 +124,7 @@ def _convert_items(value: Any, kind: str) -> Any:
     return tuple(float(item) if _is_integer(item) else item for item in items)
 
 
-def _has_kind(value: Any, kind: str) -> bool:
+def _has_kind(value: object, kind: str) -> bool:
     if kind.endswith('_array'):
         item = str if kind == 'string_array' else float
         return isinstance(value, tuple) and all(isinstance(entry, item) for entry in value)

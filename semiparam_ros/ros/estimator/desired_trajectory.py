@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from struct import Struct, error, unpack_from
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -179,7 +179,7 @@ class DesiredTrajectory:
         self._points = node.create_publisher(kind, '~/feedforward', MOST_POINTS)
         self._trajectory = node.create_publisher(JointTrajectory, '~/feedforward_trajectory', DEPTH)
 
-        def receive(raw: Any) -> None:
+        def receive(raw: bytes) -> None:
             guarded(lambda: self._receive(raw))
 
         node.create_subscription(JointTrajectory, 'desired_trajectory', receive, DEPTH, raw=True)

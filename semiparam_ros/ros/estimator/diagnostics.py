@@ -7,7 +7,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping
 from itertools import cycle
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import InertiaStamped
@@ -91,7 +91,7 @@ class Report(NamedTuple):
 
     level: bytes
     message: str
-    values: Mapping[str, Any]
+    values: Mapping[str, object]
 
 
 class Tally:
@@ -132,7 +132,7 @@ class InputReport:
         """Since the last report."""
         now, counts = time.monotonic(), self._inputs.counts
         span, self._since = max(now - self._since, 1e-9), now
-        values: dict[str, Any] = {}
+        values: dict[str, object] = {}
         for topic in self._inputs.topics:
             values[f'{topic} rate [Hz]'] = round((counts[topic] - self._before[topic]) / span, 1)
             values[f'{topic} received'] = counts[topic]
@@ -154,7 +154,7 @@ class InputReport:
         stream = self._inputs.stream
         return stream.last_fault if stream and in_stream > self._refused - self._elsewhere else self._last
 
-    def _judged(self, now: float, refused: int, values: Mapping[str, Any]) -> Report:
+    def _judged(self, now: float, refused: int, values: Mapping[str, object]) -> Report:
         news, self._refused = refused - self._refused, refused
         silent = [topic for topic in self._inputs.needed if topic in self._inputs.arrived
                   and now - self._inputs.arrived[topic] > SILENCE_S]
@@ -213,7 +213,7 @@ def _learning_state(learner: Learner) -> tuple[bytes, str]:
 def model_report(learner: Learner, tally: Tally) -> Report:
     """Health of the model, horizon errors, excitation and conditioning."""
     innovation, sentences = tally.innovation(), tally.excitation.sentences()
-    values: dict[str, Any] = {'standardised innovation (rms)': '' if innovation is None else round(innovation, 3)}
+    values: dict[str, object] = {'standardised innovation (rms)': '' if innovation is None else round(innovation, 3)}
     if tally.errors is not None:
         values |= {f'horizon error {name}': f'{error:.3g}' for name, error in
                    zip(learner.body.output_names, tally.errors.eps, strict=True)}
@@ -232,7 +232,7 @@ def model_report(learner: Learner, tally: Tally) -> Report:
 
 def errors_report(errors: InternalErrors) -> Report:
     """What went wrong in the node itself, by its place."""
-    values: dict[str, Any] = {f'internal errors: {place}': count for place, count in sorted(errors.counts.items())}
+    values: dict[str, object] = {f'internal errors: {place}': count for place, count in sorted(errors.counts.items())}
     values |= {'internal errors': errors.counts.total(), 'last internal error': errors.last}
     return Report(ERROR if errors.counts else OK, errors.last or 'no internal error.', values)
 

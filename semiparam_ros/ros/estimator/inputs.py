@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -202,7 +202,7 @@ class Inputs:
         feed = FEEDS[topic]
         read = Reader(feed.message_class, feed.kind.read, feed.layout)
 
-        def receive(raw: Any) -> None:
+        def receive(raw: bytes) -> None:
             try:
                 self._receive(topic, read(raw))
             except Exception as error:
@@ -214,7 +214,7 @@ class Inputs:
 
     def _listen_to_description(self, durability: QoSDurabilityPolicy) -> Subscription:
         """Latched, as robot_state_publisher offers it; and plain, as a tool may play it."""
-        def receive(raw: Any) -> None:
+        def receive(raw: bytes) -> None:
             try:
                 self._describe(raw)
             except Exception as error:

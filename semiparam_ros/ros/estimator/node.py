@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import JumpThreshold
@@ -237,7 +236,7 @@ class EstimatorNode(Node):
         self._rejections.add(where, sentence)
         self._reports.say(sentence)
 
-    def _guarded(self, function: Callable[[], Any], place: str) -> None:
+    def _guarded(self, function: Callable[[], object], place: str) -> None:
         """Call a function; nothing that goes wrong there may end the node."""
         try:
             function()

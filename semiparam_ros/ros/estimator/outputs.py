@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -24,7 +24,7 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 DEPTH = 1000
 
 
-def inertia_message(stamp: Any, payload: Payload) -> InertiaStamped:
+def inertia_message(stamp: Time, payload: Payload) -> InertiaStamped:
     """A payload as geometry_msgs/InertiaStamped: centre of mass in the link's frame, inertia about it."""
     message = InertiaStamped()
     message.header.stamp, message.header.frame_id = stamp, payload.link

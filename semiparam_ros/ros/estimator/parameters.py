@@ -5,9 +5,10 @@ the model that it asks for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -23,6 +24,7 @@ PATIENCE_S = 1.0
 """Clients of parameters expect an answer soon; a model that takes longer is announced instead."""
 
 NAMES = ('/set_parameters', '/set_parameters_atomically')
+Response: TypeAlias = SetParameters.Response | SetParametersAtomically.Response
 
 ROS_TYPES = {'bool': RosParameter.Type.BOOL, 'integer': RosParameter.Type.INTEGER,
              'double': RosParameter.Type.DOUBLE, 'string': RosParameter.Type.STRING,
@@ -34,7 +36,7 @@ class Held(NamedTuple):
     """A reply that waits, and how to send it."""
 
     send: Callable[[], None]
-    response: Any
+    response: Response
 
 
 class HeldReplies:
@@ -71,7 +73,7 @@ class HeldReplies:
     def _hold_replies_of(self, service: Service) -> None:
         send = service.send_response
 
-        def send_or_hold(response: Any, header: Any) -> None:
+        def send_or_hold(response: Response, header: object) -> None:
             announcement = self._announcement()
             if announcement and any(result.reason == announcement for result in results_of(response)):
                 self._hold(Held(lambda: send(response, header), response))
@@ -86,9 +88,9 @@ class HeldReplies:
         self._timer = self._node.create_timer(PATIENCE_S, self.release, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-def results_of(response: Any) -> Iterator[SetParametersResult]:
+def results_of(response: Response) -> Iterator[SetParametersResult]:
     """Of either parameter service."""
-    yield from (response.results if hasattr(response, 'results') else [response.result])
+    yield from [response.result] if isinstance(response, SetParametersAtomically.Response) else response.results
 
 
 class Parameters:
@@ -100,7 +102,7 @@ class Parameters:
     Raises SemiparamError, before anything is declared, for values that do not fit.
     """
 
-    def __init__(self, node: Node, overrides: dict[str, Any], accept: Callable[[Settings], str | None],
+    def __init__(self, node: Node, overrides: dict[str, object], accept: Callable[[Settings], str | None],
                  changed: Callable[[Settings], str]) -> None:
         self._node, self._accept, self._changed = node, accept, changed
         self._log = node.get_logger()
@@ -114,7 +116,7 @@ class Parameters:
         self._own_doing = False
         node.add_post_set_parameters_callback(self._apply)
 
-    def refusal(self, values: dict[str, Any]) -> str | None:
+    def refusal(self, values: dict[str, object]) -> str | None:
         """Why these values together would be refused; None when they are fine."""
         ours = {name: value for name, value in values.items() if not is_foreign(name)}
         try:
@@ -133,7 +135,7 @@ class Parameters:
         finally:
             self._own_doing = False
 
-    def ros_parameter(self, name: str, value: Any) -> RosParameter:
+    def ros_parameter(self, name: str, value: object) -> RosParameter:
         """One of ours, as rclpy wants it."""
         return _ros_parameter(BY_NAME[name], value)
 
@@ -144,7 +146,7 @@ class Parameters:
         self._node.set_parameters([_ros_parameter(parameter, getattr(self.settings, parameter.field))])
         self._node.set_descriptor(parameter.name, descriptor(parameter))
 
-    def _ours(self, overrides: dict[str, Any]) -> dict[str, Any]:
+    def _ours(self, overrides: dict[str, object]) -> dict[str, object]:
         """Leave out what a wildcard section meant for other nodes; a misspelt name of ours is refused."""
         ours = {}
         for name, value in overrides.items():
@@ -202,7 +204,7 @@ def _can_convert(item: RosParameter) -> bool:
     return parameter is not None and item.value is not None and parameter.refusal(parameter.convert(item.value)) is None
 
 
-def _ros_parameter(parameter: Parameter, value: Any) -> RosParameter:
+def _ros_parameter(parameter: Parameter, value: object) -> RosParameter:
     converted = parameter.convert(value)
     plain = list(converted) if isinstance(converted, tuple) else converted
     return RosParameter(parameter.name, ROS_TYPES[parameter.kind], plain)

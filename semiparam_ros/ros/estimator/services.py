@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -30,8 +29,8 @@ class Reply:
     """What a request waits for: call it once, with the sentence and whether it went well, from the same thread."""
 
     def __init__(self) -> None:
-        self._header: Any = None
-        self._send: Callable[[Any, Any], None] | None = None
+        self._header: object = None
+        self._send: Callable[[Trigger.Response, object], None] | None = None
         self._response: Trigger.Response | None = None
 
     def __call__(self, message: str, success: bool = True) -> None:
@@ -39,7 +38,7 @@ class Reply:
         self._response = Trigger.Response(success=success, message=message)
         self._deliver()
 
-    def expect(self, header: Any, send: Callable[[Any, Any], None]) -> None:
+    def expect(self, header: object, send: Callable[[Trigger.Response, object], None]) -> None:
         """Where the answer goes."""
         self._header, self._send = header, send
         self._deliver()
@@ -60,7 +59,7 @@ def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], Non
     service = node.create_service(Trigger, name, begin)
     send = service.send_response
 
-    def send_later(reply: Any, header: Any) -> None:
+    def send_later(reply: Reply, header: object) -> None:
         reply.expect(header, send)
 
     service.send_response = send_later  # type: ignore[method-assign, assignment]
@@ -197,7 +196,7 @@ class Diagnosing:
                                 done=lambda outcome, error: self._done(reply, effects, outcome, error))
         self._running = True
 
-    def _done(self, reply: Reply, effects: tuple[str, ...], outcome: Any, error: BaseException | None) -> None:
+    def _done(self, reply: Reply, effects: tuple[str, ...], outcome: Outcome | None, error: BaseException | None) -> None:
         self._running = False
         if outcome is None:
             if error is not None and not isinstance(error, SemiparamError):

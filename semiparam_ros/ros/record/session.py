@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Protocol
 
 from rich.console import Console
 from rich.status import Status
@@ -90,7 +90,7 @@ class RecordAccount:
         topics = ', '.join(f'{topic} {count}' for topic, count in sorted(self.recorded.items()))
         return f'recorded {self.messages} messages in {self.duration_s:.1f} s to {self.path}: {topics}.'
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """For ``--json``."""
         return {'path': self.path, 'duration_s': self.duration_s, 'messages': self.messages,
                 'recorded': dict(self.recorded), 'skipped': list(self.skipped)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -37,14 +36,14 @@ class ReplayControls:
         for name, action in self._services().items():
             node.create_service(Trigger, f'~/{name}', partial(self._serve, action))
 
-    def _declare(self, name: str, value: Any, description: str) -> None:
+    def _declare(self, name: str, value: object, description: str) -> None:
         """With the value from ``--ros-args -p`` where there is one; SemiparamError when that is refused."""
         try:
             self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             raise SemiparamError(f"the parameter '{name}' is refused: {str(error).rstrip('. ')}.") from None
 
-    def _table(self) -> tuple[tuple[str, Any, str], ...]:
+    def _table(self) -> tuple[tuple[str, float | bool, str], ...]:
         return (('rate', self._player.rate or 0.0,
                  'bag seconds in one second, a double above 0 (0.0: as fast as the follower answers)'),
                 ('paused', self._player.paused, 'whether the playback is held'),
@@ -66,7 +65,7 @@ class ReplayControls:
         with suppress(SemiparamError):
             action()
 
-    def change(self, name: str, value: Any) -> str:
+    def change(self, name: str, value: object) -> str:
         """Set one parameter; what happened, or SemiparamError with the reason of the refusal."""
         result = self._node.set_parameters([Parameter(name, value=value)])[0]
         if not result.successful:
@@ -120,7 +119,7 @@ class ReplayControls:
             return SetParametersResult(successful=False, reason=str(refusal))
         return SetParametersResult(successful=True)
 
-    def _check(self, name: str, value: Any) -> None:
+    def _check(self, name: str, value: float) -> None:
         if name == 'rate' and value != (self._player.rate or 0.0):
             self._player.check_rate(value)
         if name == 'seek_to':

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
+
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.flow_control import FlowControl
@@ -52,7 +53,7 @@ class Follower:
         self.flow.fit_queue(depth)
         self.flow.is_gone = lambda: self._subscription.get_publisher_count() == 0
 
-    def _publisher(self, wait_s: float, stopping: threading.Event) -> Any:
+    def _publisher(self, wait_s: float, stopping: threading.Event) -> TopicEndpointInfo:
         """Endpoint information of who answers; raises SemiparamError when nobody does in time."""
         if not wait_until(lambda: self._node.count_publishers(self.answer_topic) > 0, wait_s, stopping):
             raise SemiparamError(f'nobody publishes {self.answer_topic} after {wait_s:g} s: expected the node that '
@@ -61,7 +62,7 @@ class Follower:
         wait_until(lambda: is_named(self._answering()), NAME_S, stopping)
         return self._answering()
 
-    def _answering(self) -> Any:
+    def _answering(self) -> TopicEndpointInfo:
         found = self._node.get_publishers_info_by_topic(self.answer_topic)
         if not found:
             raise SemiparamError(f'the node that publishes {self.answer_topic} left at once.')
