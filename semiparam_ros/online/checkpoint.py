@@ -43,7 +43,7 @@ class Checkpoints:
         """Write one now. Raises SemiparamError when it cannot be written; the older ones are then as they were."""
         self._write(state_file.snapshot(state))
 
-    def save_in_thread(self, state: SavedState, done: Callable[[SemiparamError | None], None]) -> None:
+    def save_in_thread(self, state: SavedState, done: Callable[[SemiparamError | None], object]) -> None:
         """Copy the state and write it in a thread, which then calls ``done(None)`` or ``done(error)``.
 
         The thread computes nothing in Python: it copies, checks and writes whole arrays without the interpreter's lock.
@@ -72,7 +72,7 @@ class Checkpoints:
                 self.remarks.append(str(error))
         return None
 
-    def _write_aside(self, arrays: Snapshot, done: Callable[[SemiparamError | None], None]) -> None:
+    def _write_aside(self, arrays: Snapshot, done: Callable[[SemiparamError | None], object]) -> None:
         try:
             self._write(arrays)
         except SemiparamError as error:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from math import isfinite
 from typing import NamedTuple, Protocol
 
@@ -203,7 +204,7 @@ class Learner:
         self._estimating, estimator = True, self.estimator
         self._window_job = self._background.submit(
             worker.finish_window, estimator, prediction,
-            done=lambda window, error: self._window_done(estimator, prediction, window, error))
+            done=partial(self._window_done, estimator, prediction))
 
     def _drop_window_job(self) -> None:
         self._estimating = False

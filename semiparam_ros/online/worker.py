@@ -15,7 +15,8 @@ from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -44,6 +45,10 @@ EstimatorJob = Callable[..., Estimator]
 SAMPLES_AT_MOST = 6000
 
 
+Later: TypeAlias = Callable[..., object]
+"""Takes a function and its arguments, and calls it in the executor's thread."""
+
+
 class Job(Protocol):
     """Work that was handed to a background."""
 
@@ -66,10 +71,10 @@ class ProcessBackground:
 
     It is given one job at a time: when it dies, just the job that it worked on is to blame, and is tried once more.
 
-    :param later: hands a function over to the executor's thread, where all of this but the jobs themselves runs.
+    :param later: see :data:`Later`; in that thread all of this runs but the jobs themselves.
     """
 
-    def __init__(self, later: Callable[[Callable[[], None]], object]) -> None:
+    def __init__(self, later: Later) -> None:
         self._later = later
         self._pool = _new_pool()
         self._queue: deque[_ProcessJob] = deque()
@@ -102,7 +107,7 @@ class ProcessBackground:
             if not job.cancelled:
                 self._running = job
                 future = self._submitted(job)
-                future.add_done_callback(lambda finished: self._later(lambda: self._finish(finished)))
+                future.add_done_callback(partial(self._later, self._finish))
 
     def _submitted(self, job: _ProcessJob) -> Future[object]:
         """The process may have died while it had nothing to do."""

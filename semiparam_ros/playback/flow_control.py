@@ -36,16 +36,17 @@ class FlowControl:
     :param timeout_s: silence after which the follower counts as gone [s]; it may rightly think for some seconds
         when it estimates hyperparameters
     :param stamp_of: header stamp [ns] of a serialised request
+    :param is_gone: whether the follower has left
     """
 
     def __init__(self, request_topic: str, window: int, timeout_s: float, stamp_of: Callable[[bytes], int],
-                 monotonic: MonotonicClock = time.monotonic_ns) -> None:
+                 is_gone: Callable[[], bool] = lambda: False, monotonic: MonotonicClock = time.monotonic_ns) -> None:
         self.request_topic = request_topic
         self.window = window
         self.timeout_s = timeout_s
         self._stamp_of = stamp_of
         self._keeps_all = False
-        self.is_gone: Callable[[], bool] = lambda: False
+        self._is_gone = is_gone
         self._monotonic = monotonic
         self._lock = threading.Lock()
         self._waiting: OrderedDict[int, int] = OrderedDict()
@@ -92,7 +93,7 @@ class FlowControl:
     def _remaining(self) -> float:
         """Seconds until somebody should look again; raises FollowerSilent when there is nothing to hope for."""
         silent = self._silent()
-        if self.is_gone():
+        if self._is_gone():
             raise FollowerSilent(f'the follower has left while {len(self._waiting)} messages on {self.request_topic} '
                                  f'wait for it; it answered {self.answers} of {self.requests}.')
         if silent >= self.timeout_s:

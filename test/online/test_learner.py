@@ -4,6 +4,7 @@ import os
 import pickle
 import signal
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -519,7 +520,7 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies():
     import queue
 
     tasks = queue.Queue()
-    background, results = ProcessBackground(tasks.put), []
+    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
 
     def run(function, *arguments):
         background.submit(function, *arguments, done=lambda result, error: results.append((result, error)))
@@ -539,7 +540,7 @@ def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(t
     import queue
 
     tasks = queue.Queue()
-    background, results = ProcessBackground(tasks.put), []
+    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
     for name in ('first', 'second', 'dropped', 'third'):
         job = background.submit(append_and_perhaps_die, tmp_path / name, name == 'first',
                                 done=lambda result, error: results.append((result, error)))

@@ -23,9 +23,9 @@ class Hands:
         return self.ns
 
 
-def flow_control(window=3, timeout_s=5.0, keeps_all=False):
+def flow_control(window=3, timeout_s=5.0, keeps_all=False, is_gone=lambda: False):
     hands = Hands()
-    flow = FlowControl('/wrench', window, timeout_s, stamp_of, hands)
+    flow = FlowControl('/wrench', window, timeout_s, stamp_of, is_gone, hands)
     flow.fit_queue(0 if keeps_all else None)
     return flow, hands
 
@@ -61,9 +61,8 @@ def test_silence_ends_the_playback_with_a_sentence_that_counts():
 
 
 def test_a_follower_that_leaves_is_not_waited_for():
-    flow, _ = flow_control(window=1)
+    flow, _ = flow_control(window=1, is_gone=lambda: True)
     flow.sent(request(1))
-    flow.is_gone = lambda: True
     with pytest.raises(FollowerSilent, match='has left while 1 messages on /wrench'):
         flow.patience(request(2))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -12,6 +13,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.state_file import SavedState, folder_of
+from semiparam_ros.online.worker import Later
 from semiparam_ros.settings.snapshot import Settings
 
 RETRY_S = 0.2
@@ -21,17 +23,17 @@ class Autosave:
     """By ``checkpoint.period`` on the machine's own clock, and by ``checkpoint.resume``.
 
     :param state: gives what is to be saved, None before the robot is known; raises SemiparamError while it cannot.
-    :param in_executor: hands a function over to the executor's thread.
+    :param later: see :data:`Later`.
     :param say: receives sentences for the log. :param refuse: those about checkpoints that could not be written.
     Raises SemiparamError when there can be no folder for them.
     """
 
     def __init__(self, node: Node, settings: Settings, state: Callable[[], SavedState | None],
-                 in_executor: Callable[[Callable[[], None]], None], say: Callable[[str], None],
+                 later: Later, say: Callable[[str], None],
                  refuse: Callable[[str], None]) -> None:
         self.checkpoints = Checkpoints(folder_of(settings), node.get_fully_qualified_name())
         self._active, self._resumes = settings.checkpoint_period > 0.0, settings.checkpoint_resume
-        self._state, self._in_executor, self._say, self._refuse = state, in_executor, say, refuse
+        self._state, self._later, self._say, self._refuse = state, later, say, refuse
         self._failed = ''
         if self._active:
             clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -84,7 +86,7 @@ class Autosave:
             return
         self._retry.cancel()
         try:
-            self.checkpoints.save_in_thread(state, lambda error: self._in_executor(lambda: self._saved(error)))
+            self.checkpoints.save_in_thread(state, partial(self._later, self._saved))
         except SemiparamError as error:
             self._saved(error)
 

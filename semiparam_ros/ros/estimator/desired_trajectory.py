@@ -26,9 +26,11 @@ from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.learner import Learner
+from semiparam_ros.online.worker import Later
 from semiparam_ros.ros.cdr import ENCAPSULATION, Layout
 from semiparam_ros.ros.estimator.outputs import ValueMessage
 
+TOPIC = 'desired_trajectory'
 MOST_POINTS = 10_000
 MOST_NAMES = 1000
 MOST_BYTES = 20_000_000
@@ -167,24 +169,26 @@ class DesiredTrajectory:
     """Answers every point on ``~/feedforward``, and the trajectory as a whole, efforts filled in, on
     ``~/feedforward_trajectory``; a long one in slices, between which samples are answered and learnt.
 
-    :param guarded: runs a function so that its errors end in the log.
-    :param later: lets the executor run a function after what has come meanwhile.
+    :param failed: receives the topic and what went wrong with a trajectory.
+    :param later: see :data:`Later`; what has come meanwhile goes first.
     """
 
     def __init__(self, node: Node, outputs: str, learner: Callable[[], Learner], frame_id: Callable[[], str],
-                 guarded: Callable[[Callable[[], None]], None], later: Callable[[Callable[[], None]], object]) -> None:
-        self._learner, self._frame_id, self._guarded, self._later = learner, frame_id, guarded, later
+                 failed: Callable[[str, Exception], None], later: Later) -> None:
+        self._learner, self._frame_id, self._failed, self._later = learner, frame_id, failed, later
         self._work: deque[Iterator[None]] = deque()
         kind = WrenchStamped if outputs == 'wrench' else JointState
         self._points = node.create_publisher(kind, '~/feedforward', MOST_POINTS)
         self._trajectory = node.create_publisher(JointTrajectory, '~/feedforward_trajectory', DEPTH)
-
-        def receive(raw: bytes) -> None:
-            guarded(lambda: self._receive(raw))
-
-        node.create_subscription(JointTrajectory, 'desired_trajectory', receive, DEPTH, raw=True)
+        node.create_subscription(JointTrajectory, TOPIC, self._receive, DEPTH, raw=True)
 
     def _receive(self, raw: bytes) -> None:
+        try:
+            self._accept(raw)
+        except Exception as error:
+            self._failed(TOPIC, error)
+
+    def _accept(self, raw: bytes) -> None:
         trajectory = TrajectoryReader(raw)
         order = joint_order(trajectory.names, self._learner().body.joints)
         if len(self._work) >= MOST_WAITING:
@@ -202,12 +206,11 @@ class DesiredTrajectory:
                     break
             else:
                 self._work.popleft()
-        except BaseException:
+        except Exception as error:
             self._work.popleft()
-            raise
-        finally:
-            if self._work:
-                self._later(lambda: self._guarded(self._go_on))
+            self._failed(TOPIC, error)
+        if self._work:
+            self._later(self._go_on)
 
     def _answered(self, trajectory: TrajectoryReader, order: Sequence[int]) -> Iterator[None]:
         """Step by step: every point is checked before the first one is answered."""

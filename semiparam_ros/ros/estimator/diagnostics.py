@@ -23,7 +23,7 @@ from semiparam_ros.online.model_switcher import State
 from semiparam_ros.ros.estimator.inputs import Inputs
 from semiparam_ros.ros.estimator.outputs import inertia_message
 
-DESCRIPTION, TRAJECTORY, PARAMETERS = 'robot_description', 'desired_trajectory', 'parameters'
+DESCRIPTION, PARAMETERS = 'robot_description', 'parameters'
 CHECKPOINTS = 'checkpoints'
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import JumpThreshold
@@ -16,14 +17,13 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.state_file import SavedState
-from semiparam_ros.online.worker import ProcessBackground
+from semiparam_ros.online.worker import Later, ProcessBackground
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.estimator.diagnostics import (
     CHECKPOINTS,
     DESCRIPTION,
     PARAMETERS,
-    TRAJECTORY,
     InternalErrors,
     Rejections,
     Reports,
@@ -42,11 +42,11 @@ NAME = 'estimator'
 class EstimatorNode(Node):
     """Learns, predicts and publishes.
 
-    :param later: hands a function over to the executor's thread.
+    :param later: see :data:`Later`.
     Raises SemiparamError when the parameters do not describe an estimator.
     """
 
-    def __init__(self, later: Callable[[Callable[[], None]], object]) -> None:
+    def __init__(self, later: Later) -> None:
         super().__init__(NAME)
         self.learner: Learner | None = None
         self.errors = InternalErrors(self.get_logger().error, self._complain)
@@ -56,20 +56,18 @@ class EstimatorNode(Node):
         settings = self._live.settings
         self._outputs = Outputs(self, settings.outputs)
 
-        def in_executor(function: Callable[[], None]) -> None:
-            later(lambda: self._guarded(function, 'the background'))
-
-        self._background = ProcessBackground(in_executor)
-        self._robot = Robot(settings, self._begin, lambda sentence: self._refuse(DESCRIPTION, sentence))
+        guarded = partial(later, self._guarded, 'the background')
+        self._background = ProcessBackground(guarded)
+        self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
         self._inputs = Inputs(self, settings, self)
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner)
         self._held_replies = HeldReplies(self, self._announcement)
         Services(self, self._live, self._the_learner, self.errors)
-        self._diagnosing = Diagnosing(self, self._live, self._the_learner, in_executor, self.errors)
+        self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
         DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
-                          lambda answer: self._guarded(answer, TRAJECTORY), later)
+                          self.message_failed, later)
         self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
-                                  in_executor, self._reports.say, lambda sentence: self._refuse(CHECKPOINTS, sentence))
+                                  guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
         self._watch_clock()
         self._robot.from_parameters()
 
@@ -176,7 +174,7 @@ class EstimatorNode(Node):
         """A simulated clock that jumps back, as when a recording starts again."""
         threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self._jumps = self.get_clock().create_jump_callback(
-            threshold, post_callback=lambda jump: self._guarded(self._inputs.clock_jumped, 'the clock'))
+            threshold, post_callback=lambda _: self._guarded('the clock', self._inputs.clock_jumped))
 
     # Parameters
 
@@ -236,12 +234,12 @@ class EstimatorNode(Node):
         self._rejections.add(where, sentence)
         self._reports.say(sentence)
 
-    def _guarded(self, function: Callable[[], object], place: str) -> None:
+    def _guarded(self, place: str, function: Callable[..., object], *arguments: object) -> None:
         """Call a function; nothing that goes wrong there may end the node."""
         try:
-            function()
+            function(*arguments)
         except Exception as error:
-            self._report(error, place, refused=place == TRAJECTORY)
+            self._report(error, place)
 
     def _report(self, error: Exception, place: str, refused: bool = False) -> None:
         """Our own sentences into the log as they are, counted where a message is refused; anything else is an internal

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.worker import Later
 from semiparam_ros.ros.context import SPIN_S, StopSignals, rcl_reason, spin_for, start_rclpy
 from semiparam_ros.ros.estimator.node import EstimatorNode
 
@@ -65,7 +66,7 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
     return 0
 
 
-def _new_node(later: Callable[[Callable[[], None]], object]) -> EstimatorNode:
+def _new_node(later: Later) -> EstimatorNode:
     try:
         return EstimatorNode(later)
     except RCLError as error:  # such as a security enclave that the middleware refuses

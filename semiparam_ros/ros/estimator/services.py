@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from rclpy.node import Node
@@ -19,7 +20,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file, worker
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.model_switcher import sentence_of
-from semiparam_ros.online.worker import Outcome, ProcessBackground
+from semiparam_ros.online.worker import Later, Outcome, ProcessBackground
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
 from semiparam_ros.ros.estimator.outputs import LATCHED
 from semiparam_ros.ros.estimator.parameters import Parameters
@@ -136,12 +137,12 @@ class Diagnosing:
 
     A process of its own does the work, so that a model being built does not wait for it.
 
-    :param later: hands a function over to the executor's thread.
+    :param later: see :data:`Later`.
     :param errors: counts what goes wrong unexpectedly.
     """
 
     def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
-                 later: Callable[[Callable[[], None]], object], errors: InternalErrors) -> None:
+                 later: Later, errors: InternalErrors) -> None:
         self._node, self._parameters, self._learner, self._later = node, parameters, learner, later
         self._errors = errors
         self._background: ProcessBackground | None = None
@@ -193,10 +194,11 @@ class Diagnosing:
         # Those that are wanted now, whether their model answers already or is still being built.
         effects = self._parameters.settings.effects
         self._background.submit(worker.diagnose, learner.body, worker.thinned(samples), effects,
-                                done=lambda outcome, error: self._done(reply, effects, outcome, error))
+                                done=partial(self._done, reply, effects))
         self._running = True
 
-    def _done(self, reply: Reply, effects: tuple[str, ...], outcome: Outcome | None, error: BaseException | None) -> None:
+    def _done(self, reply: Reply, effects: tuple[str, ...], outcome: Outcome | None,
+              error: BaseException | None) -> None:
         self._running = False
         if outcome is None:
             if error is not None and not isinstance(error, SemiparamError):

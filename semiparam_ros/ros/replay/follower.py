@@ -43,7 +43,8 @@ class Follower:
             raise SemiparamError(f'{self.answer_topic} cannot answer {request}, which is not played: '
                                  f'expected one of {", ".join(node.outputs)}.')
         stamped = begins_with_header(node.types[request]) and begins_with_header(info.topic_type)
-        self.flow = FlowControl(request, options.window, options.timeout_s, read_stamp if stamped else lambda _: 0)
+        self.flow = FlowControl(request, options.window, options.timeout_s, read_stamp if stamped else lambda _: 0,
+                                self._is_gone)
         self._read = read_stamp if stamped else lambda _: None
         self._subscription = node.create_subscription(
             message_class(info.topic_type), self.answer_topic, self._answer,
@@ -51,7 +52,6 @@ class Follower:
         depth = self._connect(wait_s, stopping)
         self.remark = _REMARK.format(name=self.name, depth=depth) if depth else ''
         self.flow.fit_queue(depth)
-        self.flow.is_gone = lambda: self._subscription.get_publisher_count() == 0
 
     def _publisher(self, wait_s: float, stopping: threading.Event) -> TopicEndpointInfo:
         """Endpoint information of who answers; raises SemiparamError when nobody does in time."""
@@ -73,6 +73,9 @@ class Follower:
         if not wait_until(lambda: self._subscription.get_publisher_count() > 0, wait_s, stopping):
             raise SemiparamError(f'{self.answer_topic} did not connect within {wait_s:g} s.')
         return handshake(self._node, self.name, stopping, QUEUE_DEPTH)
+
+    def _is_gone(self) -> bool:
+        return bool(self._subscription.get_publisher_count() == 0)
 
     def _answer(self, raw: bytes) -> None:
         self.flow.answered(self._read(raw))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
@@ -26,9 +27,10 @@ NAME = 'bag_replay'
 class ReplayNode(Node):
     """Publishes what the player hands to :meth:`publish`, and lets services and parameters steer the player."""
 
-    def __init__(self, topics: Mapping[str, tuple[str, Qos]], *, restamp: bool = False,
-                 clock_before_each: bool = False, blocked_s: float = 1.0) -> None:
+    def __init__(self, topics: Mapping[str, tuple[str, Qos]], stopping: threading.Event, *,
+                 restamp: bool = False, clock_before_each: bool = False, blocked_s: float = 1.0) -> None:
         """:param topics: topic -> (type, what to offer)
+        :param stopping: set when the playback is to stop
         :param restamp: replace header stamps by the present time
         :param clock_before_each: publish the bag time on /clock before every message
         :param blocked_s: how long a subscriber that takes nothing may hold up the playback [s]
@@ -44,7 +46,7 @@ class ReplayNode(Node):
         self._clock_before_each = clock_before_each
         self._blocked_s = blocked_s
         self._announced: dict[str, bytes] = {}
-        self.interrupted: Callable[[], bool] = lambda: False
+        self._stopping = stopping
         self._clock_output: Publisher | None = None
         if clock_before_each:
             self._clock_output = self.create_publisher(ClockMessage, '/clock', 10)
@@ -69,14 +71,14 @@ class ReplayNode(Node):
             self.counts[item.topic] += 1
 
     def _send(self, topic: str, raw: bytes) -> bool:
-        """Publish, waiting while a subscriber's full queue refuses more (keep-all only); False when interrupted."""
+        """Publish, waiting while a subscriber's full queue refuses more (keep-all only); False when it is stopped."""
         deadline = time.monotonic() + self._blocked_s
         while True:
             try:
                 self.outputs[topic].publish(raw)
                 return True
             except RuntimeError:  # RCLError, which rclpy does not export: the writer has waited for 0.1 s in vain
-                if self.interrupted():
+                if self._stopping.is_set():
                     return False
                 if time.monotonic() > deadline:
                     raise SemiparamError(f'{topic} cannot be published: a reliable subscriber has taken nothing for '

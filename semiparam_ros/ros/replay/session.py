@@ -75,11 +75,9 @@ class ReplaySession:
 
     def _node(self, topics: Mapping[str, PlayedTopic]) -> ReplayNode:
         options = self._options
-        node = ReplayNode({topic.name: (topic.type, topic.qos) for topic in topics.values()},
+        return ReplayNode({topic.name: (topic.type, topic.qos) for topic in topics.values()}, self._stopping,
                           restamp=options.restamp, clock_before_each=options.clock_before_each,
                           blocked_s=options.follow.timeout_s if options.follow else 1.0)
-        node.interrupted = self._stopping.is_set
-        return node
 
     def _stop(self) -> None:
         """Called when a signal came, in a thread of its own."""
