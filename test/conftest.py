@@ -51,6 +51,18 @@ def ros_domain(tmp_path, monkeypatch):
         yield domain
 
 
+@pytest.fixture(scope='module')
+def module_domain(tmp_path_factory):
+    """The same for all tests of a module."""
+    patch = pytest.MonkeyPatch()
+    with _free_domain() as domain:
+        patch.setenv('ROS_DOMAIN_ID', str(domain))
+        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_log')))
+        yield domain
+    patch.undo()
+
+
 @pytest.fixture
 def start_node(tmp_path, ros_domain):
     """A function of settings: starts a node, and a client that hears it; returns both, which end with the test."""

@@ -100,12 +100,11 @@ def size(body: RigidBody, count: int, rounds: int, tick: Callable[[], None]) -> 
 
 def case(model: Estimator, sample: Sample) -> Case:
     """Columns and features ahead of time: the other recursions are timed without them."""
-    import numpy as np
 
     features = model.model.features
     assert features is not None
     columns, _ = model.columns.one(sample, sample.stamp)
-    return Case(sample, columns, features(np.concatenate([sample.position, sample.velocity, sample.acceleration])))
+    return Case(sample, columns, features(sample.inputs))
 
 
 def contenders(model: Estimator, count: int) -> dict[str, Contender]:

@@ -21,6 +21,11 @@ class Sample(NamedTuple):
     acceleration: Array
     outputs: Array
 
+    @property
+    def inputs(self) -> Array:
+        """(m,) x = [q, dq, ddq]."""
+        return np.concatenate([self.position, self.velocity, self.acceleration])
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:

@@ -180,11 +180,8 @@ class Learner:
             self._listener.failed('learning', error)
             self._fall_back(error)
         else:
-            self._complete(errors)
-
-    def _complete(self, errors: HorizonErrors | None) -> None:
-        if errors is not None:
-            self._listener.horizon_completed(errors)
+            if errors is not None:
+                self._listener.horizon_completed(errors)
 
     def _as_measured(self, prediction: Prediction) -> Prediction:
         """With the bias of the tare, which the sensor still has."""
@@ -229,7 +226,8 @@ class Learner:
             self._discard_window(sentence_of(window.failure))
         else:
             self.estimator = window.estimator
-            self._complete(window.errors)
+            if window.errors is not None:
+                self._listener.horizon_completed(window.errors)
             self.switcher.remember(self.built, self.estimator)
             self._listener.told(f'{self.built.variant} has its hyperparameters from {self.built.initial_samples} '
                                 'samples and takes over from the provisional model.')
@@ -324,11 +322,10 @@ class Learner:
 
     def _newest_checkpoint(self) -> SavedState | None:
         try:
-            saved = self._checkpoint()
+            return self._checkpoint()
         except Exception as error:
             self._listener.failed('the checkpoint', error)
             return None
-        return saved
 
     # What the switcher tells
 

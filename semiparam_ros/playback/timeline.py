@@ -127,8 +127,9 @@ class BagTimeline:
         """What a subscriber would have received on connecting at ``from_ns``: a robot's description comes only once."""
         last: dict[str, Item] = {}
         if self._sorted is not None:
-            earlier = (item for item in self._sorted[:bisect_left(self._sorted, from_ns, key=_TIME)])
-            last = {item.topic: item for item in earlier if item.topic in self._latched_names()}
+            names = {self._names[topic] for topic in self._latched}
+            earlier = self._sorted[:bisect_left(self._sorted, from_ns, key=_TIME)]
+            last = {item.topic: item for item in earlier if item.topic in names}
         elif self._latched:
             last = {item.topic: item for item in self._stream(self._latched, end_ns=from_ns)}
         return [item._replace(time=from_ns) for item in last.values()]
@@ -142,9 +143,6 @@ class BagTimeline:
             if len(first) == len(self._latched):
                 break
         return list(first.values())
-
-    def _latched_names(self) -> set[str]:
-        return {self._names[topic] for topic in self._latched}
 
     def _stream(self, topics: Collection[str], start_ns: int | None = None, end_ns: int | None = None
                 ) -> Iterator[Item]:

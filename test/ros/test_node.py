@@ -17,7 +17,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from conftest import _free_domain
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.robot.feedforward import Desired
 from semiparam_ros.settings import Settings, dump_params
@@ -28,18 +27,7 @@ from support.node_faults import Fuzzer, counts_in, with_gaps
 from support.node_helpers import JOINTS, SETTINGS, URDF, motion, write_bag
 
 LIVE = replace(SETTINGS, acceleration_source='measured', features_count=500)
-
-
-@pytest.fixture(scope='module', autouse=True)
-def domain(tmp_path_factory):
-    """One ROS domain for the module, on loopback."""
-    patch = pytest.MonkeyPatch()
-    with _free_domain() as number:
-        patch.setenv('ROS_DOMAIN_ID', str(number))
-        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_log')))
-        yield number
-    patch.undo()
+pytestmark = pytest.mark.usefixtures('module_domain')
 
 
 @pytest.fixture(scope='module')

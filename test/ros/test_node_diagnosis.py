@@ -10,7 +10,6 @@ import pytest
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from conftest import _free_domain
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.build import build_rigid_body
 from support.node_client import Client, NodeProcess
@@ -19,17 +18,7 @@ from support.node_helpers import JOINTS, SETTINGS, motion
 LIVE = replace(SETTINGS, outputs='effort', sensor_frame='', variant='P', acceleration_source='measured',
                diagnosis_window=1000.0)
 FRICTION = np.array([0.8, 0.5])
-
-
-@pytest.fixture(scope='module', autouse=True)
-def domain(tmp_path_factory):
-    patch = pytest.MonkeyPatch()
-    with _free_domain() as number:
-        patch.setenv('ROS_DOMAIN_ID', str(number))
-        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_log')))
-        yield number
-    patch.undo()
+pytestmark = pytest.mark.usefixtures('module_domain')
 
 
 def rubbing(count):

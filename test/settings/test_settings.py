@@ -18,20 +18,9 @@ from semiparam_ros.settings.files import params_text
 from semiparam_ros.settings.rules import RULES, broken_rule
 from semiparam_ros.settings.snapshot import refusal
 from semiparam_ros.settings.table import Parameter
+from support.node_helpers import URDF
 
 WRENCH = Settings(sensor_frame='ft')
-
-URDF = """<robot name="two">
-  <link name="base"/>
-  <link name="upper"><inertial><mass value="1.0"/><origin xyz="0 0 0.1"/>
-    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="ft"><inertial><mass value="0.5"/><origin xyz="0.02 0 0.1"/>
-    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
-  <joint name="b" type="revolute"><parent link="upper"/><child link="ft"/><axis xyz="1 0 0"/>
-    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
-</robot>"""
 
 
 def write(path, text):

@@ -6,13 +6,13 @@ from typing import Literal
 
 import numpy as np
 
+from semiparam_ros.core.random_features import KINDS
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 
 LengthScales = Literal['one', 'kind', 'input']
 Noise = Literal['one', 'output']
 
-KINDS = 3  # position, velocity, acceleration
 FEWEST_SAMPLES = 20
 ROUNDING = 1e-12
 """A column less than this, over the largest of the rigid body, holds rounding errors alone."""
