@@ -210,7 +210,7 @@ class Estimator:
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
 
-        A desired state is exact and has no past, so its own time plays no part: see :meth:`CoupledColumns.desired`.
+        A desired state is exact and has no past, so its stamp does not matter: see :meth:`CoupledColumns.desired`.
         Raises SemiparamError when a value, or what follows from it, is not finite.
         """
         x = np.concatenate([position, velocity, acceleration])

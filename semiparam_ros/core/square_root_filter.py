@@ -101,7 +101,7 @@ class SquareRootFilter:
     def restore(self, state: dict[str, Array]) -> None:
         """Return to a saved :meth:`state` of the same size.
 
-        Raises SemiparamError, with nothing changed, when the number of changes that wait is none.
+        Raises SemiparamError, with nothing changed, when the number of waiting changes is impossible.
         """
         if state['waiting'] not in range(MOST_WAITING):
             raise SemiparamError(f"the saved 'waiting' is {state['waiting']}; expected a number from 0 to "

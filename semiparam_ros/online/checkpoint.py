@@ -60,7 +60,7 @@ class Checkpoints:
     def newest(self, settings: Settings, body: RigidBody) -> SavedState | None:
         """The newest that can be loaded for this robot; ``remarks`` then say what is wrong with newer ones.
 
-        None when there is none.
+        None if there is no checkpoint.
         """
         self.remarks = []
         for path in (self.path, self.previous):

@@ -81,7 +81,7 @@ class Learner:
     """Answers every sample once, in order.
 
     :param listener: told of every answer and of what happens to the model.
-    :param checkpoint: gives the newest good saved state that replaces a model that broke; None where there is none.
+    :param checkpoint: gives the newest good saved state to replace a model that broke; None without one.
     """
 
     def __init__(self, settings: Settings, body: RigidBody, background: Background, listener: LearnerListener,

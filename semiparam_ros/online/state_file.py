@@ -83,7 +83,7 @@ def snapshot(state: SavedState) -> Snapshot:
 
 
 def write(path: Path, arrays: Snapshot, before_it_replaces: Callable[[], None] = lambda: None) -> None:
-    """Write a :func:`snapshot`, and make its folder where there is none.
+    """Write a :func:`snapshot`, and make its folder if it is missing.
 
     :param before_it_replaces: called when the disk has it all, before it takes the name.
 
@@ -115,7 +115,7 @@ def require_replaceable(path: Path) -> None:
         _require_file(path)
         with np.load(path, allow_pickle=False) as archive:
             ours = json.loads(str(archive['meta'])).get('format') == FORMAT
-    except Exception:  # zipfile, numpy and json each have exceptions of their own for what is none of theirs
+    except Exception:  # zipfile, numpy and json each raise their own errors for a foreign file
         ours = False
     if not ours:
         raise SemiparamError(f'{path} is no saved state, so it is not replaced; move it away, or choose another name.')

@@ -53,7 +53,7 @@ class Autosave:
         return saved
 
     def newest(self, settings: Settings, body: RigidBody) -> SavedState | None:
-        """The newest good checkpoint of a node that saves them, None where there is none."""
+        """The newest good checkpoint of a node that saves them; None without one."""
         return self._loaded(settings, body) if self._active else None
 
     def _loaded(self, settings: Settings, body: RigidBody) -> SavedState | None:

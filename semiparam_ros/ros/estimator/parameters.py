@@ -108,12 +108,12 @@ class Parameters:
         self._log = node.get_logger()
         self.settings = Settings.from_mapping(self._ours(overrides))
         self.news = ''
-        self._own_doing = True
+        self._by_node = True
         node.add_pre_set_parameters_callback(self._convert)
         node.add_on_set_parameters_callback(self._validate)
         for parameter in PARAMETERS:
             self._declare(parameter)
-        self._own_doing = False
+        self._by_node = False
         node.add_post_set_parameters_callback(self._apply)
 
     def refusal(self, values: dict[str, object]) -> str | None:
@@ -129,11 +129,11 @@ class Parameters:
         changed = [parameter for parameter in PARAMETERS
                    if getattr(settings, parameter.field) != getattr(self.settings, parameter.field)]
         self.settings = settings
-        self._own_doing = True
+        self._by_node = True
         try:
             self._node.set_parameters([_ros_parameter(row, getattr(settings, row.field)) for row in changed])
         finally:
-            self._own_doing = False
+            self._by_node = False
 
     def ros_parameter(self, name: str, value: object) -> RosParameter:
         """One of ours, as rclpy wants it."""
@@ -163,13 +163,13 @@ class Parameters:
         return [_ros_parameter(BY_NAME[item.name], item.value) if _can_convert(item) else item for item in parameters]
 
     def _validate(self, parameters: list[RosParameter]) -> SetParametersResult:
-        if self._own_doing:
+        if self._by_node:
             return SetParametersResult(successful=True)
         sentence = self.refusal({item.name: item.value for item in parameters})
         return SetParametersResult(successful=sentence is None, reason=sentence or '')
 
     def _apply(self, parameters: list[RosParameter]) -> None:
-        if self._own_doing:
+        if self._by_node:
             return
         ours = {item.name: item.value for item in parameters if item.name in BY_NAME}
         if ours:

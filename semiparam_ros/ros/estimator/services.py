@@ -70,7 +70,7 @@ def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], Non
 class Services:
     """``~/reset``, ``~/pause_learning``, ``~/tare``, ``~/save_state`` and ``~/load_state``.
 
-    :param learner: gives the learner, or raises SemiparamError while there is none.
+    :param learner: gives the learner, or raises SemiparamError before the robot is known.
     :param errors: counts what goes wrong unexpectedly.
     """
 

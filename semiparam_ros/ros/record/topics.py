@@ -75,7 +75,7 @@ def sources(node: Node, topics: Iterable[str]) -> set[str]:
 
 
 def best_qos(node: Node, topic: str) -> QoSProfile:
-    """A subscription for all publishers of a topic, or where there is none yet, for those its subscribers expect."""
+    """A subscription for all publishers of a topic, or before there are any, for those its subscribers expect."""
     known = offers(node, topic)
     if not known:
         wanted = [from_rclpy(info.qos_profile) for info in node.get_subscriptions_info_by_topic(topic)]
