@@ -69,7 +69,7 @@ def learn(options):
 
 def count_of(saved):
     """How many samples a state has seen: their stamps are evenly spaced."""
-    first, last = saved.estimator.origin, saved.chapter.samples.stamps[-1]
+    first, last = saved.estimator.origin, saved.batch.samples.stamps[-1]
     return (int(last) - first) // 20_000_000 + 1
 
 
