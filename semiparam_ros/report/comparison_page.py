@@ -8,9 +8,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup
-
 from semiparam_ros import __version__
 from semiparam_ros.experiments.comparison import (
     BAND,
@@ -23,7 +20,7 @@ from semiparam_ros.experiments.comparison import (
     verdict,
 )
 from semiparam_ros.report import comparison_figures
-from semiparam_ros.report.html import inline_svg
+from semiparam_ros.report.html import Picture, environment, picture
 
 SYMBOLS = {'eps_force': 'ε^F', 'eps_torque': 'ε^T', 'eps_effort': 'ε'}
 
@@ -140,21 +137,13 @@ def number(value: float, digits: int = 3) -> str:
     return f'{value:.{digits}g}' if abs(value) >= 1e-3 or value == 0.0 else f'{value:.{max(digits - 2, 0)}e}'
 
 
-class Picture(NamedTuple):
-    """A figure and the caption that says what to see."""
-
-    title: str
-    svg: Markup
-    caption: str
-
-
 def page(comparison: Comparison, train: str, test: str, command: str) -> str:
     """The page's text.
 
     :param train: name of the first recording. :param test: of the second. :param command: what made it.
     """
     shown = columns(comparison)
-    template = _environment().get_template('comparison.html.j2')
+    template = environment().get_template('comparison.html.j2')
     return template.render(
         version=__version__, train=train, test=test, command=command, scenario=comparison.scenario,
         verdict=verdict(comparison.figures, comparison.findings), findings=comparison.findings, columns=shown,
@@ -171,17 +160,17 @@ def pictures(comparison: Comparison) -> list[Picture]:
         f'joint {index + 1}' for index in range(scenario.test.outputs.shape[1]))
     several = f"{_count(len(scenario.subsets), 'subset')} and {_count(len(scenario.seeds), 'feature draw')}"
     return [
-        _picture('Error over the horizon, in time', 'courses', comparison_figures.courses(figures),
+        picture('Error over the horizon, in time', 'courses', comparison_figures.courses(figures),
                  f'Relative squared error of predicting the next {scenario.settings.horizon_length} samples, averaged '
                  f'over {several} and smoothed over two seconds. Lower is better. Look at how fast a curve falls in '
                  'the first minute, and where it settles. Dotted lines: 30 s and 60 s.'),
-        _picture('Error over the horizon, in steady state', 'boxes', comparison_figures.boxes(figures),
+        picture('Error over the horizon, in steady state', 'boxes', comparison_figures.boxes(figures),
                  'The same index after the first 30 s: box from quartile to quartile, line at the median, whiskers '
                  'from the 5th to the 95th percentile. A low box is accurate, a short one dependable.'),
-        _picture('Are the uncertainties honest?', 'calibration', comparison_figures.calibration(figures),
+        picture('Are the uncertainties honest?', 'calibration', comparison_figures.calibration(figures),
                  'How many more measurements a band holds than it promises. Zero is honest, below zero the model is '
                  'too sure of itself, above it too cautious; the shaded strip is two points wide on either side.'),
-        _picture('Error of each output', 'channels', comparison_figures.channels(figures, names),
+        picture('Error of each output', 'channels', comparison_figures.channels(figures, names),
                  'Mean squared error over the variance of the output: open circles while the model learns, filled '
                  'circles frozen as the first recording left it. The distance between the two is what learning on is '
                  'worth.')]
@@ -189,10 +178,6 @@ def pictures(comparison: Comparison) -> list[Picture]:
 
 def _count(number: int, noun: str) -> str:
     return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
-
-
-def _picture(title: str, name: str, figure: object, caption: str) -> Picture:
-    return Picture(title, Markup(inline_svg(figure, name, title)), caption)  # type: ignore[arg-type]
 
 
 def _groups(headings: list[str]) -> list[tuple[str, int]]:
@@ -218,9 +203,3 @@ def _hyperparameters(one: VariantFigures) -> dict[str, str]:
 
 def _or_dash(value: float) -> str:
     return number(value) if value else '–'
-
-
-def _environment() -> Environment:
-    return Environment(loader=PackageLoader('semiparam_ros', 'report/templates'), undefined=StrictUndefined,
-                       autoescape=select_autoescape(default=True, default_for_string=True), trim_blocks=True,
-                       lstrip_blocks=True)

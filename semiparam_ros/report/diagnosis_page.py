@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from semiparam_ros import __version__
 from semiparam_ros.core.types import Array
@@ -20,7 +18,7 @@ from semiparam_ros.diagnosis.text_report import place, text_report
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.report import diagnosis_figures as figures
 from semiparam_ros.report.diagnosis_figures import Suspicion, against_suspected, against_unexplained, suspicions
-from semiparam_ros.report.html import environment, inline_svg
+from semiparam_ros.report.html import Picture, environment, picture
 
 if TYPE_CHECKING:
     from semiparam_ros.experiments.variants_with_effects import VariantFigures
@@ -147,14 +145,6 @@ def variant_rows(variants: Mapping[str, VariantFigures]) -> list[tuple[str, floa
     return rows
 
 
-class Picture(NamedTuple):
-    """A figure and the caption that says what to see."""
-
-    title: str
-    svg: Markup
-    caption: str
-
-
 def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantFigures], title: str) -> str:
     """The page's text.
 
@@ -188,7 +178,7 @@ def _labels(diagnosis: Diagnosis) -> list[str]:
 
 def _outputs(diagnosis: Diagnosis) -> Picture:
     figure = figures.outputs_of(diagnosis, list(diagnosis.first.body.output_names))
-    return _picture('Error of each output', 'outputs', figure, '')
+    return picture('Error of each output', 'outputs', figure, '')
 
 
 def _over_time(diagnosis: Diagnosis) -> list[Picture]:
@@ -203,7 +193,7 @@ def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     caption += ' A dashed line marks the start of an effect.' if starts else ''
     own = figures.over_time(first.samples.time, figures.curves(first.residual, final.residual, added),
                             _labels(diagnosis), held_out, starts)
-    shown = [_picture('Residual over time', 'time', own, caption)]
+    shown = [picture('Residual over time', 'time', own, caption)]
     if diagnosis.elsewhere is not None:
         shown.append(_over_time_elsewhere(diagnosis, diagnosis.elsewhere))
     return shown
@@ -213,7 +203,7 @@ def _over_time_elsewhere(diagnosis: Diagnosis, elsewhere: Elsewhere) -> Picture:
     time = elsewhere.samples.time[elsewhere.valid]
     both = figures.curves(diagnosis.before.residual, diagnosis.after.residual, bool(diagnosis.steps))
     figure = figures.over_time(time, both, _labels(diagnosis), np.zeros(len(time), dtype=bool), [])
-    return _picture('Residual over time, on the recording that judges', 'judged', figure,
+    return picture('Residual over time, on the recording that judges', 'judged', figure,
                     f'The same models on {elsewhere.name}, of which they saw nothing.')
 
 
@@ -225,7 +215,7 @@ def _against_variables(diagnosis: Diagnosis) -> list[Picture]:
 def _against_variable(diagnosis: Diagnosis, suspicion: Suspicion, number: int) -> Picture:
     names = ' and '.join(place(finding.effect.kind, finding.effect.where) for finding in suspicion.findings)
     channel = diagnosis.first.body.output_names[suspicion.channel]
-    return _picture(names, f'variable{number}', against_suspected(diagnosis, suspicion),
+    return picture(names, f'variable{number}', against_suspected(diagnosis, suspicion),
                     f'Residual of {channel}, the output in which this shows most. Left: without it, and without what '
                     'later rounds found. Right: with everything found. The points should follow the line on the left '
                     'and lie flat on the right.')
@@ -233,7 +223,7 @@ def _against_variable(diagnosis: Diagnosis, suspicion: Suspicion, number: int) -
 
 def _unexplained(fit: Fit, structure: Structure) -> Picture:
     figure, channel = against_unexplained(fit, structure)
-    return _picture('What no kind explains', 'unexplained', figure,
+    return picture('What no kind explains', 'unexplained', figure,
                     f'What is left of {channel}, the output with most structure, against what it depends on most. A '
                     'course that is not flat is something that the model lacks.')
 
@@ -246,20 +236,16 @@ def _formulas(structure: Structure, least_share: float) -> list[tuple[Formula, s
 
 
 def _spectra(diagnosis: Diagnosis) -> Picture:
-    return _picture('Spectrum of the residual', 'spectra', figures.spectra(diagnosis),
+    return picture('Spectrum of the residual', 'spectra', figures.spectra(diagnosis),
                     'Power of the residual over that of its white noise, mean over outputs. What stands above the '
                     'dashed line is structure: broad at low frequencies for what follows the motion, a peak for '
                     'something periodic.')
 
 
 def _candidates(diagnosis: Diagnosis) -> list[Picture]:
-    return [_picture(f'Candidates of round {number}', f'round{number}', figures.candidates_of(step, number),
-                     LOADS if any(trial.effect.is_load for trial in step.added) else '')
+    return [picture(f'Candidates of round {number}', f'round{number}', figures.candidates_of(step, number),
+                    LOADS if any(trial.effect.is_load for trial in step.added) else '')
             for number, step in enumerate(diagnosis.steps, start=1)]
-
-
-def _picture(title: str, name: str, figure: Figure, caption: str) -> Picture:
-    return Picture(title, Markup(inline_svg(figure, name, title.replace('"', ''))), caption)
 
 
 def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:

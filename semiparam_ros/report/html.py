@@ -6,10 +6,11 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 # Colours that no figure uses otherwise; the page replaces them, so that one picture serves light and dark.
@@ -31,6 +32,19 @@ def environment() -> Environment:
     return Environment(loader=PackageLoader('semiparam_ros', 'report/templates'), undefined=StrictUndefined,
                        autoescape=select_autoescape(default=True, default_for_string=True), trim_blocks=True,
                        lstrip_blocks=True)
+
+
+class Picture(NamedTuple):
+    """A figure and the caption that says what to see."""
+
+    title: str
+    svg: Markup
+    caption: str
+
+
+def picture(title: str, name: str, figure: Figure, caption: str) -> Picture:
+    """A figure as it stands on a page. :param name: unique on the page."""
+    return Picture(title, Markup(inline_svg(figure, name, title.replace('"', ''))), caption)
 
 
 @contextmanager
