@@ -90,7 +90,10 @@ class TimeDelay(Effect):
         if memory is not None:
             past = _joined(cast('_Past', memory), past)
         wanted = samples.stamps - round(self.value('delay_s') * 1e9)
-        inputs = _interpolated(past, wanted, np.arange(len(past.stamps) - len(samples), len(past.stamps)))
+        fresh = np.diff(past.stamps, prepend=past.stamps[:1] - 1) > 0  # of two samples with one stamp, the first
+        newest = (np.cumsum(fresh) - 1)[len(fresh) - len(samples):]
+        past = _Past(*(values[fresh] for values in past))  # type: ignore[arg-type]
+        inputs = _interpolated(past, wanted, newest)
         delayed = replace(samples, position=inputs[0], velocity=inputs[1], acceleration=inputs[2])
         return body, delayed, _Past(past.stamps[-self.kept:], past.position[-self.kept:], past.velocity[-self.kept:],
                                     past.acceleration[-self.kept:])
@@ -119,10 +122,9 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps) -> tuple[Array, A
     velocity = _hermite(past.velocity, past.acceleration, left, right, step, ahead / step)
     acceleration = _parabola(past.acceleration, past.stamps, left, right, ahead)
     if first.any():
-        start = slice(0, 1)
-        position[start] = past.position[start] + ahead[start] * past.velocity[start]
-        velocity[start] = past.velocity[start] + ahead[start] * past.acceleration[start]
-        acceleration[start] = past.acceleration[start]
+        position[first] = past.position[0] + ahead[first] * past.velocity[0]
+        velocity[first] = past.velocity[0] + ahead[first] * past.acceleration[0]
+        acceleration[first] = past.acceleration[0]
     return position, velocity, acceleration
 
 

@@ -18,6 +18,7 @@ import pytest
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.frames import nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds, registry
@@ -301,6 +302,29 @@ def test_a_start_may_be_told_as_a_stamp(row):
     back = effect_from_text(effect_to_text(stamped)).in_recording(ORIGIN)
     assert back.start_s == pytest.approx(payload.start_s, abs=1e-6)
     assert back.at_stamp(ORIGIN) == stamped  # to the last digit, however often it goes to and fro
+
+def late_and_uneven() -> Samples:
+    """The motion at 1 kHz a day after the origin, then rest; a pause of half an hour, stamps that come twice."""
+    steps = np.full(2 * len(MOTION), 1_000_000)
+    steps[25], steps[50], steps[[1, 12, 60]] = 1800 * 10**9, 10 * 10**6, 0
+    at = np.minimum(np.arange(len(steps)), len(MOTION) - 1)
+    still = np.where(np.arange(len(steps)) < len(MOTION), 1.0, 0.0)[:, None]
+    return Samples(ORIGIN + 10**14 + np.cumsum(steps), MOTION.position[at], still * MOTION.velocity[at],
+                   still * MOTION.acceleration[at], MOTION.outputs[at], ORIGIN)
+
+
+@pytest.mark.parametrize(('outputs', 'effect'), CASES, ids=NAMES)
+def test_a_day_later_at_1_khz_columns_are_finite_and_one_at_a_time_they_are_the_same(outputs, effect):
+    """Also at rest, after a pause, and where two samples have one stamp."""
+    samples, assembly = late_and_uneven(), CoupledColumns(BODIES[outputs], [disturbed(effect)])
+    expected, _ = assembly.batch(samples)
+    assert np.isfinite(expected).all()
+    memory, rows = None, []
+    for sample in samples:
+        row, memory = assembly.one(sample, ORIGIN, memory)
+        rows.append(row)
+    scale = np.maximum(np.abs(expected).max(axis=(0, 1)), 1e-6)  # what is less, at rest, is rounding
+    np.testing.assert_allclose(np.array(rows) / scale, expected / scale, rtol=0, atol=1e-9)
 
 
 def test_without_a_start_an_effect_is_always_there():
