@@ -72,7 +72,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
 start: of the effect; none, in seconds since the start of the recording, or as a stamp.
 motion: velocities and accelerations measured; accelerations filtered from the velocities; velocities missing, filtered
 from the positions.
-still: the robot stands still for one and a half initial windows first, with the sensor's noise or without any (then the
+still: the robot stands still for one initial window first, with the sensor's noise or without any (then the
 window gives no hyperparameters, and another one is gathered).
 background: hyperparameters are estimated at once, or while further samples come.
 """
@@ -94,6 +94,9 @@ FEATURES, WINDOW = 10, 24
 PERIOD_NS, START_NS = 10_000_000, 5_000_000_000
 CONTACT_EVERY_S, CONTACT_S = 20.0, 0.4
 RUN_BACKGROUND_EVERY = 25
+LARGEST_PREDICTION = 1e4
+"""[N], [N m] The outputs stay within 70; a model from a poor window may err, but must not burst."""
+
 Row = dict[str, object]
 
 
@@ -193,7 +196,7 @@ def raw_motion(outputs: str, still: str, count: int) -> Motion:
     """Sums of sines, a hand heavier than described, a bump that no column explains, a drift, noise and contacts."""
     rng = np.random.default_rng(7)
     body = body_of(outputs)
-    quiet = 0 if still == 'none' else 3 * WINDOW // 2
+    quiet = 0 if still == 'none' else WINDOW
     time_s = np.maximum(np.arange(count) - quiet, 0)[:, None, None] * PERIOD_NS * 1e-9
     rate, phase = rng.uniform(1.0, 6.0, (1, 2, 3)), rng.uniform(0.0, 2 * np.pi, (1, 2, 3))
     angle = rate * time_s + phase
@@ -386,6 +389,7 @@ def assert_finite(record: Record) -> None:
     for index, (_, _, _, _, mean, std) in enumerate(record.answers):
         assert np.isfinite([*mean, *std]).all(), f'sample {index} is predicted as {mean} +- {std}'
         assert min(std) > 0.0, f'sample {index} has a standard deviation of {min(std)}'
+        assert max(map(abs, mean)) < LARGEST_PREDICTION, f'sample {index} is predicted as {mean}'
     for name, values in record.final.items():
         assert np.isfinite(values).all(), f"the final '{name}' is not finite"
 
