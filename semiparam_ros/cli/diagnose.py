@@ -97,22 +97,25 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     train_mask = None if args.split is None else leading_split(len(bag.samples), args.split)
     with progress_bar() as bar:
         task = bar.add_task('reading', total=100)
-        return diagnose(body, bag.samples, declared_effects(settings, body), train_mask,
+        return diagnose(body, bag.samples, declared_effects(settings), train_mask,
                         None if other is None else (str(args.judge), other), args.kinds,
                         lambda words, share: bar.update(task, description=words, completed=int(100 * share)))
 
 
 def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> None:
-    """The parameter file with every effect of the final model declared.
+    """The parameter file with every effect of the final model declared, each under what was found of it.
 
     What began late in the recording is there for whoever loads the file, so it has no start.
     """
-    from semiparam_ros.effects import effect_to_text
+    from semiparam_ros.diagnosis.text_report import remarks
+    from semiparam_ros.effects import effect_to_text, effects_to_parameters
     from semiparam_ros.settings import dump_params
 
     standing = {effect_to_text(effect.without_start()): effect.without_start()
                 for effect in diagnosis.final.effects}  # two loads picked up one after the other are one now
-    dump_params(replace(settings, effects=tuple(map(effect_to_text, standing.values()))), path)
+    effects, reference = effects_to_parameters(list(standing.values()))
+    dump_params(replace(settings, effects=effects, effects_reference=reference), path,
+                remarks={'effects': [remarks(diagnosis, effect) for effect in standing.values()]})
 
 
 def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, VariantFigures]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
-from semiparam_ros.effects import kinds
+from semiparam_ros.effects import Effect, kinds
 
 MOST_PARAMETERS = 4
 
@@ -49,6 +49,26 @@ def _finding(finding: Finding) -> str:
     values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding))
     return (f'{place(effect.kind, effect.where)}: {effect.sentence}{since} ({values}; log evidence '
             f'+{finding.log_evidence_gain:.0f}).')
+
+
+def remarks(diagnosis: Diagnosis, effect: Effect) -> list[str]:
+    """What was found of an effect of the final model, its start aside: since when, its values, what it rests on."""
+    found = [finding for finding in diagnosis.findings if finding.effect.without_start() == effect.without_start()]
+    if not found:
+        return [f'{place(effect.kind, effect.where)}: {effect.sentence}. Declared before.']
+    return [line for finding in found for line in _remark(diagnosis, finding)]
+
+
+def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
+    judged = [diagnosis.before, *diagnosis.by_step]
+    before, after = (judged[number].nmse.mean() for number in (finding.round_number - 1, finding.round_number))
+    since = f', since {finding.effect.start_s:.1f} s of this recording' if finding.effect.start_s is not None else ''
+    rivals = ', '.join(f'{place(rival.kind, rival.where)} (odds {rival.odds:.2g})' for rival in finding.rivals)
+    return [f'{place(finding.effect.kind, finding.effect.where)}: {finding.effect.sentence}{since}.',
+            *(f'  {name}: {quantity_text(quantity)}' for name, quantity in finding.parameters.items()),
+            f'  Rests on: log evidence +{finding.log_evidence_gain:.0f}; round {finding.round_number} changed the '
+            f'held-out normalised error from {before:.4f} to {after:.4f}.',
+            *([f'  Cannot be told for certain from {rivals}.'] if rivals else [])]
 
 
 def _largest(finding: Finding) -> list[tuple[str, Quantity]]:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
+from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
@@ -81,22 +83,35 @@ def kinds(outputs: str | None = None) -> dict[str, type[Effect]]:
     return {name: kind for name, kind in _all_kinds().items() if outputs is None or outputs in kind.outputs}
 
 
-def effect_to_text(effect: Effect) -> str:
-    """The effect as the parameter ``effects`` holds it; :func:`effect_from_text` reads it back exactly."""
+def effect_to_text(effect: Effect, shared: tuple[float, ...] = ()) -> str:
+    """The effect as the parameter ``effects`` holds it; :func:`effect_from_text` reads it back exactly.
+
+    :param shared: (p,) reference model that stands beside the text, which leaves it out.
+    """
     values: dict[str, object] = dict(effect.values)
-    if effect.reference:
+    if effect.needs_reference and effect.reference != shared:
         values['reference'] = list(effect.reference)
     return effect.kind + (f'@{effect.where}' if effect.where else '') + (json.dumps(values) if values else '')
 
 
-def effect_from_text(text: str) -> Effect:
-    """Read ``kind[@where][{"name": number, ...}]``. Anything else raises SemiparamError."""
+def effects_to_parameters(effects: Sequence[Effect]) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """The parameters ``effects`` and ``effects_reference``: texts, and the reference (p,) that most have."""
+    counts = Counter(effect.reference for effect in effects if effect.reference)
+    shared = counts.most_common(1)[0][0] if counts else ()
+    return tuple(effect_to_text(effect, shared) for effect in effects), shared
+
+
+def effect_from_text(text: str, shared: tuple[float, ...] = ()) -> Effect:
+    """Read ``kind[@where][{"name": number, ...}]``. Anything else raises SemiparamError.
+
+    :param shared: (p,) reference model of kinds that need one, where the text holds none.
+    """
     head, brace, tail = text.strip().partition('{')
     name, _, where = head.strip().partition('@')
     if name not in _all_kinds():
         raise SemiparamError(f"effect '{text}' names no known kind; expected one of {', '.join(_all_kinds())}.")
     values = _values(text, brace + tail) if brace else {}
-    reference = values.pop('reference', [])
+    reference = values.pop('reference', list(shared))
     if not isinstance(reference, list) or not all(map(_is_number, reference)):
         raise SemiparamError(f"effect '{text}' has a reference that is not a list of numbers.")
     wrong = [key for key, value in values.items() if not _is_number(value)]

@@ -36,7 +36,7 @@ def fitted_settings(settings: Settings, samples: Samples, robot_description: str
     """
     estimation = estimation or Estimation()
     body = build_rigid_body(settings, robot_description)
-    columns = CoupledColumns(body, declared_effects(settings, body))
+    columns = CoupledColumns(body, declared_effects(settings))
     coupled, _ = columns.batch(samples)
     mean, scale = input_scaling(samples.inputs)
     options = model_options(replace(settings, hyperparameters_sigma=()))

@@ -25,10 +25,10 @@ from semiparam_ros.online.history import History, SampleBatch, batch_of
 from semiparam_ros.online.worker import Background, Job
 from semiparam_ros.settings.snapshot import Settings
 
-MODEL_PARAMETERS = ('variant', 'effects', 'noise', 'forgetting', 'horizon_length')
+MODEL_PARAMETERS = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon_length')
 """Fields whose change needs another model."""
 
-HYPERPARAMETERS_DEPEND_ON = ('variant', 'effects', 'noise')
+HYPERPARAMETERS_DEPEND_ON = ('variant', 'effects', 'effects_reference', 'noise')
 
 INLINE_AT_MOST = 50
 """So many samples are caught up within one callback; more go to the background once again."""

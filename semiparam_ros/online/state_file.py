@@ -25,10 +25,10 @@ from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 2
+FORMAT, VERSION = 'semiparam_ros state', 3
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
-ADOPTED = ('variant', 'effects', 'noise', 'forgetting', 'horizon.length')
+ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
 """Parameters that the file brings along."""
 
 FIXED = ('outputs', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')

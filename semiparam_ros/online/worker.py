@@ -11,7 +11,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -32,6 +32,7 @@ from semiparam_ros.settings.snapshot import Settings
 
 if TYPE_CHECKING:
     from semiparam_ros.diagnosis.diagnose import Diagnosis
+    from semiparam_ros.effects import Effect
 
 Result = TypeVar('Result')
 Done = Callable[[Result | None, BaseException | None], None]
@@ -238,7 +239,7 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
     """An estimator that has learnt nothing yet; time counts from ``origin`` [ns]."""
     if known is not None:
         settings = settings.changed(hyperparameter_values(*known))
-    return Estimator(body, model_options(settings), declared_effects(settings, body), origin)
+    return Estimator(body, model_options(settings), declared_effects(settings), origin)
 
 
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
@@ -262,25 +263,22 @@ class Outcome(NamedTuple):
     verdict: str
     words: list[str]
     report: dict[str, object]
-    effects: tuple[str, ...]
+    effects: tuple[Effect, ...]
 
 
-def diagnose(body: RigidBody, samples: Samples, effects: tuple[str, ...]) -> Outcome:
-    """Diagnose samples with the effects declared so far, given as text; raises SemiparamError as the command does."""
+def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> Outcome:
+    """Diagnose samples with the effects declared so far; raises SemiparamError as the command does."""
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.diagnosis.text_report import text_report
-    from semiparam_ros.effects import effect_from_text
 
-    found = diagnose(body, samples, [effect_from_text(text) for text in effects])
+    found = diagnose(body, samples, effects)
     return Outcome(found.verdict, text_report(found), found.as_dict(), declared(found))
 
 
-def declared(found: Diagnosis) -> tuple[str, ...]:
+def declared(found: Diagnosis) -> tuple[Effect, ...]:
     """The effects of the final model, starts as stamps: a node counts time from its own start, which a reset moves."""
-    from semiparam_ros.effects import effect_to_text
-
     origin = found.recorded.samples.origin
-    return tuple(effect_to_text(effect.at_stamp(origin)) for effect in found.final.effects)
+    return tuple(effect.at_stamp(origin) for effect in found.final.effects)
 
 
 def thinned(samples: Samples) -> Samples:

@@ -24,7 +24,7 @@ def build_estimator(settings: Table, robot_description: str | None = None, origi
     Raises SemiparamError when the URDF, a joint, the sensor frame, an effect or a hyperparameter does not fit.
     """
     body = build_rigid_body(settings, robot_description)
-    return Estimator(body, model_options(settings), declared_effects(settings, body), origin)
+    return Estimator(body, model_options(settings), declared_effects(settings), origin)
 
 
 def build_rigid_body(settings: Table, robot_description: str | None = None) -> RigidBody:
@@ -66,10 +66,10 @@ def hyperparameter_values(hyperparameters: Hyperparameters, input_mean: tuple[fl
     return {f'hyperparameters.{name}': value for name, value in values.items()}
 
 
-def declared_effects(settings: Table, body: RigidBody) -> Sequence[Effect]:
-    """The effects of the parameter ``effects``, in its order."""
+def declared_effects(settings: Table) -> Sequence[Effect]:
+    """The effects of the parameter ``effects``, in its order, with the reference model beside them."""
     if not settings.effects:
         return []
     from semiparam_ros.effects import effect_from_text  # only who declares an effect pays for loading them
 
-    return [effect_from_text(text) for text in settings.effects]
+    return [effect_from_text(text, settings.effects_reference) for text in settings.effects]

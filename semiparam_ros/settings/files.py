@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import yaml
@@ -15,6 +15,7 @@ from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest
 from semiparam_ros.settings.table import BY_NAME, PARAMETERS, Parameter
 
 WIDTH = 110
+NO_REMARKS: Mapping[str, Sequence[Sequence[str]]] = {}
 
 
 class _Loader(yaml.SafeLoader):
@@ -45,13 +46,18 @@ def read_params(path: str | Path, node: str = 'estimator') -> dict[str, object]:
     return values
 
 
-def dump_params(settings: Settings, path: str | Path, node: str = 'estimator') -> None:
+def dump_params(settings: Settings, path: str | Path, node: str = 'estimator',
+                remarks: Mapping[str, Sequence[Sequence[str]]] = NO_REMARKS) -> None:
     """Write a parameter file that the node and every command load: the whole file or nothing."""
-    write_text(path, params_text(settings, node))
+    write_text(path, params_text(settings, node, remarks))
 
 
-def params_text(settings: Settings, node: str = 'estimator') -> str:
-    """The parameter file, each value under its explanation."""
+def params_text(settings: Settings, node: str = 'estimator',
+                remarks: Mapping[str, Sequence[Sequence[str]]] = NO_REMARKS) -> str:
+    """The parameter file, each value under its explanation.
+
+    :param remarks: by the name of a parameter that is a list of texts, lines of comment above each of its items.
+    """
     lines = [f'{node}:', '  ros__parameters:']
     groups: dict[str, list[Parameter]] = {}
     for parameter in PARAMETERS:
@@ -63,13 +69,26 @@ def params_text(settings: Settings, node: str = 'estimator') -> str:
             lines += textwrap.wrap(_comment(parameter), WIDTH, initial_indent=f'{indent}# ',
                                    subsequent_indent=f'{indent}# ', break_on_hyphens=False)
             name = parameter.name.rpartition('.')[2]
-            lines.append(f'{indent}{name}: {_scalar(getattr(settings, parameter.field))}')
+            value = getattr(settings, parameter.field)
+            if value and parameter.name in remarks:
+                lines.append(f'{indent}{name}:')
+                lines += _items(value, remarks[parameter.name], f'{indent}  ')
+            else:
+                lines.append(f'{indent}{name}: {_scalar(value)}')
     return '\n'.join(lines) + '\n'
 
 
 def _comment(parameter: Parameter) -> str:
     details = [parameter.permitted, f'[{parameter.unit}]' if parameter.unit else '', 'live' if parameter.live else '']
     return f'{parameter.description} ({", ".join(filter(None, [parameter.kind, *details]))})'
+
+
+def _items(items: Sequence[str], remarks: Sequence[Sequence[str]], indent: str) -> Iterator[str]:
+    for item, remark in zip(items, remarks, strict=True):
+        for line in remark:
+            yield from textwrap.wrap(line, WIDTH, initial_indent=f'{indent}# ', subsequent_indent=f'{indent}#     ',
+                                     break_on_hyphens=False, drop_whitespace=False)
+        yield f"{indent}- '{item.replace(chr(39), 2 * chr(39))}'"
 
 
 def _scalar(value: object) -> str:

@@ -172,6 +172,9 @@ class Table:
     effects: tuple[str, ...] = declare(
         'effects', (), "Declared effects, each 'kind' or 'kind@where', optionally followed by {json} with values that "
         'a diagnosis found.', live=True)
+    effects_reference: tuple[float, ...] = declare(
+        'effects_reference', (), 'Base parameters that predict the load on which effects such as load_friction depend; '
+        'a diagnosis writes them. Empty: those of the robot description.', live=True)
     learning: bool = declare('learning', True, 'Learn from every sample; false: predict only.', live=True)
     forgetting: float = declare(
         'forgetting', 1.0, 'Forgetting factor for each sample; 1.0 forgets nothing, 0.999 has a memory of about 1000 '

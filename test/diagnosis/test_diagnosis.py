@@ -185,7 +185,7 @@ def test_what_was_found_late_is_there_for_whoever_loads_the_file(payload, tmp_pa
 
 
 def test_a_node_is_told_the_stamp_of_the_start_and_understands_it_again(payload):
-    effects = [effect_from_text(text) for text in worker.declared(payload)]
+    effects = worker.declared(payload)
     stamp = payload.recorded.samples.origin + payload.final.effects[0].start_s * 1e9
     assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
     assert effects[0].start_stamp == pytest.approx(stamp, abs=1000)

@@ -21,7 +21,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import added_columns
-from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds, registry
+from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, effects_to_parameters, kinds, registry
 from semiparam_ros.effects.application_point import AtPoint
 from semiparam_ros.effects.base import Start
 from semiparam_ros.errors import SemiparamError
@@ -230,6 +230,21 @@ def test_only_kinds_that_need_a_reference_keep_one():
         assert effect.reference == ((1.0, 2.5) if kind.needs_reference else ())
         assert kind.from_values(None, {}, (1.0, 2.5)) == effect
     assert [name for name, kind in kinds().items() if kind.needs_reference] == ['load_friction']
+
+
+def test_a_reference_model_stands_once_beside_the_texts():
+    one, other = (tuple(np.random.default_rng(seed).standard_normal(36).tolist()) for seed in (0, 1))
+    rubbing = [kinds()['load_friction'](joint, {'turn_speed': 0.1 + 0.2}, reference=reference)
+               for joint, reference in (('a', one), ('b', one), ('c', other), ('d', ()))]
+    effects = [*rubbing, effect_from_text('viscous_friction@a')]
+    texts, shared = effects_to_parameters(effects)
+    assert shared == one
+    assert [('reference' in text, len(text) < 100) for text in texts] == [
+        (False, True), (False, True), (True, False), (True, True), (False, True)]
+    assert [effect_from_text(text, shared) for text in texts] == effects  # to the last digit
+    assert [effect_from_text(effect_to_text(effect)) for effect in effects] == effects
+    assert effects_to_parameters(effects[3:]) == (('load_friction@d{"turn_speed": 0.30000000000000004}',
+                                                   'viscous_friction@a'), ())
 
 
 def test_values_go_where_they_belong():

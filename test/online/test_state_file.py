@@ -23,6 +23,7 @@ REMEMBERS = {
     'delay': replace(SETTINGS, effects=('time_delay{"delay_s": 0.005}',)),
     'cable': replace(SETTINGS, effects=('cable_hysteresis@a{"slip": 0.3}', 'time_delay{"delay_s": -0.003}')),
     'backlash': replace(EFFORT, effects=('backlash@b{"gap": 0.2}', 'coulomb_friction@a{"presliding": 0.05}')),
+    'load': replace(EFFORT, effects=('load_friction@a{"turn_speed": 0.1}',), effects_reference=(0.1 + 0.2,) * 10),
     'start': replace(SETTINGS, effects=('payload@ft{"start_s": 3.0}',)),
     'SP': replace(SETTINGS, variant='SP-ML', effects=('sensor_drift',)),
     'forgetting': replace(SETTINGS, variant='P', forgetting=0.99),
@@ -96,12 +97,12 @@ SCRATCH = {
 
 
 LAYOUT = {
-    2: {
+    3: {
         'meta': 'format gate joints known memory newest origin settings version',
         'gate': 'armed calm_since closed closed_since refused',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory',
-        'settings': 'effects features.count features.length_scales features.seed forgetting horizon.length '
-                    'initial.samples noise outputs variant',
+        'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
+                    'horizon.length initial.samples noise outputs variant',
         'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)',
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
         'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'b1 (70,)',
@@ -134,9 +135,9 @@ def test_other_versions_are_refused(tmp_path):
     path = tmp_path / 's.npz'
     arrays = state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state())
     meta = json.loads(str(arrays['meta']))
-    for version in (1, state_file.VERSION + 1, None):
+    for version in (1, 2, state_file.VERSION + 1, None):
         np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
-        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 2'):
+        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 3'):
             state_file.load(path, SETTINGS, BODY)
 
 

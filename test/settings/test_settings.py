@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from dataclasses import FrozenInstanceError, fields
+from dataclasses import FrozenInstanceError, fields, replace
 
 import pytest
 import yaml
@@ -14,7 +14,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings import PARAMETERS, Settings, dump_params, load_params
 from semiparam_ros.settings.build import build_estimator, given_hyperparameters, hyperparameter_values
 from semiparam_ros.settings.documentation import page
-from semiparam_ros.settings.files import params_text
+from semiparam_ros.settings.files import params_text, read_params
 from semiparam_ros.settings.rules import RULES, broken_rule
 from semiparam_ros.settings.snapshot import refusal
 from semiparam_ros.settings.table import Parameter
@@ -214,3 +214,21 @@ def test_ros_itself_reads_the_file_with_the_same_types(tmp_path):
     answer = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True, check=True,
                             env={**os.environ, 'ROS_DOMAIN_ID': '50', 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'})
     assert Settings.from_mapping(yaml.safe_load(answer.stdout)) == expected
+
+
+def test_remarks_stand_above_the_items_of_a_list_and_change_no_value(tmp_path):
+    settings = replace(Settings(), effects=('payload@r_hand', 'joint_offset@b{"offset": 0.1}', "terms@fx{\"q_it's\": 1}"))
+    remarks = {'effects': [['a load', '  mass: 1 kg'], ["it's: a [list] # of: {everything}" * 9], []], 'joints': []}
+    dump_params(settings, tmp_path / 'p.yaml', remarks=remarks)
+    text = (tmp_path / 'p.yaml').read_text()
+    assert "      # a load\n      #   mass: 1 kg\n      - 'payload@r_hand'\n" in text
+    assert max(map(len, text.splitlines())) <= 120
+    values = read_params(tmp_path / 'p.yaml')
+    assert (values['effects'], values['joints']) == (list(settings.effects), [])
+    assert {name: value for name, value in values.items() if name != 'effects'} == \
+        {name: value for name, value in read_params_of(params_text(Settings()), tmp_path).items() if name != 'effects'}
+
+
+def read_params_of(text, folder):
+    (folder / 'other.yaml').write_text(text)
+    return read_params(folder / 'other.yaml')

@@ -16,6 +16,7 @@ from rclpy.service import Service
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from semiparam_ros.effects import Effect, effects_to_parameters
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file, worker
 from semiparam_ros.online.learner import Learner
@@ -24,6 +25,7 @@ from semiparam_ros.online.worker import Later, Outcome, ProcessBackground
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
 from semiparam_ros.ros.estimator.outputs import LATCHED
 from semiparam_ros.ros.estimator.parameters import Parameters
+from semiparam_ros.settings.build import declared_effects
 
 
 class Reply:
@@ -148,7 +150,7 @@ class Diagnosing:
         self._background: ProcessBackground | None = None
         self._running = False
         self._outcome: Outcome | None = None
-        self._examined: tuple[str, ...] = ()
+        self._examined: tuple[Effect, ...] = ()
         self._report = node.create_publisher(String, '~/diagnosis', LATCHED)
         create_deferred_trigger(node, '~/diagnose', self._diagnose)
         create_trigger(node, '~/apply_diagnosis', self.apply, errors)
@@ -166,10 +168,10 @@ class Diagnosing:
             raise SemiparamError('there is no diagnosis yet; ~/diagnose makes one.')
         if self._outcome.effects == self._examined:
             return 'the last diagnosis found nothing to add.'
-        if self._outcome.effects == self._parameters.settings.effects:
+        if self._outcome.effects == tuple(declared_effects(self._parameters.settings)):
             return f'the effects of the last diagnosis are declared already: {_listed(self._outcome.effects)}.'
-        result = self._node.set_parameters_atomically(
-            [self._parameters.ros_parameter('effects', self._outcome.effects)])
+        values = zip(('effects', 'effects_reference'), effects_to_parameters(self._outcome.effects), strict=True)
+        result = self._node.set_parameters_atomically([self._parameters.ros_parameter(*value) for value in values])
         if not result.successful:
             raise SemiparamError(result.reason)
         return f'effects are now {_listed(self._outcome.effects)}; {result.reason}'
@@ -192,12 +194,12 @@ class Diagnosing:
         if self._background is None:
             self._background = ProcessBackground(self._later)
         # Those that are wanted now, whether their model answers already or is still being built.
-        effects = self._parameters.settings.effects
+        effects = tuple(declared_effects(self._parameters.settings))
         self._background.submit(worker.diagnose, learner.body, worker.thinned(samples), effects,
                                 done=partial(self._done, reply, effects))
         self._running = True
 
-    def _done(self, reply: Reply, effects: tuple[str, ...], outcome: Outcome | None,
+    def _done(self, reply: Reply, effects: tuple[Effect, ...], outcome: Outcome | None,
               error: BaseException | None) -> None:
         self._running = False
         if outcome is None:
@@ -210,6 +212,6 @@ class Diagnosing:
         reply(f'With {_listed(effects) or "no effects"} declared: {" ".join(outcome.words)}')
 
 
-def _listed(effects: tuple[str, ...]) -> str:
+def _listed(effects: tuple[Effect, ...]) -> str:
     """Kinds and places, without their values."""
-    return ', '.join(text.partition('{')[0] for text in effects)
+    return ', '.join(effect.kind + (f'@{effect.where}' if effect.where else '') for effect in effects)
