@@ -87,7 +87,7 @@ def _items(items: Sequence[str], remarks: Sequence[Sequence[str]], indent: str) 
     for item, remark in zip(items, remarks, strict=True):
         for line in remark:
             yield from textwrap.wrap(line, WIDTH, initial_indent=f'{indent}# ', subsequent_indent=f'{indent}#     ',
-                                     break_on_hyphens=False, drop_whitespace=False)
+                                     break_on_hyphens=False)
         yield f"{indent}- '{item.replace(chr(39), 2 * chr(39))}'"
 
 

@@ -12,6 +12,7 @@ from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.splits import folds, interleaved_split, leading_split, ranges
@@ -20,10 +21,10 @@ from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.noise import correlation_times, noise_floor
 from semiparam_ros.diagnosis.search.ambiguity import simplest
-from semiparam_ros.diagnosis.search.candidates import added_columns, best_start
+from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
 from semiparam_ros.diagnosis.search.elimination import without_needless
 from semiparam_ros.diagnosis.search.refit import declare
-from semiparam_ros.diagnosis.search.scoring import Trial, score
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
 from semiparam_ros.diagnosis.search.stepwise import worth_refining
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
@@ -36,7 +37,7 @@ from semiparam_ros.report.diagnosis_page import relative_floor
 from semiparam_ros.settings import Settings, load_params
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import icub, smooth_motion
+from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
 from support.node_helpers import BODY as SMALL_ARM
 from support.node_helpers import motion
 
@@ -182,6 +183,40 @@ def test_what_was_found_late_is_there_for_whoever_loads_the_file(payload, tmp_pa
         assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
         fresh = Estimator(BODY, effects=effects)
         assert np.abs(fresh.predict(samples_of(PAYLOAD)[0]).columns[:, -10:]).max() > 1.0
+
+
+def test_the_written_effects_say_what_was_found_of_them(tmp_path, payload):
+    write_parameters(tmp_path / 'found.yaml', Settings(sensor_frame='r_arm_ft_sensor'), payload)
+    text, found = (tmp_path / 'found.yaml').read_text(), payload.findings[0]
+    above, _, _ = text.partition("- 'payload@")
+    remark = ' '.join(above.rpartition('effects:')[2].replace('#', '').split())
+    assert f'{found.effect.sentence}, since {found.effect.start_s:.1f} s of this recording.' in remark
+    mass = found.parameters['mass']
+    assert f' mass: {mass.value:.4g} +- {mass.std:.2g} kg ' in remark
+    assert f'log evidence +{found.log_evidence_gain:.0f}; round 1 changed' in remark
+    assert load_params(tmp_path / 'found.yaml').effects_reference == ()
+    write_parameters(tmp_path / 'found.yaml', Settings(sensor_frame='r_arm_ft_sensor'), replace(payload, findings=[]))
+    assert 'Declared before.' in (tmp_path / 'found.yaml').read_text()
+
+
+def test_effects_of_one_diagnosis_share_one_reference_model():
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    motion = smooth_motion(4, 40)
+    exact = body.regressors(motion) @ body.base_parameters
+    samples = replace(motion, outputs=exact + (1.0 + np.abs(exact)) * np.tanh(motion.velocity / 0.1))
+    use, first = np.ones(len(samples), dtype=bool), body.joints[0]
+    fit = fit_model(body, samples, [], use, np.ones(body.n_outputs))
+    slow = ({'turn_speed': 0.1},)
+
+    def tried(fit, kind, joint):
+        return coarse_trial(fit, Candidate(kinds()[kind], joint, slow)).effect
+
+    rubbing = tried(fit, 'load_friction', first)
+    assert rubbing.reference == tuple(fit.rigid_part)
+    other = fit_model(body, samples, [rubbing], use, np.ones(body.n_outputs))
+    assert np.abs(other.rigid_part - fit.rigid_part).max() > 1e-3
+    assert tried(other, 'load_friction', body.joints[1]).reference == rubbing.reference
+    assert tried(fit, 'coulomb_friction', first).reference == ()
 
 
 def test_a_node_is_told_the_stamp_of_the_start_and_understands_it_again(payload):

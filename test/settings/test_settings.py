@@ -217,11 +217,12 @@ def test_ros_itself_reads_the_file_with_the_same_types(tmp_path):
 
 
 def test_remarks_stand_above_the_items_of_a_list_and_change_no_value(tmp_path):
-    settings = replace(Settings(), effects=('payload@r_hand', 'joint_offset@b{"offset": 0.1}', "terms@fx{\"q_it's\": 1}"))
+    settings = replace(Settings(), effects=('payload@r_hand', 'joint_offset@b{"offset": 0.1}', "terms{\"q_it's\": 1}"))
     remarks = {'effects': [['a load', '  mass: 1 kg'], ["it's: a [list] # of: {everything}" * 9], []], 'joints': []}
     dump_params(settings, tmp_path / 'p.yaml', remarks=remarks)
     text = (tmp_path / 'p.yaml').read_text()
     assert "      # a load\n      #   mass: 1 kg\n      - 'payload@r_hand'\n" in text
+    assert not any(line.endswith(' ') for line in text.splitlines())
     assert max(map(len, text.splitlines())) <= 120
     values = read_params(tmp_path / 'p.yaml')
     assert (values['effects'], values['joints']) == (list(settings.effects), [])
