@@ -16,7 +16,7 @@ from semiparam_ros.atomic_write import remove_leftovers, replacing, write_text
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.report.horizon_plot import save_figure
+from semiparam_ros.report.horizon_figure import save_figure
 from semiparam_ros.settings import Settings, dump_params
 
 BIG = 10**6

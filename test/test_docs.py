@@ -12,7 +12,7 @@ import pytest
 from semiparam_ros.cli import documentation
 from semiparam_ros.cli.main import COMMANDS
 from semiparam_ros.core.variants import VARIANTS
-from semiparam_ros.settings.table import BY_NAME
+from semiparam_ros.settings.parameter_table import BY_NAME
 from support.doc_blocks import RUN, SHOWN, WRITTEN, Workshop, blocks, check_parses, commands
 
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -12,8 +12,8 @@ from semiparam_ros.bags.alignment import SampleStream
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.parameter_table import Table
 from semiparam_ros.settings.robot_description import moving_joints, robot_description
-from semiparam_ros.settings.table import Table
 
 if TYPE_CHECKING:
     from semiparam_ros.bags.base import BagReader, Losses

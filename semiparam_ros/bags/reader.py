@@ -139,13 +139,13 @@ def is_ros1(path: Path, magic: bytes) -> bool:
 
 def _sqlite_bag(path: Path) -> BagReader:
     with _needs_rosbags(path, 'rosbag2 bag'):
-        from semiparam_ros.bags.foreign_reader import SqliteBag
+        from semiparam_ros.bags.rosbags_reader import SqliteBag
     return SqliteBag(path)
 
 
 def _ros1_bag(path: Path) -> BagReader:
     with _needs_rosbags(path, 'ROS 1 bag'):
-        from semiparam_ros.bags.foreign_reader import Ros1Bag
+        from semiparam_ros.bags.rosbags_reader import Ros1Bag
     return Ros1Bag(path)
 
 

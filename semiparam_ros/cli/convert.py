@@ -10,7 +10,7 @@ from typing import Any
 
 from semiparam_ros.bags.conversion import Edits, convert_bag, read_description
 from semiparam_ros.bags.reader import is_bag, open_bag
-from semiparam_ros.bags.tables import PER_JOINT, TIME_UNITS, TableLayout, convert_table, load_layout
+from semiparam_ros.bags.text_tables import PER_JOINT, TIME_UNITS, TableLayout, convert_table, load_layout
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.cli.options import console, progress_bar
 from semiparam_ros.errors import SemiparamError

@@ -22,12 +22,12 @@ from semiparam_ros.bags.loading import LoadedBag, load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.cli.evaluate import evaluate, print_scores
 from semiparam_ros.cli.options import console, output, progress_bar, write_json
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import Scores, update_times
-from semiparam_ros.report.horizon_plot import plot_indices
+from semiparam_ros.report.horizon_figure import plot_indices
 from semiparam_ros.settings import Settings, load_params
 
 POLL_S = 0.1

@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate every variant in turn on the same samples."""
-    from semiparam_ros.report.horizon_plot import picture_format
+    from semiparam_ros.report.horizon_figure import picture_format
     from semiparam_ros.settings import load_params
 
     if args.plot:
@@ -147,7 +147,7 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
             'train': [str(path) for path in args.train], 'frozen': args.frozen, 'variants': results,
             'left_out': [dict(bag.faults) for bag in bags], 'losses': [str(bag.losses) for bag in bags]})
     if args.plot:
-        from semiparam_ros.report.horizon_plot import plot_indices
+        from semiparam_ros.report.horizon_figure import plot_indices
 
         plot_indices(args.plot, scores)
         console.print(f'plot: {args.plot}', highlight=False, markup=False)

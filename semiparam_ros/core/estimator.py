@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
-from semiparam_ros.core.horizon import HorizonErrors, HorizonIndex
+from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum

@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.bags.loading import LoadedBag
 from semiparam_ros.core.estimator import Prediction
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError

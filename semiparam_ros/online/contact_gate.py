@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from semiparam_ros.core.estimator import Prediction
 from semiparam_ros.core.stamps import NANOSECONDS
-from semiparam_ros.settings.table import Table
+from semiparam_ros.settings.parameter_table import Table
 
 
 class GateState(NamedTuple):

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from semiparam_ros.core.estimator import Estimator, Prediction
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array

@@ -16,7 +16,7 @@ from enum import Enum
 from typing import Protocol
 
 from semiparam_ros.core.estimator import Estimator
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 import numpy as np
 
 from semiparam_ros.core.estimator import Estimator, Prediction
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples

@@ -9,7 +9,7 @@ from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.settings import robot_description as description
-from semiparam_ros.settings.table import Table
+from semiparam_ros.settings.parameter_table import Table
 
 if TYPE_CHECKING:
     from semiparam_ros.core.hyperparameters.window import LengthScales, Noise

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from semiparam_ros.settings.files import params_text
+from semiparam_ros.settings.parameter_table import PARAMETERS, Parameter, shown
 from semiparam_ros.settings.rules import RULES
 from semiparam_ros.settings.snapshot import Settings
-from semiparam_ros.settings.table import PARAMETERS, Parameter, shown
 
 HEADER = """# Parameters
 
-Made from the table in `semiparam_ros/settings/table.py` by `python -m semiparam_ros.settings.documentation`;
+Made from the table in `semiparam_ros/settings/parameter_table.py` by `python -m semiparam_ros.settings.documentation`;
 edit it there. One file configures the node (`semiparam run --params FILE`, or `--ros-args --params-file FILE`)
 and every offline command (`--params FILE`). `config/estimator.yaml` holds every parameter at its default.
 

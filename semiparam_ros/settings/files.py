@@ -11,8 +11,8 @@ import yaml
 
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.parameter_table import BY_NAME, PARAMETERS, Parameter
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest
-from semiparam_ros.settings.table import BY_NAME, PARAMETERS, Parameter
 
 WIDTH = 110
 NO_REMARKS: Mapping[str, Sequence[Sequence[str]]] = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.settings.table import Table
+from semiparam_ros.settings.parameter_table import Table
 
 PACKAGE_URI = 'package://'
 SOURCE_TREE = Path(__file__).resolve().parents[2]

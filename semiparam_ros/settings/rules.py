@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.settings.table import Table, shown
+from semiparam_ros.settings.parameter_table import Table, shown
 
 KINDS_OF_INPUT = 3
 HYPERPARAMETERS = ('gamma', 'rho', 'tau', 'sigma', 'output_scale', 'pi', 'input_mean', 'input_scale')

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.parameter_table import BY_NAME, PARAMETERS, ROS_NAMES, ROS_PREFIXES, Table
 from semiparam_ros.settings.rules import broken_rule
-from semiparam_ros.settings.table import BY_NAME, PARAMETERS, ROS_NAMES, ROS_PREFIXES, Table
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import pytest
 
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
-from semiparam_ros.bags.tables import parse_columns
+from semiparam_ros.bags.text_tables import parse_columns
 from semiparam_ros.cli.main import main
 from semiparam_ros.settings.snapshot import Settings
 

@@ -26,7 +26,7 @@ from semiparam_ros.effects.application_point import AtPoint
 from semiparam_ros.effects.base import Start
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
-from semiparam_ros.report.effects_table import BEGIN, END, with_tables
+from semiparam_ros.report.documented_effects import BEGIN, END, with_tables
 from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -674,7 +674,7 @@ def page(repository):
 
 
 def test_the_documented_tables_are_those_of_the_classes(page):
-    assert with_tables(page) == page, 'run python -m semiparam_ros.report.effects_table'
+    assert with_tables(page) == page, 'run python -m semiparam_ros.report.documented_effects'
     tried = {name for name in {**kinds('wrench'), **kinds('effort')} if name != 'terms'}
     assert set(re.findall(r'^\| `(\w+)` \|', page[page.index(BEGIN):page.index(END)], re.MULTILINE)) == tried
 

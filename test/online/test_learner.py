@@ -19,7 +19,7 @@ from semiparam_ros.online.identified_parameters import Excitation, conditioning,
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import InlineBackground, ProcessBackground, new_estimator
-from semiparam_ros.ros.estimator.inputs import ClockWatch
+from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from support.learner_stage import Stage

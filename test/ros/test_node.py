@@ -21,7 +21,7 @@ from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.robot.feedforward import Desired
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator
-from semiparam_ros.settings.table import PARAMETERS
+from semiparam_ros.settings.parameter_table import PARAMETERS
 from support.node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
 from support.node_faults import Fuzzer, counts_in, with_gaps
 from support.node_helpers import JOINTS, SETTINGS, URDF, motion, write_bag

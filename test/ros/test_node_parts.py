@@ -4,7 +4,7 @@ import json
 import re
 import xml.etree.ElementTree as ElementTree
 
-from semiparam_ros.ros.estimator.outputs import HorizonMessage
+from semiparam_ros.ros.estimator.publishers import HorizonMessage
 
 AXES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 WRENCHES = ('/wrench', '/estimator/predicted_wrench', '/estimator/residual')

@@ -6,7 +6,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSCompatibility, Reliabi
 from semiparam_ros.bags.qos import LATCHED, Qos
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.keyboard import split_keys
-from semiparam_ros.ros.qos import from_rclpy, load_overrides, lossless, overridden, subscription_qos, to_rclpy
+from semiparam_ros.ros.recorded_qos import from_rclpy, load_overrides, lossless, overridden, subscription_qos, to_rclpy
 
 BEST_EFFORT = Qos(reliability='best_effort')
 

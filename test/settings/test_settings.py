@@ -15,9 +15,9 @@ from semiparam_ros.settings import PARAMETERS, Settings, dump_params, load_param
 from semiparam_ros.settings.build import build_estimator, given_hyperparameters, hyperparameter_values
 from semiparam_ros.settings.documentation import page
 from semiparam_ros.settings.files import params_text, read_params
+from semiparam_ros.settings.parameter_table import Parameter
 from semiparam_ros.settings.rules import RULES, broken_rule
 from semiparam_ros.settings.snapshot import refusal
-from semiparam_ros.settings.table import Parameter
 from support.node_helpers import URDF
 
 WRENCH = Settings(sensor_frame='ft')

@@ -24,7 +24,7 @@ import numpy as np
 from std_msgs.msg import String
 
 from semiparam_ros.settings import dump_params
-from semiparam_ros.settings.table import PARAMETERS
+from semiparam_ros.settings.parameter_table import PARAMETERS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
 

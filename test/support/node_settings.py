@@ -21,7 +21,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.settings import dump_params
-from semiparam_ros.settings.table import PARAMETERS
+from semiparam_ros.settings.parameter_table import PARAMETERS
 from support.invalid_requests import NAN, InvalidRequests
 from support.node_client import RECENT, Client, NodeProcess, messages, resident_mb, stamp_of, values_of
 from support.node_faults import ANSWERS, CHECK_EVERY, Fuzzer, counts_of, tell_thrown, with_gaps

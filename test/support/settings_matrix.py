@@ -32,7 +32,7 @@ import numpy as np
 from covertable import make
 
 from semiparam_ros.bags.loading import sample_stream
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import effect_to_text, kinds
@@ -44,7 +44,7 @@ from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import InlineBackground
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
-from semiparam_ros.settings.table import OUTPUTS
+from semiparam_ros.settings.parameter_table import OUTPUTS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
 

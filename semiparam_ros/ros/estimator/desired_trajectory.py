@@ -28,7 +28,7 @@ from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.worker import Later
 from semiparam_ros.ros.cdr import ENCAPSULATION, Layout
-from semiparam_ros.ros.estimator.outputs import ValueMessage
+from semiparam_ros.ros.estimator.publishers import ValueMessage
 
 TOPIC = 'desired_trajectory'
 MOST_POINTS = 10_000

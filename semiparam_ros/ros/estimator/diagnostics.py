@@ -15,13 +15,13 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.errors import shortened
 from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
-from semiparam_ros.ros.estimator.inputs import Inputs
-from semiparam_ros.ros.estimator.outputs import inertia_message
+from semiparam_ros.ros.estimator.publishers import inertia_message
+from semiparam_ros.ros.estimator.subscriptions import Inputs
 
 DESCRIPTION, PARAMETERS = 'robot_description', 'parameters'
 CHECKPOINTS = 'checkpoints'

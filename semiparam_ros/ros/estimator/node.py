@@ -11,7 +11,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
@@ -28,13 +28,13 @@ from semiparam_ros.ros.estimator.diagnostics import (
     Rejections,
     Reports,
 )
-from semiparam_ros.ros.estimator.inputs import Inputs
-from semiparam_ros.ros.estimator.outputs import Outputs
 from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters
+from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Diagnosing, Services
+from semiparam_ros.ros.estimator.subscriptions import Inputs
+from semiparam_ros.settings.parameter_table import BY_NAME
 from semiparam_ros.settings.snapshot import Settings, unknown_name
-from semiparam_ros.settings.table import BY_NAME
 
 NAME = 'estimator'
 

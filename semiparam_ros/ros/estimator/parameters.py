@@ -17,8 +17,8 @@ from rclpy.service import Service
 from rclpy.timer import Timer
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.parameter_table import BY_NAME, PARAMETERS, Parameter
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest, refusal, unknown_name
-from semiparam_ros.settings.table import BY_NAME, PARAMETERS, Parameter
 
 PATIENCE_S = 1.0
 """Clients of parameters expect an answer soon; a model that takes longer is announced instead."""

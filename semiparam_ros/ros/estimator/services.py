@@ -23,8 +23,8 @@ from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.model_switcher import sentence_of
 from semiparam_ros.online.worker import Later, Outcome, ProcessBackground
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
-from semiparam_ros.ros.estimator.outputs import LATCHED
 from semiparam_ros.ros.estimator.parameters import Parameters
+from semiparam_ros.ros.estimator.publishers import LATCHED
 from semiparam_ros.settings.build import declared_effects
 
 

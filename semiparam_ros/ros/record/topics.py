@@ -12,8 +12,8 @@ from semiparam_ros.bags import schemas
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.ros.discovery import owner
 from semiparam_ros.ros.message_types import is_installed
-from semiparam_ros.ros.qos import from_rclpy, subscription_qos, to_rclpy
 from semiparam_ros.ros.record.options import RecordOptions
+from semiparam_ros.ros.recorded_qos import from_rclpy, subscription_qos, to_rclpy
 
 # Every node has these; they say nothing about the robot.
 HOUSEKEEPING = ('/parameter_events', '/rosout')

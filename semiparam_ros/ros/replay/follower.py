@@ -13,7 +13,7 @@ from semiparam_ros.playback.options import FollowOptions
 from semiparam_ros.ros.cdr import begins_with_header, read_stamp
 from semiparam_ros.ros.discovery import handshake, is_named, owner, wait_until
 from semiparam_ros.ros.message_types import message_class
-from semiparam_ros.ros.qos import from_rclpy, subscription_qos, to_rclpy
+from semiparam_ros.ros.recorded_qos import from_rclpy, subscription_qos, to_rclpy
 from semiparam_ros.ros.replay.node import ReplayNode
 
 NAME_S = 1.0

@@ -19,7 +19,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.player import Item
 from semiparam_ros.ros.cdr import begins_with_header, with_stamp
 from semiparam_ros.ros.message_types import message_class
-from semiparam_ros.ros.qos import to_rclpy
+from semiparam_ros.ros.recorded_qos import to_rclpy
 
 NAME = 'bag_replay'
 

@@ -25,7 +25,7 @@ from semiparam_ros.playback.timeline import BagTimeline, PlayedTopic
 from semiparam_ros.ros.context import RosProcess
 from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
 from semiparam_ros.ros.message_types import is_installed
-from semiparam_ros.ros.qos import load_overrides, lossless, overridden
+from semiparam_ros.ros.recorded_qos import load_overrides, lossless, overridden
 from semiparam_ros.ros.replay.controls import ReplayControls
 from semiparam_ros.ros.replay.follower import Follower
 from semiparam_ros.ros.replay.node import ReplayNode

@@ -11,7 +11,7 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.discovery import owner, wait_until
-from semiparam_ros.ros.qos import to_rclpy
+from semiparam_ros.ros.recorded_qos import to_rclpy
 from semiparam_ros.ros.replay.node import ReplayNode
 
 SETTLE_S = 0.3

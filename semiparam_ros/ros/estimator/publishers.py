@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from semiparam_ros.core.estimator import Prediction
-from semiparam_ros.core.horizon import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 from semiparam_ros.online.identified_parameters import Payload

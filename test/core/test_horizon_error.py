@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 
-from semiparam_ros.core.horizon import HorizonIndex, force_and_torque
+from semiparam_ros.core.horizon_error import HorizonIndex, force_and_torque
 from semiparam_ros.core.recursion import SemiParametricRecursion
 from semiparam_ros.errors import SemiparamError
 
