@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.hyperparameters.estimation import estimate, plain_least_squares
-from semiparam_ros.core.hyperparameters.marginal_likelihood import Window, harmonics, maximise_evidence
-from semiparam_ros.core.hyperparameters.maximisation import maximise
+from semiparam_ros.core.hyperparameters.marginal_likelihood import Window, harmonics
+from semiparam_ros.core.hyperparameters.maximisation import maximise, maximise_evidence
 from semiparam_ros.core.hyperparameters.validation import Grid
 from semiparam_ros.core.hyperparameters.window import input_groups
 from semiparam_ros.core.variants import VARIANTS

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from semiparam_ros.core.hyperparameters.marginal_likelihood import EvidenceMaximum, Window, maximise_evidence
+from semiparam_ros.core.hyperparameters.marginal_likelihood import Window
+from semiparam_ros.core.hyperparameters.maximisation import EvidenceMaximum, maximise_evidence
 from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
 from semiparam_ros.core.hyperparameters.window import (
     LengthScales,

@@ -1,43 +1,25 @@
-"""The log marginal likelihood of a window with its gradient, and its maximum over the hyperparameters.
+"""The log marginal likelihood of a window, and its gradient by the hyperparameters.
 
-Log marginal likelihood of a window under the model y = C theta + (phi' x I) alpha + e, with its gradient. All outputs
-share phi, so after whitening by ``output_scale`` the covariance of the stacked outputs is V = I_n x A + C Gamma C' with
-A = sigma^2 N + rho^2 Phi Phi'. Only A (through min(t, D)) and a p x p matrix are ever factored. The gradient runs
-backwards: dL/dA once, and from it every length scale (docs/mathematics.md, Evidence). N = I is the paper's white noise;
-with a drift, N = I + kappa R (see ``noise_covariance``).
+The model is y = C theta + (phi' x I) alpha + e. All outputs share phi, so after whitening by ``output_scale`` the
+covariance of the stacked outputs is V = I_n x A + C Gamma C' with A = sigma^2 N + rho^2 Phi Phi'. Only A (through
+min(t, D)) and a p x p matrix are ever factored. The gradient runs backwards: dL/dA once, and from it every length scale
+(docs/mathematics.md, Evidence). N = I is the paper's white noise; with a drift, N = I + kappa R (see
+``noise_covariance``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.hyperparameters.maximisation import Maximum, maximise
 from semiparam_ros.core.hyperparameters.noise_covariance import Drift, SharedFactor
-from semiparam_ros.core.hyperparameters.window import least_squares, normalised, residual_scale
 from semiparam_ros.core.types import Array, Stamps
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 RANK_TOLERANCE = 1e-12
 """Directions of theta that the window excites less than this (relative, columns scaled) keep a zero estimate."""
-
-SCAN = (200, 50)
-"""Samples and frequencies of the coarse scan that finds the starts."""
-DRAFT = (500, 150)
-"""Samples and frequencies of the searches from every start; the best end is then polished on all of them."""
-TAU_SCAN = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-KIND_PATTERNS = ((1.0, 1.0, 1.0), (1.0, 3.0, 6.0))
-SIGNAL_SCAN = (0.3, 3.0)
-NOISE_SCAN = (0.03, 0.3, 1.0)
-FIRST_KAPPA, FIRST_MEMORY = 0.3, 20.0
-LEAST_DRIFT, MOST_DRIFT = (1e-3, 3.0), (1e2, 1e3)
-"""Bounds of kappa and memory [samples]: a faster drift is noise, a slower one is an offset."""
-SAME_BASIN = 0.5
-"""Draft ends farther apart than this in any logarithm are polished separately."""
 
 
 class Slope(NamedTuple):
@@ -210,145 +192,3 @@ def _length_scale_slopes(by_phi: Array, phi: Array, scaled: Array, window: Windo
     by_phase = by_phi[:, d:] * phi[:, :d] - by_phi[:, :d] * phi[:, d:]
     by_input = -np.sum((by_phase.T @ scaled) * window.spectrum, axis=0)
     return np.bincount(window.groups, weights=by_input, minlength=groups).astype(np.float64)
-
-
-class EvidenceMaximum(NamedTuple):
-    """The hyperparameters, theta (p,) there, and the log evidence [nat]."""
-
-    at: Point
-    theta: Array
-    value: float
-
-
-@dataclass(frozen=True)
-class Coordinates:
-    """Which logarithms are searched, in the order gamma, rho, tau, sigma, kappa, memory, output scales."""
-
-    free: Array  # boolean mask over the full vector
-    base: Array  # logarithms of the values that stay
-    groups: int
-    drifting: bool
-
-    def point(self, vector: Array) -> Point:
-        """Hyperparameters at the searched logarithms; the mean log scale is taken out (it is sigma's and rho's)."""
-        full = self.base.copy()
-        full[self.free] = vector
-        gamma, rho, *tau = np.exp(full[:2 + self.groups]).tolist()
-        sigma, kappa, memory = np.exp(full[2 + self.groups:5 + self.groups]).tolist()
-        scale = full[5 + self.groups:]
-        return Point(gamma, rho, np.array(tau), sigma, np.exp(scale - scale.mean()), kappa * self.drifting, memory)
-
-    def gradient(self, slope: Slope) -> Array:
-        """(k,) slope by the searched logarithms."""
-        scale = slope.output_scale - slope.output_scale.mean()
-        noise = [slope.sigma, slope.kappa, slope.memory]
-        full = np.concatenate([[slope.gamma, slope.rho], slope.tau, noise, scale])
-        return np.asarray(full[self.free])
-
-    def vector(self, at: Point) -> Array:
-        """(k,) searched logarithms of a point."""
-        return np.asarray(logarithms(at)[self.free])
-
-
-def maximise_evidence(window: Window, noise: str, drifting: bool, method: str, starts: int,
-                      jobs: int) -> EvidenceMaximum:
-    """The best of several searches; every start is drafted on a thinned window, the best ends polished on all of it.
-
-    :param drifting: the noise is white plus a drift; otherwise white, as in the paper.
-    """
-    guess = first_guess(window, noise, drifting)
-    coordinates, bounds = _coordinates(window, guess, noise), _bounds(window, guess)
-    box = bounds[coordinates.free]
-    draft = window.thinned(*DRAFT)
-    begin = [coordinates.vector(at) for at in scan(window, guess, starts)]
-    # the draft is only a warm start: an end within a tenth of a nat is as good as any
-    ends = maximise(_Objective(draft, coordinates), begin, box, method, iterations=80, tolerance=1e-6, jobs=jobs)
-    if len(draft.outputs) == len(window.outputs) and len(draft.spectrum) == len(window.spectrum):
-        chosen = [ends[0].point]
-    else:
-        chosen = [end.point for end in _distinct(ends)]
-    best = maximise(_Objective(window, coordinates), chosen, box, method, jobs=jobs)[0]
-    at = coordinates.point(best.point)
-    result = evidence(window, at, gradient=False)
-    present = at._replace(gamma=at.gamma * _has_prior(window), rho=at.rho * (len(window.spectrum) > 0))
-    return EvidenceMaximum(present, result.theta, result.value)
-
-
-class _Objective:
-    """The evidence as a function of the searched logarithms."""
-
-    def __init__(self, window: Window, coordinates: Coordinates) -> None:
-        self.window, self.coordinates = window, coordinates
-
-    def __call__(self, vector: Array, gradient: bool) -> tuple[float, Array]:
-        result = evidence(self.window, self.coordinates.point(vector), gradient)
-        return result.value, vector if result.slope is None else self.coordinates.gradient(result.slope)
-
-
-def first_guess(window: Window, noise: str, drifting: bool = False) -> Point:
-    """A point of the right orders of magnitude, from a least squares fit of the coupled columns."""
-    theta = least_squares(window.outputs, window.coupled)
-    residuals = window.outputs - window.coupled @ theta
-    scale = residual_scale(residuals, window.outputs)
-    output_scale = np.ones_like(scale) if noise == 'one' else normalised(scale)
-    left = float(np.sqrt(np.mean((residuals / output_scale) ** 2)))
-    spread = theta / window.prior_scale
-    gamma = max(float(np.sqrt(np.mean(spread**2))), 1e-3) if len(theta) else 1.0
-    groups = int(window.groups.max()) + 1
-    return Point(gamma, left, np.full(groups, 2.0), left, output_scale, FIRST_KAPPA * drifting, FIRST_MEMORY)
-
-
-def scan(window: Window, guess: Point, starts: int) -> list[Point]:
-    """The best points of a coarse grid on a thinned window, no two with the same length scales."""
-    if not len(window.spectrum):
-        return [guess._replace(sigma=guess.sigma * factor) for factor in (1.0, 0.5, 2.0, 0.1)[:starts]]
-    thin = window.thinned(*SCAN)
-    scored = sorted(((evidence(thin, at, gradient=False).value, index, at)
-                     for index, at in enumerate(_grid(window, guess))), key=lambda entry: -entry[0])
-    chosen: dict[tuple[float, ...], Point] = {}
-    for _, _, at in scored:
-        chosen.setdefault(tuple(at.tau.tolist()), at)
-    return list(chosen.values())[:max(starts, 1)]
-
-
-def _grid(window: Window, guess: Point) -> Iterator[Point]:
-    groups = len(guess.tau)
-    patterns = KIND_PATTERNS if groups > 1 else KIND_PATTERNS[:1]
-    for tau, pattern, signal, left in product(TAU_SCAN, patterns, SIGNAL_SCAN, NOISE_SCAN):
-        per_group = np.repeat(pattern, max(1, groups // len(pattern)))[:groups]
-        yield guess._replace(tau=tau * per_group, rho=signal * guess.rho, sigma=left * guess.sigma)
-
-
-def _coordinates(window: Window, guess: Point, noise: str) -> Coordinates:
-    nonparametric, n = bool(len(window.spectrum)), window.outputs.shape[1]
-    several, drifting = noise == 'output' and n > 1, guess.kappa > 0.0
-    free = [_has_prior(window), nonparametric, *[nonparametric] * len(guess.tau), True, drifting, drifting,
-            *[several] * n]
-    return Coordinates(np.array(free), logarithms(guess), len(guess.tau), drifting)
-
-
-def _bounds(window: Window, guess: Point) -> Array:
-    """(k, 2) logarithms: generous, yet such that the shared covariance keeps a Cholesky factor."""
-    size = float(np.sqrt(np.mean((window.outputs / guess.output_scale) ** 2)))
-    low = [1e-4 * guess.gamma, 1e-3 * guess.rho, *[0.1] * len(guess.tau), 1e-4 * guess.sigma, *LEAST_DRIFT,
-           *(1e-4 * guess.output_scale)]
-    high = [1e4 * guess.gamma, 1e3 * size, *[300.0] * len(guess.tau), 10.0 * size, *MOST_DRIFT,
-            *(1e4 * guess.output_scale)]
-    return np.asarray(np.log(np.column_stack([low, high])))
-
-
-def _distinct(ends: list[Maximum]) -> list[Maximum]:
-    """The best end, and the next best if it lies in another basin and is not clearly worse."""
-    others = [end for end in ends[1:] if np.abs(end.point - ends[0].point).max() > SAME_BASIN
-              and end.value > ends[0].value - 10.0]
-    return [ends[0], *others[:1]]
-
-
-def _has_prior(window: Window) -> bool:
-    return window.coupled.shape[2] > 0 and not window.profiled
-
-
-def logarithms(at: Point) -> Array:
-    """The full vector of logarithms of a point."""
-    noise = [at.sigma, at.kappa or 1.0, at.memory]
-    return np.asarray(np.log(np.concatenate([[at.gamma, at.rho], at.tau, noise, at.output_scale])))
