@@ -12,11 +12,21 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import hypothesis
 import pytest
 
+from semiparam_ros.cli.main import main
 from support.browser import browse  # noqa: F401  (fixtures)
 from support.mcap_core import node_modules  # noqa: F401  (fixtures)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED_DATA = REPOSITORY.parent / 'shared' / 'data'
+ICUB = '''
+estimator:
+  ros__parameters:
+    joints: [r_shoulder_pitch, r_shoulder_roll, r_shoulder_yaw, r_elbow]
+    sensor_frame: r_arm_ft_sensor
+    wrench_convention: reaction
+    variant: P
+    robot_description_file: {urdf}
+'''
 
 # A busy machine is no failure: the search is bounded by the number of examples, not by the clock.
 hypothesis.settings.register_profile('steady', deadline=None)
@@ -100,3 +110,14 @@ class _free_domain:
 
     def __exit__(self, *_: object) -> None:
         self.lock.close()
+
+
+@pytest.fixture(scope='session')
+def measured_icub(shared_data, repository, tmp_path_factory) -> Path:
+    """A folder with both tables of the measured iCub arm, `train.mcap` and `test.mcap`, and its `icub.yaml`."""
+    folder, source = tmp_path_factory.mktemp('icub'), shared_data / 'icub_arm'
+    for name in ('train', 'test'):
+        assert main(['convert', str(source / f'icubdyn_{name}.dat'), str(folder / f'{name}.mcap'),
+                     '--columns', str(repository / 'config/icub_table.yaml')]) == 0
+    (folder / 'icub.yaml').write_text(ICUB.format(urdf=source / 'iCubGenova01.urdf'))
+    return folder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import os
 import signal
 import sys
@@ -11,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import FrameType, TracebackType
+from typing import TypeVar
 
 import rclpy
 from rclpy.executors import Executor
@@ -27,6 +29,9 @@ ONE_KEY_S = 0.5
 """Signals within this time are one wish: a terminal and a launcher both pass on the same Ctrl-C."""
 
 SPIN_S = 0.2
+CALL_S = 10.0
+
+Result = TypeVar('Result')
 
 
 class StopSignals:
@@ -114,6 +119,30 @@ def spin_for(executor: Executor, seconds: float) -> None:
     executor.spin_until_future_complete(Future(), timeout_sec=seconds)
 
 
+def call_in_executor(node: Node, function: Callable[[], Result]) -> Result:
+    """Call it in the thread in which the node's executor spins, and return what it returns or raise what it raises.
+
+    Whatever a node gets or loses while an EventsExecutor spins goes this way: a subscription that another thread makes
+    can end the process with a segmentation fault. So does a task that raises, hence the future. Before the node has an
+    executor the function is called directly. Raises SemiparamError when the executor does not come to it.
+    """
+    if node.executor is None:
+        return function()
+    outcome: concurrent.futures.Future[Result] = concurrent.futures.Future()
+
+    def call() -> None:
+        try:
+            outcome.set_result(function())
+        except BaseException as error:
+            outcome.set_exception(error)
+
+    node.executor.create_task(call)
+    concurrent.futures.wait([outcome], CALL_S)
+    if not outcome.done():
+        raise SemiparamError(f'the executor of {node.get_name()} has not answered for {CALL_S:g} s.')
+    return outcome.result()
+
+
 def start_rclpy(ros_arguments: Sequence[str]) -> None:
     """Start rclpy with the user's ``--ros-args ...``; raises SemiparamError with rcl's reason where it refuses them."""
     try:
@@ -153,13 +182,12 @@ class RosProcess:
 
     def spin(self, node: Node) -> None:
         """Serve the node's callbacks in a thread of their own from now on; the node is destroyed at the end."""
-        self._node = node
-        self._thread = threading.Thread(target=self._spin, args=(node,), name='executor', daemon=True)
+        self._node, executor = node, EventsExecutor()
+        executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, args=(executor,), name='executor', daemon=True)
         self._thread.start()
 
-    def _spin(self, node: Node) -> None:
-        executor = EventsExecutor()
-        executor.add_node(node)
+    def _spin(self, executor: Executor) -> None:
         try:
             while ok() and not self._closing:
                 spin_for(executor, SPIN_S)

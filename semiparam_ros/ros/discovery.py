@@ -5,11 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from semiparam_ros.ros.context import call_in_executor
 
 POLL_S = 0.02
 _PARTICIPANT_BYTES = 12
@@ -55,7 +58,7 @@ def handshake(node: Node, other: str, stopping: threading.Event, parameter: str 
     """
     if not other.startswith('/'):
         return None
-    client = node.create_client(GetParameters, f'{other}/get_parameters')
+    client = call_in_executor(node, partial(node.create_client, GetParameters, f'{other}/get_parameters'))
     try:
         if wait_until(client.service_is_ready, HANDSHAKE_S, stopping):
             reply = client.call_async(GetParameters.Request(names=[parameter] if parameter else []))
@@ -63,7 +66,7 @@ def handshake(node: Node, other: str, stopping: threading.Event, parameter: str 
                 return _integer(reply.result().values)
         return None
     finally:
-        node.destroy_client(client)
+        call_in_executor(node, partial(node.destroy_client, client))
 
 
 def _integer(values: Sequence[ParameterValue]) -> int | None:

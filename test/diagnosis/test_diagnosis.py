@@ -425,27 +425,12 @@ def test_a_gap_is_named_and_what_is_beside_it_takes_no_part():
 
 # --- the measured iCub arm ---
 
-PARAMS = """
-estimator:
-  ros__parameters:
-    joints: [r_shoulder_pitch, r_shoulder_roll, r_shoulder_yaw, r_elbow]
-    sensor_frame: r_arm_ft_sensor
-    wrench_convention: reaction
-    variant: P
-    robot_description_file: {urdf}
-"""
-
-
 @pytest.fixture(scope='module')
-def measured(shared_data, repository, tmp_path_factory):
+def measured(measured_icub, tmp_path_factory):
     """Diagnosed on the training file alone, judged on the test file: the folder and the report."""
-    folder, source = tmp_path_factory.mktemp('icub'), shared_data / 'icub_arm'
-    for name in ('train', 'test'):
-        assert main(['convert', str(source / f'icubdyn_{name}.dat'), str(folder / f'{name}.mcap'),
-                     '--columns', str(repository / 'config/icub_table.yaml')]) == 0
-    (folder / 'icub.yaml').write_text(PARAMS.format(urdf=source / 'iCubGenova01.urdf'))
-    assert main(['diagnose', str(folder / 'train.mcap'), '--judge', str(folder / 'test.mcap'), '--params',
-                 str(folder / 'icub.yaml'), '--json', str(folder / 'report.json'), '--output',
+    folder = tmp_path_factory.mktemp('diagnosed')
+    assert main(['diagnose', str(measured_icub / 'train.mcap'), '--judge', str(measured_icub / 'test.mcap'), '--params',
+                 str(measured_icub / 'icub.yaml'), '--json', str(folder / 'report.json'), '--output',
                  str(folder / 'found.yaml'), '--html', str(folder / 'page.html')]) == 0
     return folder, json.loads((folder / 'report.json').read_text())
 
@@ -500,13 +485,13 @@ def test_offsets_of_joints_and_a_tilt_of_the_base_are_rivals_on_the_measured_arm
 
 
 @pytest.mark.slow
-def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured):
+def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured, measured_icub):
     folder, report = measured
     assert len(load_params(folder / 'found.yaml').effects) == len(report['effects'])
     errors = []
-    for name in ('icub.yaml', 'found.yaml'):
-        assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--frozen',
-                     '--params', str(folder / name), '--json', str(folder / 'result.json')]) == 0
+    for parameters in (measured_icub / 'icub.yaml', folder / 'found.yaml'):
+        assert main(['evaluate', str(measured_icub / 'test.mcap'), '--train', str(measured_icub / 'train.mcap'),
+                     '--frozen', '--params', str(parameters), '--json', str(folder / 'result.json')]) == 0
         errors.append(json.loads((folder / 'result.json').read_text())['variants']['P']['nmse_mean'])
     assert errors[0] == pytest.approx(0.0193, rel=0.02)
     assert errors[1] < 0.8 * errors[0]
@@ -514,14 +499,13 @@ def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured)
 
 
 @pytest.mark.slow
-def test_features_with_the_effects_carry_over_better_than_features_alone(measured):
+def test_features_with_the_effects_carry_over_better_than_features_alone(measured_icub):
     """The same draws without and with the effects, judged as the node runs them."""
-    folder, _ = measured
-    settings = load_params(folder / 'icub.yaml')
-    diagnosis = diagnose_bag(argparse.Namespace(bag=folder / 'train.mcap', judge=folder / 'test.mcap', split=None,
-                                                kinds=['joint_offset']), settings)
+    settings = load_params(measured_icub / 'icub.yaml')
+    diagnosis = diagnose_bag(argparse.Namespace(bag=measured_icub / 'train.mcap', judge=measured_icub / 'test.mcap',
+                                                split=None, kinds=['joint_offset']), settings)
     shown = []
-    judged = evaluate_variants(replace(settings, features_count=200), diagnosis, ['P', 'SPK-ML'], 2,
+    judged = evaluate_variants(replace(settings, features_count=60), diagnosis, ['P', 'SPK-ML'], 2,
                                lambda done, total: shown.append((done, total)))
     assert shown == [(count, 12) for count in range(1, 13)]
     assert len(judged['P']['draws']['before']) == 1

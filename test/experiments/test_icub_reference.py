@@ -8,28 +8,14 @@ from semiparam_ros.cli.main import main
 
 pytestmark = pytest.mark.slow
 
-PARAMS = """
-estimator:
-  ros__parameters:
-    joints: [r_shoulder_pitch, r_shoulder_roll, r_shoulder_yaw, r_elbow]
-    sensor_frame: r_arm_ft_sensor
-    wrench_convention: reaction
-    robot_description_file: {urdf}
-"""
-
-
 @pytest.fixture(scope='module')
-def variants(shared_data, repository, tmp_path_factory):
-    """Both tables converted; learnt on the first, predicted on the second without learning."""
-    folder, source = tmp_path_factory.mktemp('icub'), shared_data / 'icub_arm'
-    for name in ('train', 'test'):
-        assert main(['convert', str(source / f'icubdyn_{name}.dat'), str(folder / f'{name}.mcap'),
-                     '--columns', str(repository / 'config/icub_table.yaml')]) == 0
-    (folder / 'icub.yaml').write_text(PARAMS.format(urdf=source / 'iCubGenova01.urdf'))
+def variants(measured_icub, tmp_path_factory):
+    """Learnt on the training file, predicted on the test file without learning."""
+    result = tmp_path_factory.mktemp('evaluated') / 'result.json'
     chosen = [word for variant in ('P', 'NP-ML', 'SPK-ML') for word in ('--variant', variant)]
-    assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--frozen', *chosen,
-                 '--params', str(folder / 'icub.yaml'), '--json', str(folder / 'result.json')]) == 0
-    return json.loads((folder / 'result.json').read_text())['variants']
+    assert main(['evaluate', str(measured_icub / 'test.mcap'), '--train', str(measured_icub / 'train.mcap'),
+                 '--frozen', *chosen, '--params', str(measured_icub / 'icub.yaml'), '--json', str(result)]) == 0
+    return json.loads(result.read_text())['variants']
 
 
 def test_every_sample_is_predicted(variants):

@@ -65,7 +65,7 @@ class EstimatorNode(Node):
         Services(self, self._live, self._the_learner, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
         DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
-                          self.message_failed, later)
+                          self.message_failed, guarded)
         self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
         self._watch_clock()

@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 from typing import Protocol
 
@@ -15,7 +16,7 @@ from rich.status import Status
 
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.context import RosProcess
+from semiparam_ros.ros.context import RosProcess, call_in_executor
 from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
 from semiparam_ros.ros.record import topics
 from semiparam_ros.ros.record.node import RecordNode
@@ -159,7 +160,7 @@ class RecordSession:
         for topic, type_name in found.topics.items():
             obstacle = topics.obstacle(type_name)
             if not obstacle:
-                node.follow(topic, type_name)
+                call_in_executor(node, partial(node.follow, topic, type_name))
             elif topic not in self._skipped:
                 self._skipped[topic] = f'{topic} is not recorded: {obstacle}.'
                 self._say(self._skipped[topic])

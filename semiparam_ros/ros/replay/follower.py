@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -11,6 +12,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.flow_control import FlowControl
 from semiparam_ros.playback.options import FollowOptions
 from semiparam_ros.ros.cdr import begins_with_header, read_stamp
+from semiparam_ros.ros.context import call_in_executor
 from semiparam_ros.ros.discovery import handshake, is_named, owner, wait_until
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.recorded_qos import from_rclpy, subscription_qos, to_rclpy
@@ -46,9 +48,9 @@ class Follower:
         self.flow = FlowControl(request, options.window, options.timeout_s, read_stamp if stamped else lambda _: 0,
                                 self._is_gone)
         self._read = read_stamp if stamped else lambda _: None
-        self._subscription = node.create_subscription(
-            message_class(info.topic_type), self.answer_topic, self._answer,
-            to_rclpy(subscription_qos([from_rclpy(info.qos_profile)])), raw=True)
+        self._subscription = call_in_executor(node, partial(
+            node.create_subscription, message_class(info.topic_type), self.answer_topic, self._answer,
+            to_rclpy(subscription_qos([from_rclpy(info.qos_profile)])), raw=True))
         depth = self._connect(wait_s, stopping)
         self.remark = _REMARK.format(name=self.name, depth=depth) if depth else ''
         self.flow.fit_queue(depth)

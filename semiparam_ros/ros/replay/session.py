@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -22,7 +23,7 @@ from semiparam_ros.playback.progress import ReplayProgress
 from semiparam_ros.playback.read_ahead import ReadAhead
 from semiparam_ros.playback.report import Answers, ReplayAccount
 from semiparam_ros.playback.timeline import BagTimeline, PlayedTopic
-from semiparam_ros.ros.context import RosProcess
+from semiparam_ros.ros.context import RosProcess, call_in_executor
 from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
 from semiparam_ros.ros.message_types import is_installed
 from semiparam_ros.ros.recorded_qos import load_overrides, lossless, overridden
@@ -147,9 +148,9 @@ class ReplaySession:
         player = Player(ReadAhead(timeline), node.publish, rate=options.rate, loop=options.loop, paused=options.paused,
                         gate=gate if self._followers else None)
         self._player = player
-        controls = ReplayControls(node, player, timeline.start_ns)
+        controls = call_in_executor(node, partial(ReplayControls, node, player, timeline.start_ns))
         if options.clock_hz is not None:
-            node.start_clock(options.clock_hz, player.now)
+            call_in_executor(node, partial(node.start_clock, options.clock_hz, player.now))
         if self._stopping.is_set():
             raise Stopped
         with Keyboard(controls.keys(), options.keyboard) as keyboard:
