@@ -5,6 +5,7 @@ from __future__ import annotations
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
 from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects.base import place
 
 MOST_PARAMETERS = 4
 
@@ -36,11 +37,6 @@ def _opening(diagnosis: Diagnosis) -> str:
         return 'Something is missing, and the effects below explain only the smaller part of it.'
     count = len(diagnosis.findings)
     return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'
-
-
-def place(kind: str, where: str | None) -> str:
-    """An effect with its place: ``joint_offset at r_elbow``."""
-    return f'{kind} at {where}' if where else kind
 
 
 def _finding(finding: Finding) -> str:

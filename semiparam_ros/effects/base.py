@@ -284,6 +284,11 @@ class Effect:
         return str(known.get(name, ''))
 
 
+def place(kind: str, where: str | None) -> str:
+    """A kind with its place, for people: ``joint_offset at r_elbow``."""
+    return f'{kind} at {where}' if where else kind
+
+
 def channel_units(body: RigidBody, per: str = '') -> tuple[Coefficient, ...]:
     """One coefficient for each output channel, its unit divided by ``per``."""
     names = CHANNELS if body.outputs == 'wrench' else body.joints

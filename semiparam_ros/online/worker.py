@@ -14,8 +14,10 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
@@ -73,14 +75,15 @@ class ProcessBackground:
     It is given one job at a time: when it dies, just the job that it worked on is to blame, and is tried once more.
 
     :param later: see :data:`Later`; in that thread all of this runs but the jobs themselves.
+    :param told: called there with what a job tells of its progress, see :func:`tell`.
     """
 
-    def __init__(self, later: Later) -> None:
-        self._later = later
-        self._pool = _new_pool()
+    def __init__(self, later: Later, told: Callable[[str], None] = lambda sentence: None) -> None:
+        self._later, self._told = later, told
+        self._closed = False
+        self._pool = _new_pool(self._hear)
         self._queue: deque[_ProcessJob] = deque()
         self._running: _ProcessJob | None = None
-        self._closed = False
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
@@ -92,6 +95,10 @@ class ProcessBackground:
     def later(self, function: Callable[[], None]) -> None:
         """See :class:`Background`."""
         self._later(function)
+
+    def _hear(self, sentence: str) -> None:
+        if not self._closed:
+            self._later(self._told, sentence)
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
@@ -115,7 +122,7 @@ class ProcessBackground:
         try:
             return self._pool.submit(job.function, *job.arguments)
         except BrokenProcessPool:
-            self._pool = _new_pool()
+            self._pool = _new_pool(self._hear)
             return self._pool.submit(job.function, *job.arguments)
 
     def _finish(self, future: Future[object]) -> None:
@@ -174,19 +181,43 @@ class InlineBackground:
         function()
 
 
-def _new_pool() -> ProcessPoolExecutor:
-    pool = ProcessPoolExecutor(1, multiprocessing.get_context('spawn'), initializer=_prepare)
+def _new_pool(told: Callable[[str], object]) -> ProcessPoolExecutor:
+    spawn = multiprocessing.get_context('spawn')
+    # Not a queue: its lock would stay locked where the process is killed while it writes.
+    reader, writer = spawn.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(1, spawn, initializer=_prepare, initargs=(writer,))
     # The process inherits this: a Ctrl-C while it is still importing is not for it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         pool.submit(_warm)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    writer.close()  # the process has its own, and when it ends so does the thread
+    threading.Thread(target=_pass_on, args=(reader, told), name='progress', daemon=True).start()
     return pool
 
 
-def _prepare() -> None:
+def _pass_on(reader: Connection, told: Callable[[str], object]) -> None:
+    with reader, suppress(EOFError, OSError):
+        while True:
+            told(reader.recv())
+
+
+def tell(sentence: str) -> None:
+    """Tell of a job's progress, from within the job; nobody hears it where no background runs the job."""
+    if _teller is not None:
+        with suppress(OSError):
+            _teller.send(sentence)
+
+
+_teller: Connection | None = None
+"""In a background's process: the way back to the node."""
+
+
+def _prepare(teller: Connection) -> None:
     """In the process: leave Ctrl-C to the node, yield to it, and end when it ends."""
+    global _teller
+    _teller = teller
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -271,7 +302,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> Ou
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.diagnosis.text_report import text_report
 
-    found = diagnose(body, samples, effects)
+    found = diagnose(body, samples, effects, progress=lambda words, share: tell(f'{words} ({share:.0%})'))
     return Outcome(found.verdict, text_report(found), found.as_dict(), declared(found))
 
 

@@ -27,9 +27,8 @@ from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step
-from semiparam_ros.diagnosis.text_report import place
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.base import Axis
+from semiparam_ros.effects.base import Axis, place
 from semiparam_ros.effects.terms import variable_values
 from semiparam_ros.report.html import FAINT, INK, page_style
 

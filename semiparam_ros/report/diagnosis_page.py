@@ -14,8 +14,9 @@ from semiparam_ros.diagnosis.findings import Finding
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.formula import Formula
 from semiparam_ros.diagnosis.residual.structure import Structure
-from semiparam_ros.diagnosis.text_report import place, text_report
+from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_to_text, kinds
+from semiparam_ros.effects.base import place
 from semiparam_ros.report import diagnosis_figures as figures
 from semiparam_ros.report.diagnosis_figures import Suspicion, against_suspected, against_unexplained, suspicions
 from semiparam_ros.report.html import Picture, environment, picture

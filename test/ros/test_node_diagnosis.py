@@ -1,6 +1,7 @@
 """The loop closed live: the node says what its model lacks, adds it, and the horizon error falls."""
 
 import json
+import re
 import threading
 import time
 from dataclasses import replace
@@ -42,6 +43,7 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
     with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
         client.connect('effort')
         client.listen(String, 'diagnosis')
+        client.listen(String, 'diagnosis_progress')
         client.offer('joint_states', 'joint_accelerations')
         assert client.trigger('diagnose').message == 'there are no samples to diagnose yet.'
         assert 'no diagnosis yet' in client.trigger('apply_diagnosis').message
@@ -59,6 +61,8 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         assert answer.success, answer.message
         assert answer.message.startswith('With no effects declared: ')
         assert 'viscous_friction at a' in answer.message and 'viscous_friction at b' in answer.message
+        progress = [message.data for message in client.heard['diagnosis_progress']]
+        assert any(re.match(r'round 1: found .*viscous_friction at a', sentence) for sentence in progress), progress
         report = json.loads(client.heard['diagnosis'][0].data)
         assert report['schema'] == 1 and report['verdict'] == 'effect_found'
         assert {effect['kind'] for effect in report['effects']} == {'viscous_friction'}

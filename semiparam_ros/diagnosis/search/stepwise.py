@@ -21,6 +21,7 @@ from semiparam_ros.diagnosis.search.joint_offsets import joint_offsets
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, refined, retried, score
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import place
 
 Progress = Callable[[str, float], None]
 
@@ -65,6 +66,7 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
         if step is None:
             break
         steps.append(step)
+        report('found ' + ', '.join(place(trial.effect.kind, trial.effect.where) for trial in step.added), 1.0)
         fit = step.after
         if hopeless(fit):
             break

@@ -137,6 +137,8 @@ def create_trigger(node: Node, name: str, action: Callable[[], str], errors: Int
 class Diagnosing:
     """The two services, and the report on the latched topic ``~/diagnosis`` (JSON).
 
+    While one runs, ``~/diagnosis_progress`` tells what is being tried and what was found so far.
+
     A process of its own does the work, so that a model being built does not wait for it.
 
     :param later: see :data:`Later`.
@@ -152,6 +154,7 @@ class Diagnosing:
         self._outcome: Outcome | None = None
         self._examined: tuple[Effect, ...] = ()
         self._report = node.create_publisher(String, '~/diagnosis', LATCHED)
+        self._progress = node.create_publisher(String, '~/diagnosis_progress', 10)
         create_deferred_trigger(node, '~/diagnose', self._diagnose)
         create_trigger(node, '~/apply_diagnosis', self.apply, errors)
 
@@ -192,12 +195,15 @@ class Diagnosing:
         if samples is None:
             raise SemiparamError('there are no samples to diagnose yet.')
         if self._background is None:
-            self._background = ProcessBackground(self._later)
+            self._background = ProcessBackground(self._later, self._tell)
         # Those that are wanted now, whether their model answers already or is still being built.
         effects = tuple(declared_effects(self._parameters.settings))
         self._background.submit(worker.diagnose, learner.body, worker.thinned(samples), effects,
                                 done=partial(self._done, reply, effects))
         self._running = True
+
+    def _tell(self, sentence: str) -> None:
+        self._progress.publish(String(data=sentence))
 
     def _done(self, reply: Reply, effects: tuple[Effect, ...], outcome: Outcome | None,
               error: BaseException | None) -> None:
