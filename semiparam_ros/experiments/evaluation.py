@@ -14,7 +14,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
-from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
+from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.model_switcher import completes_window, sentence_of
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator
@@ -131,8 +131,9 @@ class OfflineLearner:
 
     def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None]) -> None:
         description = next((bag.robot_description for bag in bags if bag.robot_description), None)
-        self.settings, self.gate, self._tick = settings, ContactGate(), tick
+        self.settings, self._tick = settings, tick
         self.estimator = build_estimator(settings, description)
+        self.gate = ContactGate(self.estimator.body.n_outputs)
         self.failed_windows: list[str] = []
 
     def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
@@ -155,7 +156,7 @@ class OfflineLearner:
     def step(self, sample: Sample, learning: bool) -> Prediction:
         """One sample: a contact is predicted but not learnt."""
         prediction = self.estimator.predict(sample)
-        contact = self.gate.judge(sample.stamp, standardised_innovation(prediction), self.settings)
+        contact = self.gate.judge(prediction, self.settings)
         learn = learning and not contact
         if learn and completes_window(self.estimator):
             return prediction._replace(horizon=self._finish_window(prediction))

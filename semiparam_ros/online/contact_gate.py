@@ -1,75 +1,274 @@
-"""Contact is not dynamics: which samples are too implausible to be learnt."""
+"""Contact is not dynamics: which samples must not be learnt.
+
+The gate judges the innovations (measured minus predicted) by what they are in free motion, not by the standard
+deviation that the model gives them. For each output:
+
+1. *Scale.* Time is cut into blocks of half a second. The usual peak of an output is the median, over the last twenty
+   blocks, of the largest innovation in a block. Peaks of blocks contain the colour of the innovations: however long one
+   lasts, it counts once. Every band of speed has its own usual peaks, rest among them. At rest the slow mean is taken
+   off first: stiction holds an arm with efforts that differ from stop to stop, and a push changes them.
+2. *Tail.* The ratio of a block's peak to the usual one has a tail, in free motion and at rest, that decides how large
+   a ratio comes by chance only so often. Ratios above their 90th percentile are taken as exponentially distributed
+   (peaks over a threshold, Coles 2001, An Introduction to Statistical Modeling of Extreme Values, chapter 4). Their
+   mean comes from a median, so that a few pushes too small to be seen do not widen it. A weak prior, and the
+   predictive distribution in place of the fitted one, keep the threshold high while few blocks are known.
+
+Blocks in which the gate is closed belong to neither.
+"""
 
 from __future__ import annotations
 
-from math import sqrt
-from typing import NamedTuple
+from math import exp, log, sqrt
 
+import numpy as np
+
+from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.estimator import Prediction
 from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.core.types import Array
 from semiparam_ros.settings.parameter_table import Table
 
+BLOCK_S = 0.5
+LONGEST_STEP_S = 0.1
+"""What a sample adds to a block at most: a pause is no time under observation."""
+SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
+TAIL_BLOCKS = 600
 
-class GateState(NamedTuple):
-    """A gate as it stands; times in ns."""
+SPEEDS = (0.02, 0.2, 0.8, 2.0)
+"""[rad/s, m/s] Between bands; the first band is rest. The fastest joint counts, over about the last second."""
+SPEED_MEMORY_S = 1.0
+FASTER = 2.5
+"""A faster band that was not seen yet has usual peaks at most so many times those of the next slower one."""
+REST_MEMORY_S = 5.0
+SMALLEST_SCALE = 0.25
+"""Usual peaks count as at least so many predicted standard deviations: silence is not exactness."""
 
-    closed: bool
-    refused: int
-    closed_since: int
-    calm_since: int | None
-    armed: bool
+TAIL_SHARE = 0.1
+PRIOR_LEVEL, PRIOR_EXCESS = 1.6, 0.25
+"""Of the 90th percentile of the ratios and the mean excess over it; those of coloured Gaussian noise, and of the free
+motion of three measured arms, are near."""
+PRIOR_BLOCKS, PRIOR_EXCESSES = 20.0, 8.0
+MOST_EXCESSES = 8.0
+"""However many blocks are known, the tail counts as known by so many: real tails are heavier than exponential ones."""
+
+
+class Tail:
+    """Ratios of peaks to usual ones, and the thresholds (n,) that follow."""
+
+    def __init__(self, n_outputs: int) -> None:
+        self.ratios = np.zeros((0, n_outputs))
+        self._rate: float | None = None
+
+    def add(self, ratios: Array) -> None:
+        """Those of one block, (n,)."""
+        self.ratios = np.vstack([self.ratios, ratios])[-TAIL_BLOCKS:]
+        self._rate = None
+
+    def thresholds(self, per_hour: float) -> tuple[Array, Array]:
+        """(n,) ratios that chance exceeds ``per_hour`` times an hour over all outputs, and (n,) usual large ones."""
+        if self._rate != per_hour:
+            self._rate, (self._thresholds, self._levels) = per_hour, self._fitted(per_hour)
+        return self._thresholds, self._levels
+
+    def _fitted(self, per_hour: float) -> tuple[Array, Array]:
+        count, n_outputs = self.ratios.shape
+        levels = np.full(n_outputs, PRIOR_LEVEL)
+        excesses = np.full(n_outputs, PRIOR_EXCESSES * PRIOR_EXCESS)
+        known = min(0.5 * TAIL_SHARE * count, MOST_EXCESSES)  # a median tells half of what a mean would
+        if count >= 1 / TAIL_SHARE:
+            level, higher = np.quantile(self.ratios, (1 - TAIL_SHARE, 1 - TAIL_SHARE / 2), axis=0)
+            levels = (count * level + PRIOR_BLOCKS * levels) / (count + PRIOR_BLOCKS)
+            excesses += known * (higher - level) / log(2.0)
+        chance = min(per_hour / n_outputs * BLOCK_S / 3600.0 / TAIL_SHARE, 1.0)
+        return levels + excesses * (chance ** (-1.0 / (known + PRIOR_EXCESSES)) - 1.0), levels
+
+
+class Band:
+    """Usual peaks (n,) of the innovations at some speed, and the block that is being gathered."""
+
+    def __init__(self, n_outputs: int) -> None:
+        self.peaks = np.zeros((0, n_outputs))
+        self.usual: Array | None = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Drop the unfinished block."""
+        self.peak: Array = np.zeros(self.peaks.shape[1])
+        self.ratio: Array = np.zeros(self.peaks.shape[1])
+        self.seconds = 0.0
+
+    def add(self, size: Array, ratio: Array, seconds: float) -> Array | None:
+        """One sample: size of its innovations and their ratio to the usual peaks, (n,) each.
+
+        Returns the largest ratios (n,) of the block that it ends, once usual peaks are known.
+        """
+        np.maximum(self.peak, size, out=self.peak)
+        np.maximum(self.ratio, ratio, out=self.ratio)
+        self.seconds += seconds
+        if self.seconds < BLOCK_S:
+            return None
+        ratios = None if self.usual is None else self.ratio
+        self.restore(np.vstack([self.peaks, self.peak])[-SCALE_BLOCKS:])
+        return ratios
+
+    def restore(self, peaks: Array) -> None:
+        """Go on from the peaks of finished blocks, (N, n)."""
+        self.peaks = peaks
+        self.usual = np.median(peaks, axis=0) if len(peaks) >= FEWEST_BLOCKS else None
+        self.clear()
 
 
 class ContactGate:
-    """A gate on the standardised innovation, with hysteresis.
+    """Closes on an innovation that free motion brings about less often than ``gate.false_alarms_per_hour``.
 
-    It closes when the innovation exceeds ``gate.threshold``, and opens when it has stayed below ``gate.release`` for
-    ``gate.hold`` seconds. A gate closed for longer than ``gate.timeout`` opens too, for a robot that is touched is let
-    go again: the model must follow a robot that has changed. It closes anew only after the innovation was small once.
+    It opens when all outputs have been as usual for ``gate.hold`` seconds. A gate closed for longer than
+    ``gate.timeout`` opens too: a robot that is touched is let go again, so the robot itself has changed, the model
+    must follow, and the innovations that were refused are usual from then on.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, n_outputs: int) -> None:
         self.closed = False
-        self.refused = 0
-        self._closed_since = 0
+        self._closed_since = self._closed_at = 0
+        self.refused = self.contacts = self.changes = 0
+        self.level: Array = np.zeros(n_outputs)
+        """(n,) innovations over their thresholds, of the last sample; 0 where nothing is known to judge it by."""
+        self._n_outputs = n_outputs
         self._calm_since: int | None = None
-        self._armed = True
+        self.forget()
 
-    def judge(self, stamp: int, innovation: float, settings: Table) -> bool:
-        """True when the sample of ``stamp`` [ns] must not be learnt.
-
-        :param innovation: see :func:`standardised_innovation`.
-        """
-        if not settings.gate_enabled:
-            self.reset()
-            return False
-        calm = innovation <= settings.gate_release
-        self._armed = self._armed or calm
-        if self.closed:
-            self._perhaps_open(stamp, calm, settings)
-        elif self._armed and innovation > settings.gate_threshold:
-            self.closed, self._closed_since, self._calm_since = True, stamp, None
-        self.refused += self.closed
-        return self.closed
+    def forget(self) -> None:
+        """Open it, and learn anew what is usual; the counts stay."""
+        self._tails = (Tail(self._n_outputs), Tail(self._n_outputs))
+        self._bands = [Band(self._n_outputs) for _ in range(len(SPEEDS) + 1)]
+        self._meanwhile = Band(self._n_outputs)
+        self._mean: Array = np.zeros(self._n_outputs)
+        self.reset()
 
     def reset(self) -> None:
-        """Open it, as after a jump of the clock; the count stays."""
-        self.closed, self._calm_since, self._armed = False, None, True
+        """Open it, as after a jump of the clock; what is usual stays."""
+        self._open()
+        self._newest: int | None = None
+        self._speed = 0.0
+        for band in self._bands:
+            band.clear()
 
-    def state(self) -> GateState:
-        """For a file; :meth:`restore` takes it back."""
-        return GateState(self.closed, self.refused, self._closed_since, self._calm_since, self._armed)
+    def judge(self, prediction: Prediction, settings: Table) -> bool:
+        """True when a predicted sample must not be learnt."""
+        if not settings.gate_enabled:
+            if self.closed or self._newest is not None:
+                self.reset()
+                self.level = np.zeros(self._n_outputs)
+            return False
+        stamp = prediction.sample.stamp
+        seconds = 0.0 if self._newest is None else min(max(1e-9 * (stamp - self._newest), 0.0), LONGEST_STEP_S)
+        self._newest = stamp
+        moving, speed_band = self._follow_speed(prediction, seconds)
+        at = max(speed_band, self._closed_at)
+        innovation = prediction.sample.outputs - prediction.mean
+        size = np.abs(innovation - self._mean if at == 0 else innovation)
+        usual = self._usual(at)
+        tail = self._tails[at > 0]
+        thresholds, levels = tail.thresholds(settings.gate_false_alarms_per_hour)
+        ratio = np.zeros(self._n_outputs) if usual is None else size / np.maximum(
+            usual, SMALLEST_SCALE * prediction.std)
+        self.level = ratio / thresholds
+        if self.closed:
+            self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
+        elif self.level.max() > 1.0:
+            self.closed, self._closed_since, self._closed_at = True, stamp, at
+            self._calm_since = None
+            self.contacts += 1
+            self._bands[at].clear()
+            self._meanwhile = Band(self._n_outputs)
+        if self.closed:
+            self.refused += 1
+            self._meanwhile.add(size, ratio, seconds)
+            return True
+        self._rest(innovation, seconds, moving)
+        ratios = self._bands[at].add(size, ratio, seconds)
+        if ratios is not None:
+            tail.add(ratios)
+        return False
 
-    def restore(self, state: GateState) -> None:
-        """Go on as the gate that was saved."""
-        self.closed, self.refused, self._closed_since, self._calm_since, self._armed = state
+    def touched(self) -> list[int]:
+        """Outputs that feel the contact now, the strongest first; those of the last sample that felt any."""
+        order = np.argsort(-self.level)
+        return [int(index) for index in order if self.level[index] > 1.0]
+
+    def state(self) -> Memory:
+        """For a file; :meth:`restore` takes it back bit for bit."""
+        return {'closed': self.closed, 'counts': (self.refused, self.contacts, self.changes), 'level': self.level,
+                'closed_since': self._closed_since, 'closed_at': self._closed_at, 'calm_since': self._calm_since,
+                'newest': self._newest, 'speed': self._speed, 'mean': self._mean, 'resting': self._resting,
+                'tails': tuple(tail.ratios for tail in self._tails),
+                'bands': tuple((band.peaks, band.peak.copy(), band.ratio.copy(), band.seconds)
+                               for band in (*self._bands, self._meanwhile))}
+
+    def restore(self, state: Memory) -> None:
+        """Go on as the gate that was saved; raises LookupError, TypeError or ValueError for what is no state."""
+        if not isinstance(state, dict):
+            raise TypeError('the state of the gate is no mapping')
+        self.forget()
+        self.closed, self._closed_since, self._closed_at = state['closed'], state['closed_since'], state['closed_at']
+        self.refused, self.contacts, self.changes = state['counts']
+        self._calm_since, self._newest, self._speed = state['calm_since'], state['newest'], state['speed']
+        self._resting = state['resting']
+        self.level, self._mean = self._sized(state['level'], 1), self._sized(state['mean'], 1)
+        for tail, ratios in zip(self._tails, state['tails'], strict=True):
+            tail.ratios = self._sized(ratios, 2)
+        for band, (peaks, peak, ratio, seconds) in zip((*self._bands, self._meanwhile), state['bands'], strict=True):
+            band.restore(self._sized(peaks, 2))
+            band.peak, band.ratio, band.seconds = self._sized(peak, 1), self._sized(ratio, 1), seconds
+
+    def _sized(self, values: Array, dimensions: int) -> Array:
+        if values.ndim != dimensions or values.shape[-1] != self._n_outputs:
+            raise ValueError(f'the gate holds an array of shape {values.shape}')
+        return np.array(values)
+
+    def _open(self) -> None:
+        self.closed = False
+        self._closed_since = self._closed_at = 0
+        self._calm_since = None
+        self._resting = 0
+
+    def _follow_speed(self, prediction: Prediction, seconds: float) -> tuple[bool, int]:
+        """Whether the robot moves now, and the band of its speed over the last second."""
+        speed = float(np.abs(prediction.sample.velocity).max())
+        self._speed = max(speed, self._speed * exp(-seconds / SPEED_MEMORY_S))
+        return speed > SPEEDS[0], sum(self._speed > edge for edge in SPEEDS)
+
+    def _usual(self, at: int) -> Array | None:
+        """Usual peaks (n,) in a band; of a neighbour while its own are unknown, but never rest's for motion."""
+        own = self._bands[at].usual
+        if own is not None:
+            return own
+        known = [band for band in range(1, len(self._bands)) if self._bands[band].usual is not None]
+        if not known:
+            return None
+        nearest = min(known, key=lambda band: abs(band - at))
+        usual = self._bands[nearest].usual
+        return None if usual is None else usual * max(1.0, FASTER ** (at - nearest))
+
+    def _rest(self, innovation: Array, seconds: float, moving: bool) -> None:
+        """Follow the slow mean of the innovations at rest; it begins anew with every stop."""
+        self._resting = 0 if moving else self._resting + 1
+        if self._resting:
+            self._mean = self._mean + max(1.0 / self._resting, seconds / REST_MEMORY_S) * (innovation - self._mean)
 
     def _perhaps_open(self, stamp: int, calm: bool, settings: Table) -> None:
         self._calm_since = (stamp if self._calm_since is None else self._calm_since) if calm else None
         if self._calm_since is not None and stamp - self._calm_since >= settings.gate_hold * NANOSECONDS:
-            self.closed = False
+            self._open()
         elif settings.gate_timeout and stamp - self._closed_since > settings.gate_timeout * NANOSECONDS:
-            self.closed = self._armed = False
+            self._follow_change()
+            self._open()
+            self.changes += 1
+
+
+    def _follow_change(self) -> None:
+        """What was refused is usual from now on, at rest or at every speed."""
+        for band in self._bands[1:] if self._closed_at else self._bands[:1]:
+            band.restore(self._meanwhile.peaks)
 
 
 def standardised_innovation(prediction: Prediction) -> float:

@@ -50,6 +50,7 @@ class Answer(NamedTuple):
     innovation: float  # root mean square of the residual in predictive standard deviations
     learnt: bool
     contact: bool
+    contact_level: Array  # (n,) residual over the gate's threshold; 0 where it does not judge
 
 
 class LearnerListener(Protocol):
@@ -87,7 +88,7 @@ class Learner:
     def __init__(self, settings: Settings, body: RigidBody, background: Background, listener: LearnerListener,
                  checkpoint: Callable[[], SavedState | None] = lambda: None) -> None:
         self.settings, self.body = settings, body
-        self.gate = ContactGate()
+        self.gate = ContactGate(body.n_outputs)
         self.tare = Tare(body.n_outputs)
         self.waiting: deque[Sample] = deque()
         self.learnt = self.answered = self.lost = 0
@@ -102,7 +103,7 @@ class Learner:
         """Go on with an estimator that has seen a past, and with nothing else."""
         self._drop_window_job()
         self.switcher.retire_all(forget_hyperparameters=True)
-        self.gate.reset()
+        self.gate.forget()
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
                                self.body.n_outputs, estimator.origin)
@@ -144,10 +145,14 @@ class Learner:
         if prediction is None:
             self.lost += 1
             return
-        innovation = standardised_innovation(prediction)
-        contact = self.gate.judge(sample.stamp, innovation, self.settings)
+        changes = self.gate.changes
+        contact = self.gate.judge(prediction, self.settings)
+        if self.gate.changes > changes:
+            self._listener.told(f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
+                                'a change of the robot, and is learnt.')
         learn = self.settings.learning and not contact
-        answer = Answer(self._as_measured(prediction), sample.outputs - prediction.mean, innovation, learn, contact)
+        answer = Answer(self._as_measured(prediction), sample.outputs - prediction.mean,
+                        standardised_innovation(prediction), learn, contact, self.gate.level)
         self._emit(answer)  # before learning, which takes as long as predicting
         if learn and completes_window(self.estimator):
             self._finish_window(prediction)

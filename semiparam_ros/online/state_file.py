@@ -20,12 +20,12 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.contact_gate import GateState
+from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 3
+FORMAT, VERSION = 'semiparam_ros state', 4
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
@@ -45,7 +45,7 @@ class SavedState(NamedTuple):
     estimator: Estimator
     batch: SampleBatch
     bias: Array
-    gate: GateState
+    gate: Memory
 
 
 def folder_of(settings: Settings) -> Path:
@@ -74,10 +74,12 @@ def snapshot(state: SavedState) -> Snapshot:
     """Copies of everything that a state is made of, for :func:`write` in another thread."""
     learnt = state.estimator.state()
     memory: dict[str, Array] = {}
-    meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'memory': _as_json(learnt.memory, memory)}
+    gate: dict[str, Array] = {}
+    meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest,
+            'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate)}
     groups: dict[str, Mapping[str, Array | Stamps]] = {
         'history': arrays_of(state.batch), 'recursion': learnt.recursion, 'horizon': learnt.horizon,
-        'memory': memory, 'window': _stacked(learnt.window)}
+        'memory': memory, 'gate': gate, 'window': _stacked(learnt.window)}
     return {'meta': np.array(json.dumps(meta)), 'bias': state.bias, 'probe': probe(state.estimator.body),
             **{f'{group}.{name}': values for group, arrays in groups.items() for name, values in arrays.items()}}
 
@@ -136,7 +138,8 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         bias = arrays['bias']
         if bias.shape != (body.n_outputs,):
             raise SemiparamError(f"{path} holds a 'bias' of shape {bias.shape}; expected ({body.n_outputs},).")
-        gate = GateState(**meta['gate'])
+        gate = _from_json(meta['gate'], _group(arrays, 'gate'))
+        ContactGate(body.n_outputs).restore(gate)  # which checks it
         return SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate)
     except SemiparamError:
         raise
@@ -156,7 +159,7 @@ def _meta(state: SavedState) -> dict[str, Any]:
     values = state.settings.mapping()
     known = known_of(state.estimator)
     return {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
-            'settings': {name: values[name] for name in (*ADOPTED, *FIXED)}, 'gate': state.gate._asdict(),
+            'settings': {name: values[name] for name in (*ADOPTED, *FIXED)},
             'known': None if known is None else [asdict(known.hyperparameters), known.input_mean, known.input_scale]}
 
 
@@ -252,7 +255,10 @@ def _unstacked(arrays: Mapping[str, Array], n_joints: int, n_columns: int) -> tu
 
 
 def _as_json(memory: Memory, arrays: dict[str, Array]) -> object:
-    """What effects remember, as JSON that refers to ``arrays`` by number. Raises SemiparamError for other objects."""
+    """What effects or the gate remember, as JSON that refers to ``arrays`` by number.
+
+    Raises SemiparamError for other objects.
+    """
     if memory is None or isinstance(memory, bool | int | float | str):
         return memory
     if isinstance(memory, np.ndarray | np.generic) and memory.dtype.kind in 'biuf':

@@ -236,14 +236,13 @@ class Table:
     gate_enabled: bool = declare(
         'gate.enabled', False, 'Do not learn from samples that the model finds implausible, such as contacts.',
         live=True)
-    gate_threshold: float = declare(
-        'gate.threshold', 6.0, 'The gate closes when the root mean square of the innovations, in predictive standard '
-        'deviations, exceeds this.', minimum=0.0, live=True)
-    gate_release: float = declare(
-        'gate.release', 3.0, 'The gate opens again when it has stayed below this for gate.hold.', minimum=0.0,
-        live=True)
+    gate_false_alarms_per_hour: float = declare(
+        'gate.false_alarms_per_hour', 2.0, 'How often the gate may close in an hour of free motion. The thresholds '
+        'follow, from the innovations of free motion; fewer false alarms mean that small contacts are missed.',
+        unit='1/h', minimum=1e-3, maximum=3600.0, live=True)
     gate_hold: float = declare(
-        'gate.hold', 0.2, 'See gate.release.', unit='s', minimum=0.0, maximum=60.0, live=True)
+        'gate.hold', 0.2, 'The gate opens again when the innovations have been as usual for so long.', unit='s',
+        minimum=0.0, maximum=60.0, live=True)
     gate_timeout: float = declare(
         'gate.timeout', 5.0, 'A gate closed for longer opens: the robot has changed, it is not touched. 0: never.',
         unit='s', minimum=0.0, live=True)

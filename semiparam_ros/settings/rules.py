@@ -69,14 +69,6 @@ def shadow_variants_are_distinct(table: Table) -> str | None:
     return None
 
 
-def gate_has_hysteresis(table: Table) -> str | None:
-    """It must open below where it closes."""
-    if table.gate_release > table.gate_threshold:
-        return (f'gate.release is {table.gate_release:g} and gate.threshold {table.gate_threshold:g}; expected release '
-                'not above threshold.')
-    return None
-
-
 def hyperparameters_have_sizes(table: Table) -> str | None:
     """Scalars hold one value, the others as many as there are inputs or outputs."""
     expected: list[tuple[str, Sequence[float], int | None]] = [
@@ -130,7 +122,7 @@ def state_file_is_a_plain_name(table: Table) -> str | None:
 
 RULES: tuple[Callable[[Table], str | None], ...] = (
     sensor_frame_is_named, one_robot_description, joints_are_distinct, locked_joints_have_positions,
-    features_come_in_pairs, shadow_variants_are_distinct, gate_has_hysteresis, hyperparameters_have_sizes,
+    features_come_in_pairs, shadow_variants_are_distinct, hyperparameters_have_sizes,
     input_scaling_is_whole, hyperparameters_suffice, effects_are_known, state_file_is_a_plain_name)
 
 

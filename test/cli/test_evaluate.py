@@ -100,15 +100,15 @@ def test_frozen_after_training_scores_every_sample_and_learns_none(evaluate, rec
 
 
 def test_contacts_are_scored_but_not_learnt(recording, tmp_path):
-    """The gate that the node has: a threshold that every sample exceeds leaves the model as trained."""
+    """The gate that the node has: a contact that never ends leaves the model as trained."""
     values = {'sensor_frame': FRAME, 'joints': list(JOINTS), 'initial.samples': INITIAL, 'variant': 'P',
-              'gate.enabled': True, 'gate.threshold': 0.0, 'gate.release': 0.0, 'gate.timeout': 0.0}
+              'gate.enabled': True, 'gate.timeout': 0.0}
     path, result = tmp_path / 'gate.yaml', tmp_path / 'result.json'
     dump_params(Settings.from_mapping(values), path)
-    rmse = []
+    rmse, touched = [], write_arm(tmp_path / 'touched.mcap', 200, seed=2, start=10**12, bias=50.0)
     for frozen in ([], ['--frozen']):
         words = ['--train', str(recording), *frozen, '--params', str(path), '--json', str(result)]
-        assert cli.main(['evaluate', str(recording), *words]) == 0
+        assert cli.main(['evaluate', str(touched), *words]) == 0
         rmse.append(json.loads(result.read_text())['variants']['P']['rmse'])
     assert rmse[0] == rmse[1]
 

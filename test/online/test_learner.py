@@ -13,7 +13,6 @@ from semiparam_ros.bags.readings import Reading
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file
-from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
 from semiparam_ros.online.model_switcher import same_model
@@ -338,12 +337,15 @@ def test_contacts_are_flagged_not_learnt_and_seen_in_the_residual():
     assert stage.learner.gate.refused == contact.sum()
 
 
-def test_the_gate_gives_way_to_a_lasting_change():
-    settings, gate = replace(SETTINGS, gate_enabled=True, gate_timeout=1.0), ContactGate()
-    closed = [gate.judge(int(second * 1e9), 100.0, settings) for second in np.arange(0.0, 3.0, 0.1)]
-    assert closed[0] and closed[9] and not any(closed[11:])
-    gate.judge(int(4e9), 0.5, settings)
-    assert gate.judge(int(5e9), 100.0, settings), 'armed again'
+def test_a_load_is_told_and_learnt_when_the_gate_gives_way():
+    settings = replace(SETTINGS, variant='P', gate_enabled=True, gate_timeout=1.0)
+    samples, stage = motion(900), Stage(settings, InlineBackground())
+    stage.offer(samples[:300])
+    stage.offer([sample._replace(outputs=sample.outputs + 5.0) for sample in samples[300:]])
+    contact = np.array([answer.contact for answer in stage.answers])
+    assert contact[300:350].all() and not contact[352:].any()
+    assert sum('is a change of the robot, and is learnt' in news for news in stage.news) == 1
+    assert np.abs(stage.answers[-1].residual).max() < 3.0
 
 
 def test_tare_takes_off_the_bias_and_leaves_the_weight():

@@ -44,7 +44,7 @@ def answers(stage):
 @pytest.mark.parametrize('count', [0, 40, 59, 60, 200])
 @pytest.mark.parametrize('settings', REMEMBERS.values(), ids=REMEMBERS)
 def test_saved_and_loaded_is_not_interrupted_bit_for_bit(tmp_path, settings, count):
-    settings = replace(settings, retained_samples=3, gate_enabled=True, gate_threshold=2.5, gate_release=1.5,
+    settings = replace(settings, retained_samples=3, gate_enabled=True, gate_false_alarms_per_hour=3600.0,
                        gate_hold=0.3)
     body = build_rigid_body(settings)
     samples, before = motion(count + 120, body=body), stage_of(settings)
@@ -97,9 +97,9 @@ SCRATCH = {
 
 
 LAYOUT = {
-    3: {
+    4: {
         'meta': 'format gate joints known memory newest origin settings version',
-        'gate': 'armed calm_since closed closed_since refused',
+        'gate': 'bands calm_since closed closed_at closed_since counts level mean newest resting speed tails',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
                     'horizon.length initial.samples noise outputs variant',
@@ -113,6 +113,8 @@ LAYOUT = {
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.gains': 'f8 (5, 40)',
         'horizon.innovations': 'f8 (5, 138)', 'horizon.theta': 'f8 (5, 23)', 'horizon.squared_error': 'f8 (5, 6)',
         'horizon.outputs': 'f8 (5, 6)', 'horizon.origins': 'i8 (5,)',
+        'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (0, 6)', 'gate.3': 'f8 (0, 6)',  # level, mean, tails
+        **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 1 else 'f8 (6,)' for number in range(4, 22)},  # six bands
     },
 }
 """What a file of each version holds, of an SPK model with an effect after 70 samples. When this changes, so must
@@ -126,7 +128,7 @@ def test_the_layout_changes_only_with_the_version(tmp_path):
 
 def layout_of(arrays):
     meta = json.loads(str(arrays['meta']))
-    found = {'meta': ' '.join(sorted(meta)), 'gate': ' '.join(sorted(meta['gate'])),
+    found = {'meta': ' '.join(sorted(meta)), 'gate': ' '.join(sorted(meta['gate']['dict'])),
              'known': ' '.join(meta['known'][0]), 'settings': ' '.join(sorted(meta['settings']))}
     return found | {name: f'{values.dtype.str[1:]} {values.shape}' for name, values in arrays.items() if name != 'meta'}
 
@@ -135,9 +137,9 @@ def test_other_versions_are_refused(tmp_path):
     path = tmp_path / 's.npz'
     arrays = state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state())
     meta = json.loads(str(arrays['meta']))
-    for version in (1, 2, state_file.VERSION + 1, None):
+    for version in (1, state_file.VERSION - 1, state_file.VERSION + 1, None):
         np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
-        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 3'):
+        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 4'):
             state_file.load(path, SETTINGS, BODY)
 
 

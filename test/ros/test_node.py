@@ -24,7 +24,7 @@ from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.parameter_table import PARAMETERS
 from support.node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
 from support.node_faults import Fuzzer, counts_in, with_gaps
-from support.node_helpers import JOINTS, SETTINGS, URDF, motion, write_bag
+from support.node_helpers import BODY, JOINTS, SETTINGS, URDF, motion, write_bag
 
 LIVE = replace(SETTINGS, acceleration_source='measured', features_count=500)
 pytestmark = pytest.mark.usefixtures('module_domain')
@@ -54,7 +54,7 @@ def connected(node):
 def client(connected):
     """The client, with a node that has learnt nothing and its parameters as at the start."""
     results = connected.set(learning=True, variant=LIVE.variant, gate__enabled=False, horizon__length=5,
-                            gate__release=3.0, gate__threshold=6.0)
+                            gate__hold=0.2, gate__false_alarms_per_hour=2.0)
     assert all(result.successful for result in results)
     assert connected.trigger('reset').success
     connected.forget()
@@ -148,13 +148,13 @@ def test_refused_values_leave_everything_as_it_was_and_say_why(client):
     assert refusal(features__count=100) == 'features.count cannot change while the node runs; start it again with ' \
                                            'the new value.'
     assert "nearest is 'variant'" in refusal(varaint='P')
-    assert 'gate.release is 3 and gate.threshold 2' in refusal(gate__threshold=2.0)
+    assert "shadow_variants holds 'P' twice" in refusal(shadow_variants=['P', 'P'])
     assert 'names no known kind' in refusal(effects=['paylod'])
     assert 'nowhere' in refusal(effects=['external_force@nowhere'])
     assert client.get('variant')[0].string_value == 'SPK-ML'
-    assert client.set_together(gate__threshold=2.0, gate__release=1.0).successful
-    assert client.set_together(gate__threshold=6, gate__release=3).successful, 'an integer does for a double'
-    assert client.get('gate.threshold')[0].double_value == 6.0
+    assert client.set_together(gate__hold=0.5, gate__timeout=1.0).successful
+    assert client.set_together(gate__hold=1, gate__timeout=5).successful, 'an integer does for a double'
+    assert client.get('gate.hold')[0].double_value == 1.0
     assert client.set(effects=[])[0].successful, 'an empty list of no type'
 
 
@@ -239,12 +239,18 @@ def test_a_simulated_clock_that_jumps_back_keeps_the_model(client):
 
 def test_contact_is_flagged_and_diagnostics_tell_the_state(client):
     samples = fresh(360)
+    client.listen(JointState, 'contact_level')
+    assert client.set_together(gate__enabled=True, gate__hold=0.1).successful
     client.play(samples[:300], JOINTS)
-    assert client.set_together(gate__enabled=True, gate__hold=0.1, gate__threshold=50.0, gate__release=25.0).successful
     push = np.array([30.0, 0, 0, 0, 0, 0])
     client.play([sample._replace(outputs=sample.outputs + push) for sample in samples[300:330]], JOINTS)
     level, _, values = client.wait_report('learning', lambda level, message, values: 'in contact' in message)
     assert values['samples not learnt for contact'] == '30' and values['in contact'] == 'True'
+    assert values['contacts'] == '1' and values['contact felt in'] == 'fx'
+    client.wait(lambda: client.stamps('contact_level')[-1:] == [samples[329].stamp], 'the level of every sample')
+    levels = client.heard['contact_level']
+    assert levels[-1].name == list(BODY.output_names) and levels[-1].position[0] > 1.0 > levels[-1].position[1] > 0.0
+    assert max(levels[299].position) < 1.0
     client.play(samples[330:], JOINTS)
     client.wait_report('learning', lambda level, message, values: values['in contact'] == 'False')
     _, _, timing = client.wait_report('timing', lambda level, message, values: 'latency p99 [ms]' in values)

@@ -59,7 +59,7 @@ def test_a_file_written_is_read_back(tmp_path):
                        st.floats(0.6, 1.0)), st.text('aé%: #"\\\'', max_size=8))
 def test_any_value_survives_a_file(tmp_path_factory, doubles, text):
     path = tmp_path_factory.mktemp('params') / 'p.yaml'
-    settings = WRENCH.changed({**doubles, 'gate.release': 0.5, 'robot_description_file': text})
+    settings = WRENCH.changed({**doubles, 'robot_description_file': text})
     dump_params(settings, path)
     assert load_params(path) == settings
 
@@ -126,7 +126,6 @@ BROKEN = {
     'locked_joints_have_positions': {'locked_joints.names': ['a']},
     'features_come_in_pairs': {'features.count': 3},
     'shadow_variants_are_distinct': {'shadow_variants': ['P', 'P']},
-    'gate_has_hysteresis': {'gate.release': 7.0},
     'hyperparameters_have_sizes': {'hyperparameters.gamma': [1.0, 2.0]},
     'input_scaling_is_whole': {'hyperparameters.input_mean': [0.0, 0.0, 0.0], 'joints': ['a']},
     'hyperparameters_suffice': {'hyperparameters.sigma': [1.0]},
@@ -155,8 +154,9 @@ def test_effects_are_refused_by_name(effect, sentence):
 def test_a_live_change_is_refused_with_the_same_sentence_as_a_file():
     assert refusal(WRENCH, {'variant': 'P', 'horizon.length': 10}) is None
     assert 'cannot change while the node runs' in refusal(WRENCH, {'features.count': 100})
-    assert refusal(WRENCH, {'gate.release': 9.0}) == RULES[6](WRENCH.changed({'gate.release': 9.0}))
-    assert refusal(WRENCH, {'gate.release': 9.0, 'gate.threshold': 10.0}) is None
+    twice = {'shadow_variants': ['P', 'P']}
+    assert refusal(WRENCH, twice) == RULES[5](WRENCH.changed(twice))
+    assert refusal(WRENCH, {**twice, 'shadow_variants': ['P']}) is None
     assert "nearest is 'variant'" in refusal(WRENCH, {'varient': 'P'})
 
 

@@ -30,7 +30,7 @@ CHANGES = {
     'misspelt parameter': {'varaint': 'P'},
     'parameter of no node': {'zzz.qqq': 1},
     'value out of range': {'forgetting': 2.0},
-    'NaN as a value': {'gate__threshold': NAN},
+    'NaN as a value': {'gate__false_alarms_per_hour': NAN},
     'infinite value': {'gate__hold': float('inf')},
     'wrong type': {'horizon__length': '25'},
     'no type at all': {'noise': UNTYPED},
@@ -44,7 +44,6 @@ CHANGES = {
     'a hidden state file': {'state_file': '.bashrc'},
     'unknown shadow variant': {'shadow_variants': ['Q']},
     'the same shadow variant twice': {'shadow_variants': ['P', 'P']},
-    'rule across parameters broken': {'gate__release': 9.0},
 }
 GOOD = {'learning': False, 'forgetting': 0.9}
 NO_DESCRIPTIONS = {

@@ -59,7 +59,7 @@ class RandomSettings:
             return name, self.chance.sample(list(VARIANTS), self.chance.randint(0, 3)), True
         if name == 'effects_reference':  # how many numbers fit depends on the robot
             return self.chance.choice([(name, [], True), (name, [self.chance.gauss(0.0, 1.0) for _ in range(3)], None)])
-        return name, self._within(LIVE[name]), None if name in ('gate.threshold', 'gate.release') else True
+        return name, self._within(LIVE[name]), True
 
     def _within(self, row):
         if row.name == 'state_file':

@@ -15,8 +15,8 @@ FRAME, JOINTS = 'r_arm_ft_sensor', ('r_shoulder_pitch', 'r_shoulder_roll', 'r_sh
 PERIOD_NS = 50_000_000
 
 
-def write_arm(path: Path, length: int, seed: int = 1, start: int = 0) -> Path:
-    """Smooth motion of the arm at 20 Hz, the wrench of its inertias 1.2 times, an offset and noise."""
+def write_arm(path: Path, length: int, seed: int = 1, start: int = 0, bias: float = 1.0) -> Path:
+    """Smooth motion of the arm at 20 Hz, the wrench of its inertias 1.2 times, an offset (``bias``) and noise."""
     urdf = URDF.read_text()
     body = RigidBody.from_urdf(urdf, JOINTS, 'wrench', FRAME)
     rng = np.random.default_rng(seed)
@@ -27,7 +27,7 @@ def write_arm(path: Path, length: int, seed: int = 1, start: int = 0) -> Path:
             angle = frequency * (stamp - start) * 1e-9 + phase
             position, velocity = np.sin(angle), frequency * np.cos(angle)
             wrench = body.regressor(position, velocity, -(frequency**2) * np.sin(angle)) @ (1.2 * body.base_parameters)
-            wrench = wrench + 1.0 + 0.05 * rng.standard_normal(6)
+            wrench = wrench + bias + 0.05 * rng.standard_normal(6)
             header = {'stamp': stamp_fields(stamp), 'frame_id': FRAME}
             bag.write(JOINT_STATES, TYPES[JOINT_STATES], {
                 'header': header, 'name': list(JOINTS), 'position': position.tolist(), 'velocity': velocity.tolist(),

@@ -188,7 +188,10 @@ def learning_report(learner: Learner, news: str) -> Report:
                                      if shadow.state is State.LIVE),
         'samples answered': learner.answered, 'samples learnt': learner.learnt, 'samples waiting': len(learner.waiting),
         'samples lost': learner.lost, 'samples not learnt for contact': learner.gate.refused,
-        'in contact': learner.gate.closed, 'last news': news}
+        'in contact': learner.gate.closed, 'contacts': learner.gate.contacts,
+        'contacts taken for a change of the robot': learner.gate.changes,
+        'contact felt in': ', '.join(learner.body.output_names[index] for index in learner.gate.touched()),
+        'last news': news}
     return Report(level, message, values)
 
 

@@ -94,6 +94,7 @@ class Outputs:
         self._horizon = node.create_publisher(JointState, '~/horizon_error', DEPTH)
         self._shadows: dict[str, Publisher] = {}
         self._contact = node.create_publisher(Bool, '~/contact', LATCHED)
+        self._contact_level = node.create_publisher(JointState, '~/contact_level', DEPTH)
         self._in_contact: bool | None = None
 
     def open(self, body: RigidBody) -> None:
@@ -101,6 +102,7 @@ class Outputs:
         wrench = body.outputs == 'wrench'
         self._value = ValueMessage(None if wrench else body.joints)
         self._errors = HorizonMessage(body.output_names, wrench)
+        self._level = joint_state_layout('', body.output_names, body.n_outputs, 0, 0)
 
     def publish(self, answer: Answer) -> None:
         """One answer: the residual goes last, for a replay waits for it."""
@@ -111,6 +113,8 @@ class Outputs:
         if answer.contact != self._in_contact:
             self._in_contact = answer.contact
             self._contact.publish(Bool(data=answer.contact))
+        if self._contact_level.get_subscription_count():
+            self._contact_level.publish(self._level.write(prediction.sample.stamp, answer.contact_level.tolist()))
 
     def publish_errors(self, errors: HorizonErrors) -> None:
         """The horizon errors of the active model."""

@@ -1,0 +1,157 @@
+"""The gate on innovations whose distribution is known: it keeps to its rate, finds pushes, and follows a change."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from semiparam_ros.core.estimator import Prediction
+from semiparam_ros.core.recursion import Prior
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.online.contact_gate import ContactGate
+from semiparam_ros.settings import Settings
+
+RATE_HZ = 20
+SCALES = np.array([20.0, 1.0, 0.05])
+ON = Settings(gate_enabled=True)
+NO_PRIOR = Prior(*[np.zeros(0)] * len(Prior._fields))
+
+
+class Stand:
+    """A gate with three outputs that is given innovations and speeds, at 20 Hz."""
+
+    def __init__(self, settings=ON):
+        self.gate, self.settings, self.stamp = ContactGate(3), settings, 10**9
+
+    def judge(self, innovations, speed=0.5, std=1.0):
+        """Whether each of (N, 3) innovations is refused."""
+        return np.array([self._one(row, speed, std) for row in innovations])
+
+    def _one(self, innovation, speed, std):
+        self.stamp += 10**9 // RATE_HZ
+        sample = Sample(self.stamp, np.zeros(2), np.array([0.0, -speed]), np.zeros(2), innovation)
+        prediction = Prediction(np.zeros(3), std * SCALES, True, None, sample, NO_PRIOR, np.zeros((3, 0)), np.zeros(3),
+                                np.ones(3), None)
+        return self.gate.judge(prediction, self.settings)
+
+
+def white(count, seed=0):
+    return SCALES * np.random.default_rng(seed).standard_normal((count, 3))
+
+
+def coloured(count, seed=0):
+    """Autocorrelation 0.67 at lag 20, as measured on the iCub arm."""
+    memory = 0.67 ** (1 / 20)
+    return np.sqrt(1 - memory**2) * lfilter([1.0], [1.0, -memory], white(count + 500, seed), axis=0)[500:]
+
+
+def heavy(count, seed=0):
+    return SCALES * np.random.default_rng(seed).laplace(size=(count, 3))
+
+
+@pytest.mark.parametrize('noise', [white, coloured, heavy])
+def test_free_motion_closes_it_about_as_often_as_asked(noise):
+    stand = Stand(replace(ON, gate_false_alarms_per_hour=100.0))
+    stand.judge(noise(RATE_HZ * 1800))
+    assert 12 <= stand.gate.contacts <= 100, '50 were asked for'
+
+
+@pytest.mark.parametrize('noise', [white, coloured, heavy])
+@pytest.mark.parametrize('std', [0.3, 4.0])
+def test_pushes_are_found_however_wrong_the_predicted_deviation_is(noise, std):
+    stand, innovations, pushed = Stand(), noise(RATE_HZ * 120), np.zeros(RATE_HZ * 120, dtype=bool)
+    for number, start in enumerate(range(RATE_HZ * 20, len(innovations), RATE_HZ * 10)):
+        innovations[start:start + 10, number % 3] += 20.0 * SCALES[number % 3]
+        pushed[start:start + 10] = True
+    refused = stand.judge(innovations, std=std)
+    assert refused[pushed].mean() > 0.95
+    assert 10 <= stand.gate.contacts <= 11
+    assert refused.sum() <= pushed.sum() + 10 * RATE_HZ, 'it opens after gate.hold of usual innovations'
+
+
+def test_it_says_in_which_outputs():
+    stand = Stand()
+    stand.judge(white(RATE_HZ * 20))
+    assert stand.gate.touched() == []
+    stand.judge(np.array([[0.0, 20.0, 2.0]]))
+    assert stand.gate.touched() == [2, 1] and stand.gate.closed
+
+
+def test_it_works_in_the_first_seconds_while_the_model_improves():
+    falling = np.exp(-np.arange(RATE_HZ * 10) / (2.0 * RATE_HZ))[:, None]
+    stand, innovations = Stand(), white(RATE_HZ * 10) * (1.0 + 50.0 * falling)
+    innovations[-20:-10, 1] += 80.0
+    refused = stand.judge(innovations)
+    assert not refused[:-20].any() and refused[-20:-10].all()
+
+
+def test_a_lasting_change_is_let_in_after_the_timeout_and_pushes_are_found_again():
+    stand, load, push = Stand(), np.array([200.0, 0.0, 0.0]), np.array([0.0, 20.0, 0.0])
+    stand.judge(coloured(RATE_HZ * 60))
+    refused = stand.judge(coloured(RATE_HZ * 60, seed=1) + load)
+    assert refused[:RATE_HZ * 5].all() and not refused[RATE_HZ * 5 + 1:].any()
+    assert stand.gate.changes == 1
+    stand.judge(coloured(RATE_HZ * 20, seed=2))  # by now the model has learnt the load
+    assert stand.judge(coloured(10, seed=3) + push).all()
+
+
+def test_without_a_timeout_it_stays_closed():
+    stand = Stand(replace(ON, gate_timeout=0.0))
+    stand.judge(white(RATE_HZ * 60))
+    assert stand.judge(white(RATE_HZ * 60) + 100.0 * SCALES).all()
+
+
+def test_rest_is_judged_by_rest():
+    """Stiction holds the arm with other efforts at each stop; noise is small; encoders and currents have steps."""
+    stand, stiction, push = Stand(), np.array([30.0, 2.0, -0.1]), np.array([0.0, 3.0, 0.0])
+    noise = 0.02 * white(RATE_HZ * 600)
+    noise[RATE_HZ * 300:] += 0.1 * SCALES  # a step, as of a sensor's digits
+    assert not stand.judge(noise + stiction, speed=0.001).any()
+    assert not stand.judge(white(RATE_HZ * 30), speed=0.5).any(), 'the first motion is no contact'
+    assert not stand.judge(noise[:RATE_HZ * 60] - 1.5 * stiction, speed=0.0).any(), 'another stop, other efforts'
+    assert stand.judge(noise[:10] - 1.5 * stiction + push, speed=0.0).all()
+
+
+def test_silence_is_not_exactness():
+    stand = Stand()
+    assert not stand.judge(np.zeros((RATE_HZ * 60, 3)), speed=0.0).any()
+    assert not stand.judge(0.1 * white(RATE_HZ * 10), speed=0.0).any()
+
+
+def test_ten_times_the_speed_is_no_contact():
+    stand = Stand()
+    stand.judge(white(RATE_HZ * 60), speed=0.15)
+    assert not stand.judge(6.0 * white(RATE_HZ * 60, seed=1), speed=1.5).any()
+
+
+def test_it_goes_on_where_it_was_saved():
+    one, other = Stand(), Stand()
+    one.judge(coloured(RATE_HZ * 60))
+    other.gate.restore(one.gate.state())
+    other.stamp = one.stamp
+    rest = coloured(RATE_HZ * 60, seed=1)
+    rest[100:120, 1] += 20.0
+    assert one.judge(rest).tolist() == other.judge(rest).tolist()
+    assert one.gate.contacts == other.gate.contacts == 1
+    np.testing.assert_array_equal(one.gate.level, other.gate.level)
+
+
+@pytest.mark.parametrize('spoil', [lambda state: None, lambda state: {**state, 'bands': ()},
+                                   lambda state: {**state, 'level': np.zeros(4)},
+                                   lambda state: {name: value for name, value in state.items() if name != 'speed'}])
+def test_no_state_of_another_kind_is_taken(spoil):
+    gate = ContactGate(3)
+    with pytest.raises((LookupError, TypeError, ValueError)):
+        gate.restore(spoil(gate.state()))
+
+
+def test_reset_opens_it_and_keeps_what_is_usual_and_forget_does_not():
+    stand = Stand()
+    stand.judge(white(RATE_HZ * 60))
+    push = white(5, seed=1) + 30.0 * SCALES
+    assert stand.judge(push).all()
+    stand.gate.reset()
+    assert not stand.gate.closed and stand.judge(push).all()
+    stand.gate.forget()
+    assert not stand.gate.closed and not stand.judge(push).any()
