@@ -131,6 +131,21 @@ class DiagnosisConfig:
     """Calls two velocities swapped when each follows the other joint's position with this correlation (chosen)."""
     own_correlation: float = 0.5
     """Calls no velocity swapped that follows its own position with this correlation (chosen)."""
+    zero_share: float = 0.5
+    """Doubts an output that is exactly zero in more than this share of the samples (chosen)."""
+    zero_leap: float = 0.3
+    """Asks also that it leaps between zero and this share of its usual values: a coarse converter passes through the
+    small ones (chosen)."""
+    longest_lag_s: float = 0.5
+    """Looks for velocities that lag the positions by up to this time [s] (chosen)."""
+    lag_worth: float = 0.5
+    """Says that velocities lag when that lowers their misfit to this share (chosen)."""
+    lag_steps: float = 1.2
+    """Says so only of a lag of more than this many samples: less is a matter of where a driver stamps (chosen)."""
+    direction_share: float = 0.02
+    """Counts a direction of the joints' motion that has this share of the largest one's size (chosen)."""
+    few_directions: int = 2
+    """Says that the joints move together when they have no more directions: one sine for all has two (chosen)."""
     silent_share: float = 1e-3
     """Calls a velocity missing when its integral varies less than this share of the position's change (chosen)."""
 
@@ -158,6 +173,12 @@ class DiagnosisConfig:
     far_better: float = 0.6
     """Accepts another label that lowers the misfit to this share of it: with any effect of size 3 the best wrong one
     keeps 1.04 of it (117 recordings), on real arms 0.98 (measured)."""
+    better: float = 0.9
+    """Accepts opposite signs of the efforts that oppose the prediction when they lower the misfit to this share: of a
+    real UR3 and Franka arm, right signs of one to three joints lower it to 0.19 to 0.81 (measured)."""
+    opposed_effort: float = 0.4
+    """Doubts the sign of an effort below minus this correlation with the description's prediction, if at least as many
+    joints exceed it: on a real Franka arm the base turns with 0.44, its dry friction taken off (measured)."""
     good_fit: float = 0.25
     """Accepts another label only when the misfit with it is below this (measured, as before)."""
     no_match_share: float = 0.4

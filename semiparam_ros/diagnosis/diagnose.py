@@ -23,6 +23,7 @@ from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
 from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
+from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.errors import SemiparamError
 
@@ -144,7 +145,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         config=config, verdict=verdict(first, final, steps, structure, setup), findings=findings(final, steps),
         steps=steps, first=first, final=final, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
-        notes=unidentifiable(body, samples, config) + _left_out(clean), recorded=recorded, elsewhere=elsewhere)
+        notes=[*doubts(body, samples, config), *unidentifiable(body, samples, config), *_left_out(clean)],
+        recorded=recorded, elsewhere=elsewhere)
 
 
 def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[SetupProblem],

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
+from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 
 MOST_PARAMETERS = 4
+TOSS_UP = 20.0
+"""Odds above which a rival that was passed over for a plainer cause is named as the better one."""
 
 
 def text_report(diagnosis: Diagnosis) -> list[str]:
@@ -16,7 +21,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     lines += [_opening(diagnosis)] if not lines else []
     for finding in diagnosis.findings:
         lines.append(_finding(finding))
-        lines += _rivals(finding)
+        lines += _doubts(diagnosis, finding) + _rivals(finding)
     lines += _dropped(diagnosis)
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
@@ -59,7 +64,7 @@ def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
     judged = [diagnosis.before, *diagnosis.by_step]
     before, after = (judged[number].nmse.mean() for number in (finding.round_number - 1, finding.round_number))
     since = f', since {finding.effect.start_s:.1f} s of this recording' if finding.effect.start_s is not None else ''
-    rivals = ', '.join(f'{place(rival.kind, rival.where)} (odds {rival.odds:.2g})' for rival in finding.rivals)
+    rivals = _with_odds(finding.rivals)
     return [f'{place(finding.effect.kind, finding.effect.where)}: {finding.effect.sentence}{since}.',
             *(f'  {name}: {quantity_text(quantity)}' for name, quantity in finding.parameters.items()),
             f'  Rests on: log evidence +{finding.log_evidence_gain:.0f}; round {finding.round_number} changed the '
@@ -82,12 +87,26 @@ def quantity_text(quantity: Quantity) -> str:
     return f'{quantity.value:.4g}{std} {quantity.unit}'.rstrip()
 
 
+def _doubts(diagnosis: Diagnosis, finding: Finding) -> list[str]:
+    doubt = finding.effect.doubt(diagnosis.final.body, diagnosis.final.samples)
+    return [f'  {doubt}'] if doubt else []
+
+
 def _rivals(finding: Finding) -> list[str]:
     if not finding.rivals:
         return []
-    names = ', '.join(f'{place(rival.kind, rival.where)} (odds {rival.odds:.2g})' for rival in finding.rivals)
-    return [f'  On this motion it cannot be told for certain from {names}. What would separate them: '
-            f'{kinds()[finding.effect.kind].separated_by}.']
+    names = _with_odds(finding.rivals)
+    lines = [f'  On this motion it cannot be told for certain from {names}. What would separate them: '
+             f'{kinds()[finding.effect.kind].separated_by}.']
+    better = [rival for rival in finding.rivals if rival.odds > TOSS_UP]
+    if better:
+        lines.append(f'  {_with_odds(better)} would explain it better, with more parameters: the plainer cause was '
+                     'chosen. Look there first if it is not it.')
+    return lines
+
+
+def _with_odds(rivals: Sequence[Rival]) -> str:
+    return ', '.join(f'{place(rival.kind, rival.where)} (odds {rival.odds:.2g})' for rival in rivals)
 
 
 def _dropped(diagnosis: Diagnosis) -> list[str]:

@@ -17,6 +17,7 @@ import numpy as np
 from semiparam_ros.core.columns import ColumnBlock as Acting
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import plausible, size_of
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -100,7 +101,6 @@ class Effect:
     option_names: ClassVar[tuple[str, ...]] = ()
     positive: ClassVar[tuple[str, ...]] = ()
     """Parameters that make sense above 0 alone."""
-    coefficient_scale: ClassVar[float] = 100.0
 
     @classmethod
     def from_values(cls: type[Self], where: str | None, values: Mapping[str, float],
@@ -149,8 +149,13 @@ class Effect:
         return np.zeros((len(samples), body.n_outputs, 0)), None
 
     def prior_scale(self, body: RigidBody) -> Array:
-        """(c,) wide prior standard deviations over gamma, one for each coefficient, in its unit."""
-        return np.full(len(self.coefficients(body)), self.coefficient_scale)
+        """(c,) prior standard deviations over gamma, one for each coefficient in its unit: plausible for this robot.
+
+        Wider ones would cost nothing where the samples excite a coefficient; where they hardly do, it would follow
+        every disturbance.
+        """
+        size = size_of(body)
+        return np.array([plausible(unit, size) for _, unit in self.coefficients(body)])
 
     def check(self, body: RigidBody) -> None:
         """Raise SemiparamError when the effect cannot be declared on this robot: its outputs, its place, its values."""
@@ -181,6 +186,10 @@ class Effect:
     def physical(self, coefficients: Array) -> bool:
         """False for coefficients (c,) that this cause cannot have, such as a friction that drives the joint."""
         return True
+
+    def doubt(self, body: RigidBody, samples: Samples) -> str:
+        """A sentence about values that the kind may have, yet that hint at another cause; empty without a doubt."""
+        return ''
 
     def is_noticeable(self, samples: Samples) -> bool:
         """False for a calibration so small that it may merely make the best of noise in the inputs."""

@@ -42,7 +42,6 @@ class CableSpring(_Cable):
     sentence: ClassVar[str] = 'a cable or hose pulls like a spring'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_hysteresis', 'external_force', 'gravity_tilt')
     separated_by: ClassVar[str] = 'slow motion over the whole workspace, where inertia plays no part'
-    coefficient_scale: ClassVar[float] = 1000.0
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:

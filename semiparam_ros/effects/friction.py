@@ -9,6 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import plausible, size_beyond
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
@@ -16,6 +17,8 @@ from semiparam_ros.effects.hysteresis import dahl_state
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
 PRESLIDING_SHARES = (0.0005, 0.002, 0.008)
+GRADUAL_SHARE = 0.3
+"""Of a joint's usual speed: friction that turns over more slowly than that is hardly dry."""
 
 
 class JointEffect(Effect):
@@ -32,6 +35,10 @@ class JointEffect(Effect):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return self.names
+
+    def prior_scale(self, body: RigidBody) -> Array:
+        size = size_beyond(body, str(self.where))
+        return np.array([plausible(unit, size) for _, unit in self.coefficients(body)])
 
     def physical(self, coefficients: Array) -> bool:
         return not self.resists or float(coefficients.sum()) > 0.0
@@ -67,6 +74,17 @@ class _Sliding(JointEffect):
             state, memory = dahl_state(position[:, None], self.value('presliding'), memory)
             return state[:, 0], memory
         return np.tanh(velocity / self.value('turn_speed', 0.01)), None
+
+    def doubt(self, body: RigidBody, samples: Samples) -> str:
+        if 'presliding' in self.parameters:
+            return ''
+        speed = np.abs(samples.velocity[:, joint_index(body, self.where)])
+        usual, turn = float(np.median(speed)), self.value('turn_speed', 0.01)
+        if turn < GRADUAL_SHARE * usual:
+            return ''
+        return (f'It turns over within {turn:.2g} rad/s, while the joint usually moves at {usual:.2g} rad/s, so '
+                'it grows with the speed as viscous friction does and may stand in for one. Constant speeds, slow and '
+                'fast, would tell.')
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
         """(N, c) columns from the direction of sliding and the velocity (N,)."""

@@ -27,7 +27,6 @@ class Payload(Effect):
     separated_by: ClassVar[str] = 'fast motion that turns the load about every axis: weight alone is only a force'
     must_start: ClassVar[bool] = True
     is_load: ClassVar[bool] = True
-    coefficient_scale: ClassVar[float] = 10.0
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.columns import OFFSET_PRIOR_SCALE, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -26,6 +26,10 @@ class _ChannelEffect(Effect):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return channel_units(body, self.per)
+
+    def prior_scale(self, body: RigidBody) -> Array:
+        """(c,) that of a wrench's constant offset: a sensor's bias has nothing to do with the arm's weight."""
+        return np.full(N_CHANNELS, OFFSET_PRIOR_SCALE)
 
     def profile(self, time: Array) -> Array:
         """(N,) the function of time [s] that every channel follows."""

@@ -180,7 +180,7 @@ class Terms(Effect):
 
     def prior_scale(self, body: RigidBody) -> Array:
         found = np.array([abs(self.parameters[name]) for name in self.names])
-        return np.asarray(np.where(found > 0.0, FREEDOM * found, self.coefficient_scale))
+        return np.asarray(np.where(found > 0.0, FREEDOM * found, super().prior_scale(body)))
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         channel = self._channel(body)

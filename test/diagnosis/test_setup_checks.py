@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from conftest import SHARED_DATA
 from semiparam_ros.bags.reader import open_bag
@@ -15,6 +16,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.identifiability import unidentifiable
 from semiparam_ros.diagnosis.data.outliers import excluded
 from semiparam_ros.diagnosis.setup.checks import setup_problems
+from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 
@@ -184,6 +186,30 @@ def test_mistakes_in_the_real_efforts_of_a_ur3(mistake, expected, shared_data):
     assert expected in found(body, mistake(samples))
 
 
+@pytest.mark.parametrize('negated', [(3, 5), (1, 0), (2, 3)])
+def test_several_wrong_signs_among_the_efforts_of_a_ur3_are_all_named(negated, shared_data):
+    """One correction at a time would leave the misfit large; friction alone is no help where one carries weight."""
+    body, samples = real_ur3('id1.bag')
+    for joint in negated:
+        samples = scaled(samples, -1.0, 'outputs', joint=joint)
+    assert set(found(body, samples)) == {('effort_sign', UR3[joint]) for joint in negated}
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_signs_of_joints_whose_efforts_the_description_predicts_badly_are_named(seed):
+    """Correlations of 0.5 and 0.7 with the prediction, as of joints with a cable or a balancer, beside clear ones."""
+    body, samples = simulated('effort', seed=seed)
+    disturbed, rng = samples.outputs.copy(), np.random.default_rng(seed)
+    for joint, likeness in ((1, 0.5), (3, 0.7)):
+        spread = np.sqrt(1.0 / likeness**2 - 1.0) * disturbed[:, joint].std()
+        disturbed[:, joint] += spread * np.sin(3.0 * samples.time + rng.uniform(0.0, 6.0))
+        disturbed[:, joint] *= -1.0
+    signs = [where for what, where in found(body, replace(samples, outputs=disturbed)) if what == 'effort_sign']
+    assert signs == [ICUB[1], ICUB[3]]
+    assert not any(what == 'effort_sign' for what, _ in
+                   found(body, replace(samples, outputs=disturbed * np.array([1.0, -1.0, 1.0, -1.0]))))
+
+
 # ---- never where it is not
 
 
@@ -225,6 +251,48 @@ def test_stamps_that_repeat_or_jump_do_no_harm():
 def test_too_short_a_recording_is_not_judged():
     body, samples = simulated()
     assert setup_problems(body, replace(samples, outputs=-samples.outputs)[:40]) == []
+
+
+# ---- said, though the diagnosis goes on
+
+
+def filtered(samples, time_constant_s):
+    keep = np.exp(-np.median(np.diff(samples.time)) / time_constant_s)
+    return replace(samples, velocity=lfilter([1.0 - keep], [1.0, -keep], samples.velocity, axis=0))
+
+
+@pytest.mark.parametrize('rate', [20.0, 200.0])
+def test_velocities_that_a_filter_made_late_are_said_to_be_late(rate):
+    body, samples = simulated('effort', rate_hz=rate, samples=2000)
+    assert doubts(body, samples) == []
+    sentence, = doubts(body, filtered(samples, 0.18))
+    lag = float(sentence.partition('lag the positions by ')[2].partition(' s')[0])
+    assert lag == pytest.approx(0.18, abs=0.05)
+    assert f'velocity_filter{{"time_constant_s": {lag:.2g}}}' in sentence
+
+
+def test_the_late_velocities_of_the_real_icub_are_noted(shared_data):
+    sentence, = doubts(*real_icub())
+    assert 'lag the positions by 0.07' in sentence
+    assert doubts(*real_ur3('id1.bag')) == []
+
+
+def test_one_sine_for_all_joints_is_said_to_be_one():
+    body, samples = simulated('effort')
+    phase = 2.0 * samples.time[:, None] + np.arange(4.0)
+    one = replace(samples, position=np.sin(phase), velocity=2.0 * np.cos(phase), acceleration=-4.0 * np.sin(phase))
+    sentence, = doubts(body, one)
+    assert 'The 4 joints move along 2 directions only' in sentence
+    assert doubts(body, replace(one, position=one.position + 0.1 * np.sin(3.1 * phase))) == []
+
+
+def test_efforts_that_are_zero_nine_times_in_ten_are_no_measurements():
+    body, samples = simulated('effort')
+    seldom = np.random.default_rng(0).random(len(samples)) < 0.1
+    problem, = setup_problems(body, replace(samples, outputs=samples.outputs * seldom[:, None]))
+    assert problem.what == 'outputs_zero' and 'r_elbow 9' in problem.sentence
+    coarse = 0.25 * np.abs(samples.outputs).max(axis=0)
+    assert 'outputs_zero' not in whats(body, replace(samples, outputs=np.trunc(samples.outputs / coarse) * coarse))
 
 
 # ---- what takes no part

@@ -56,6 +56,9 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
         return []
     if not np.ptp(samples.outputs, axis=0).any():
         return [_constant(body)]
+    missing = _mostly_zero(body, samples, config)
+    if missing:
+        return missing
     found, right = motion_problems(body.joints, samples, config)
     if any(problem.what in ('clock', 'velocity_order') for problem in found):
         return found
@@ -71,6 +74,26 @@ def _constant(body: RigidBody) -> SetupProblem:
     return SetupProblem('outputs_constant', body.sensor_frame, (
         f'The {what} never change{"s" if what == "wrench" else ""} while the robot moves: check that the sensor is '
         'switched on and that its driver publishes what it measures.'))
+
+
+def _mostly_zero(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
+    """Outputs that are exactly zero most of the time, and clearly not between: no sensor measures that."""
+    zero = samples.outputs == 0.0
+    share = zero.mean(axis=0)
+    found = []
+    for channel, name in enumerate(body.output_names):
+        values = np.abs(samples.outputs[~zero[:, channel], channel])
+        leaps = zero[1:, channel] != zero[:-1, channel]
+        across = np.abs(np.diff(samples.outputs[:, channel]))[leaps]
+        if config.zero_share < share[channel] < 1.0 and np.median(across) > config.zero_leap * np.median(values):
+            found.append((name, float(share[channel])))
+    if not found:
+        return []
+    listed = ', '.join(f'{name} {100 * part:.0f} %' for name, part in found)
+    return [SetupProblem('outputs_zero', found[0][0], (
+        f'Outputs are exactly zero in most samples ({listed}) and leap from there to full values: the driver writes 0 '
+        'where it has no new reading; have it publish measured values alone, or convert the recording without these '
+        'rows.'))]
 
 
 # --- do positions, velocities, accelerations and stamps agree? ---
@@ -241,7 +264,7 @@ def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) 
         best = _best_alternative(body, samples, config)
         if best is None:
             break
-        found.append(best.problem)
+        found += [best.problem, *best.further]
         body, samples = best.body or body, best.samples
     left = misfit(equations(body, samples, config), samples.outputs, body.outputs == 'wrench').left
     if left > config.no_match_share:
@@ -260,11 +283,16 @@ def _no_match(body: RigidBody, left: float) -> SetupProblem:
 
 
 class Alternative(NamedTuple):
-    """The samples as they would be, and what to say if that is how they are; the body where it is another one."""
+    """The samples as they would be, and what to say if that is how they are; the body where it is another one.
+
+    ``likely``: something else speaks for it too, so a smaller gain will do.
+    """
 
     samples: Samples
     problem: SetupProblem
     body: RigidBody | None = None
+    likely: bool = False
+    further: tuple[SetupProblem, ...] = ()
 
 
 def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Alternative | None:
@@ -274,12 +302,12 @@ def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig
     declared = misfit(equal, samples.outputs, wrench).total
     if declared < config.bad_fit:
         return None
-    best, least = None, min(config.far_better * declared, config.good_fit)
+    best, least = None, config.good_fit
     for alternative in _alternatives(body, samples, config):
         same = alternative.samples.position is samples.position and alternative.body is None
         there = equal if same else equations(alternative.body or body, alternative.samples, config)
         total = misfit(there, alternative.samples.outputs, wrench).total
-        if total < least:
+        if total < min(least, declared * (config.better if alternative.likely else config.far_better)):
             best, least = alternative, total
     return best
 
@@ -289,6 +317,7 @@ def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) ->
         yield from _other_axes(body, samples)
     else:
         yield from _other_effort_signs(body, samples)
+        yield from _opposite_efforts(body, samples, config)
     for mounted, problem in other_mountings(body, config.same_gravity_cosine):
         yield Alternative(samples, problem, mounted)
     yield from _other_directions(body, samples)
@@ -333,6 +362,30 @@ def _other_effort_signs(body: RigidBody, samples: Samples) -> Iterator[Alternati
         yield Alternative(negated, SetupProblem('effort_sign', name, (
             f"The effort of '{name}' fits the robot description far better with the opposite sign: negate it in the "
             'driver.')))
+
+
+def _opposite_efforts(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
+    """The efforts that oppose the description's prediction while most others follow it, all negated at once."""
+    likeness = effort_likeness(body, samples, config)
+    opposed, agreed = likeness < -config.opposed_effort, likeness > config.opposed_effort
+    if not opposed.any() or opposed.sum() > agreed.sum():
+        return
+    problems = [SetupProblem('effort_sign', name, (
+        f"The effort of '{name}' opposes what the robot description predicts (correlation {like:.2f}), while those of "
+        'most other joints follow it: negate it in the driver.'))
+        for name, like, flag in zip(body.joints, likeness, opposed, strict=True) if flag]
+    negated = replace(samples, outputs=samples.outputs * np.where(opposed, -1.0, 1.0))
+    yield Alternative(negated, problems[0], likely=True, further=tuple(problems[1:]))
+
+
+def effort_likeness(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
+    """(n_joints,) correlation of each effort with the description's prediction, friction and rotors taken off both."""
+    free = nuisances(body, samples, config)
+    measured, predicted = (_without(free, values) for values in (
+        samples.outputs, body.regressors(samples) @ body.base_parameters))
+    size = np.linalg.norm(measured, axis=0) * np.linalg.norm(predicted, axis=0)
+    inner = np.sum(measured * predicted, axis=0)
+    return np.asarray(np.divide(inner, size, out=np.zeros_like(inner), where=size > 0.0))
 
 
 def other_mountings(body: RigidBody, same_cosine: float) -> Iterator[tuple[RigidBody, SetupProblem]]:
@@ -397,6 +450,10 @@ def output_problems(body: RigidBody, samples: Samples,
     slopes, likeness = _slopes(body, samples, config)
     found, factors = [], np.ones(body.n_outputs)
     blocks = [('force', slice(0, 3)), ('torque', slice(3, 6))] if wrench else [('effort', slice(None))]
+    if not wrench and likeness[-1] < config.opposite_correlation:
+        single = effort_likeness(body, samples, config)
+        if np.sum(single > config.opposed_effort) >= np.sum(single < -config.opposed_effort):
+            likeness[-1] = 0.0  # the largest efforts alone oppose the prediction: one joint's sign, not all
     if likeness[-1] < config.opposite_correlation and _is_turned_over(body, samples, config):
         body = turned_over(body)
         found.append(mounting_problem('upside down'))

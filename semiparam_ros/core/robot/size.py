@@ -1,0 +1,70 @@
+"""How large a robot is, and what size a quantity of it may have: the ground of priors that are wide, yet not absurd."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
+
+LEAST_MASS, LEAST_LENGTH = 0.5, 0.1
+"""[kg], [m] of a robot whose description holds no inertias, or whose joints all meet in one point."""
+SHARE = 0.2
+"""Of its own mass, what an arm may carry, and of its own weight, what its gears may rub with."""
+LEAST_PART = 0.3
+"""Of the whole arm, what counts beyond a joint at least: friction of a wrist does not come from the hand's weight."""
+_PART = re.compile(r'(kg|N|m|s|rad|Hz)(?:\^(\d))?')
+
+
+class Size(NamedTuple):
+    """Mass [kg] of what the outputs feel, and its length [m] when stretched out."""
+
+    mass: float
+    length: float
+
+    @property
+    def weight(self) -> float:
+        """[N]."""
+        return self.mass * float(np.linalg.norm(GRAVITY))
+
+
+@lru_cache(maxsize=16)
+def size_of(body: RigidBody) -> Size:
+    """The size of the bodies that the outputs feel, as the robot description has them."""
+    found = _beyond(body, 1)
+    return Size(max(found.mass, LEAST_MASS), max(found.length, LEAST_LENGTH))
+
+
+@lru_cache(maxsize=256)
+def size_beyond(body: RigidBody, joint: str) -> Size:
+    """The size of what a joint carries, and ``LEAST_PART`` of the whole arm at least."""
+    whole, part = size_of(body), _beyond(body, body.arm.getJointId(joint))
+    return Size(max(part.mass, LEAST_PART * whole.mass), max(part.length, LEAST_PART * whole.length))
+
+
+def _beyond(body: RigidBody, first: int) -> Size:
+    model = body.arm if body.distal is None else body.distal
+    carried = [index for index in range(first, model.njoints) if first in model.supports[index]]
+    mass = sum(float(model.inertias[index].mass) for index in carried)
+    steps = sum(float(np.linalg.norm(model.jointPlacements[index].translation)) for index in carried if index != first)
+    last = max((float(np.linalg.norm(frame.placement.translation)) for frame in model.frames
+                if frame.parentJoint == carried[-1]), default=0.0)
+    return Size(mass, steps + last)
+
+
+def plausible(unit: str, size: Size) -> float:
+    """What a quantity of this unit may be for a robot of this size: ``SHARE`` of its mass, of its weight, of the torque
+    that holds it stretched out, and as much in a second or a radian."""
+    above, _, below = unit.partition('/')
+    return _of(above, size) / _of(below.strip('()'), size)
+
+
+def _of(product: str, size: Size) -> float:
+    basis = {'kg': SHARE * size.mass, 'N': SHARE * size.weight, 'm': size.length}
+    value = 1.0
+    for name, power in _PART.findall(product):
+        value *= basis.get(name, 1.0) ** int(power or 1)
+    return value
