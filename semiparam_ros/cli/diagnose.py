@@ -1,4 +1,4 @@
-"""`semiparam diagnose BAG`: what the model lacks, and what adding it brings."""
+"""`semiparam diagnose BAG...`: what the model lacks, and what adding it brings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ from semiparam_ros.cli.options import (
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
+    from semiparam_ros.core.samples import Samples
     from semiparam_ros.diagnosis.diagnose import Diagnosis
+    from semiparam_ros.effects import Effect
     from semiparam_ros.experiments.variants_with_effects import VariantFigures
     from semiparam_ros.settings import Settings
 
@@ -29,11 +31,15 @@ HELP = 'Find what the model lacks in a recording, name the effect, add it, and s
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam diagnose`."""
-    parser.add_argument('bag', metavar='BAG', nargs='?', type=Path,
-                        help='recording (.mcap, rosbag2 directory, .db3, ROS 1 .bag)')
+    parser.add_argument('bags', metavar='BAG', nargs='*', type=Path,
+                        help='recording (.mcap, rosbag2 directory, .db3, ROS 1 .bag); of several, each has an offset '
+                        'of its wrench, and an effect may be in some of them alone')
     add_params_option(parser)
     parser.add_argument('--judge', metavar='BAG', type=Path,
                         help='judge before and after on this recording; otherwise on blocks left out of the fit')
+    parser.add_argument('--in', metavar=('BAG', 'EFFECT'), nargs=2, action='append', default=[], dest='inside',
+                        help='declare an effect in this recording alone, such as a load of known mass: '
+                        """--in loaded.mcap 'payload@flange{"mass": 2.0}'; may be repeated""")
     parser.add_argument('--split', metavar='SHARE', type=float,
                         help='fit the first SHARE of the recording and judge on the rest (0.2 to 0.9)')
     parser.add_argument('--kinds', metavar='KIND', nargs='+', default=[], help='consider only these kinds of effects')
@@ -59,14 +65,15 @@ def run(args: argparse.Namespace) -> int:
     require_places(args.json, args.output, args.html)
     if args.benchmark:
         return _benchmark(args)
-    if args.bag is None:
+    if not args.bags:
         raise SemiparamError('diagnose needs a BAG, or --benchmark.')
     from semiparam_ros.settings import load_params
 
     settings = load_params(args.params)
     diagnosis = diagnose_bag(args, settings)
     variants = _evaluate_variants(args, settings, diagnosis)
-    result = diagnosis.as_dict() | {'command': 'diagnose', 'bag': str(args.bag), 'variants': variants}
+    named = ', '.join(map(str, args.bags))
+    result = diagnosis.as_dict() | {'command': 'diagnose', 'bag': named, 'variants': variants}
     _show(diagnosis, variants)
     if args.json:
         write_json(args.json, result)
@@ -74,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         write_parameters(args.output, settings, diagnosis)
     if args.html:
         from semiparam_ros.report.diagnosis_page import diagnosis_page
-        write_text(args.html, diagnosis_page(diagnosis, variants, str(args.bag)))
+        write_text(args.html, diagnosis_page(diagnosis, variants, named))
     for path in filter(None, (args.json, args.output, args.html)):
         output.print(f'written: {path}', highlight=False, markup=False, soft_wrap=True)
     return 0
@@ -83,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
 def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     """Load what the options name and diagnose it, with progress on a terminal."""
     from semiparam_ros.cli.evaluate import load_bags
+    from semiparam_ros.core.samples import Samples
     from semiparam_ros.diagnosis.data.splits import leading_split
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.settings.build import build_rigid_body, declared_effects
@@ -91,28 +99,50 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
         raise SemiparamError(f'--split is {args.split}; expected a share from 0.2 to 0.9.')
     if args.split is not None and args.judge:
         raise SemiparamError('--split and --judge both say what judges; expected one of them.')
-    bag = load_bags([args.bag], settings)[0]
+    if args.split is not None and len(args.bags) > 1:
+        raise SemiparamError(f'--split cuts one recording in two, but there are {len(args.bags)}; name the one that '
+                             'judges with --judge.')
+    bags = load_bags(args.bags, settings)
     other = load_bags([args.judge], settings)[0].samples if args.judge else None
-    body = build_rigid_body(settings, bag.robot_description)
-    train_mask = None if args.split is None else leading_split(len(bag.samples), args.split)
+    body = build_rigid_body(settings, bags[0].robot_description)
+    samples = bags[0].samples if len(bags) == 1 else Samples.joined([bag.samples for bag in bags])
+    train_mask = None if args.split is None else leading_split(len(samples), args.split)
+    effects = [*declared_effects(settings), *declared_inside(args, samples)]
     with progress_bar() as bar:
         task = bar.add_task('reading', total=100)
-        return diagnose(body, bag.samples, declared_effects(settings), train_mask,
-                        None if other is None else (str(args.judge), other), args.kinds,
-                        lambda words, share: bar.update(task, description=words, completed=int(100 * share)))
+        return diagnose(body, samples, effects, train_mask, None if other is None else (str(args.judge), other),
+                        args.kinds,
+                        lambda words, share: bar.update(task, description=words, completed=int(100 * share)),
+                        names=[str(path) for path in args.bags])
+
+
+def declared_inside(args: argparse.Namespace, samples: Samples) -> list[Effect]:
+    """The effects that --in declares, each over the time of its recording."""
+    from semiparam_ros.diagnosis.data.recordings import during
+    from semiparam_ros.effects import effect_from_text
+
+    effects = []
+    for bag, text in args.inside:
+        if Path(bag) not in args.bags:
+            raise SemiparamError(f'--in names {bag!r}; expected one of the recordings '
+                                 f'{", ".join(map(str, args.bags))}.')
+        effects.append(during(samples, args.bags.index(Path(bag)), effect_from_text(text)))
+    return effects
 
 
 def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> None:
     """The parameter file with every effect of the final model declared, each under what was found of it.
 
-    What began late in the recording is there for whoever loads the file, so it has no start.
+    What began late in the recording is there for whoever loads the file, so it has no start; what ended before the last
+    of several recordings is there no longer.
     """
     from semiparam_ros.diagnosis.text_report import remarks
     from semiparam_ros.effects import effect_to_text, effects_to_parameters
     from semiparam_ros.settings import dump_params
 
     standing = {effect_to_text(effect.without_start()): effect.without_start()
-                for effect in diagnosis.final.effects}  # two loads picked up one after the other are one now
+                for effect in diagnosis.final.effects  # two loads picked up one after the other are one now
+                if diagnosis.lasts(effect)}
     effects, reference = effects_to_parameters(list(standing.values()))
     dump_params(replace(settings, effects=effects, effects_reference=reference), path,
                 remarks={'effects': [remarks(diagnosis, effect) for effect in standing.values()]})

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple, overload
 
 import numpy as np
 
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
+
+PAUSE_NS = 60 * 10**9
+"""Between two recordings that are taken for one after the other, though their stamps are not."""
 
 
 class Sample(NamedTuple):
@@ -31,6 +35,8 @@ class Sample(NamedTuple):
 class Samples:
     """N samples in order of time; ``origin`` [ns] is where ``time`` starts, and slices keep it.
 
+    ``breaks`` [ns]: where several recordings are one, the first stamp of each but the first.
+
     Two are the same only when they are one object, so that what is computed of them can be cached.
     """
 
@@ -40,6 +46,33 @@ class Samples:
     acceleration: Array
     outputs: Array
     origin: int
+    breaks: tuple[int, ...] = ()
+
+    @classmethod
+    def joined(cls, recordings: Sequence[Samples]) -> Samples:
+        """Several recordings of one robot as one, in this order; an empty list raises SemiparamError.
+
+        Stamps stay as they are where a recording begins after the one before it; else it is moved to ``PAUSE_NS``
+        after it.
+        """
+        if not recordings:
+            raise SemiparamError('no recordings to join: expected at least one.')
+        stamps = [recordings[0].stamps]
+        for recording in recordings[1:]:
+            earliest = int(stamps[-1][-1]) + PAUSE_NS
+            moved = max(earliest - int(recording.stamps[0]), 0)
+            stamps.append(recording.stamps + moved)
+        position, velocity, acceleration, outputs = (
+            np.concatenate([getattr(recording, name) for recording in recordings])
+            for name in ('position', 'velocity', 'acceleration', 'outputs'))
+        return cls(np.concatenate(stamps), position, velocity, acceleration, outputs, recordings[0].origin,
+                   tuple(int(part[0]) for part in stamps[1:]))
+
+    @property
+    def recordings(self) -> list[slice]:
+        """The samples of each recording, in order."""
+        edges = [0, *np.searchsorted(self.stamps, self.breaks).tolist(), len(self)]
+        return [slice(start, end) for start, end in pairwise(edges)]
 
     @classmethod
     def from_list(cls, samples: Iterable[Sample]) -> Samples:

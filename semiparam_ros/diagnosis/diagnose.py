@@ -1,4 +1,4 @@
-"""The whole diagnosis of one recording: is anything missing, what, where, since when, how large, and what it brings."""
+"""The whole diagnosis of one recording or several: is anything missing, what, where, since when, and how large."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.identifiability import unidentifiable
 from semiparam_ros.diagnosis.data.outliers import excluded
-from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, resting
+from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, resting, working_factor
+from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, findings
@@ -71,6 +72,16 @@ class Diagnosis:
     notes: list[str]
     recorded: Recorded
     elsewhere: Elsewhere | None
+    names: tuple[str, ...] = ('1',)
+
+    def lasts(self, effect: Effect) -> bool:
+        """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
+        return effect.start.end_s is None and effect not in own_offsets(self.first.body, self.recorded.samples)
+
+    def recordings_of(self, effect: Effect) -> tuple[str, ...]:
+        """Names of the recordings in which an effect acts; empty where there is one recording."""
+        samples = self.recorded.samples
+        return present(samples, self.names, effect) if samples.breaks else ()
 
     @property
     def noise_floor_rmse(self) -> Array:
@@ -87,7 +98,10 @@ class Diagnosis:
 
     def as_dict(self) -> dict[str, object]:
         """The machine-readable report."""
-        return {'verdict': self.verdict, 'effects': [finding.as_dict() for finding in self.findings],
+        return {'verdict': self.verdict, 'effects': [
+                    finding.as_dict() | {'recordings': list(self.recordings_of(finding.effect))}
+                    for finding in self.findings],
+                'recordings': list(self.names),
                 'before': self.before.as_dict(), 'after': self.after.as_dict(),
                 'by_step': [evaluation.as_dict() for evaluation in self.by_step],
                 'noise_floor_rmse': self.noise_floor_rmse.tolist(), 'held_out': self._held_out(),
@@ -105,22 +119,28 @@ class Diagnosis:
 
 def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), train_mask: Mask | None = None,
              other: tuple[str, Samples] | None = None, only: Sequence[str] = (),
-             progress: Progress = lambda words, share: None, config: DiagnosisConfig = DEFAULTS) -> Diagnosis:
-    """Find what the model lacks in one recording.
+             progress: Progress = lambda words, share: None, config: DiagnosisConfig = DEFAULTS,
+             names: Sequence[str] = ()) -> Diagnosis:
+    """Find what the model lacks in one recording, or in several that :meth:`Samples.joined` made one.
 
     :param effects: those declared already.
     :param train_mask: (N,) true for the samples that may fit; others are held out. Interleaved blocks unless given.
     :param other: name and samples of another recording that judges instead; then all samples of this one fit.
     :param only: kinds to consider; all unless given.
+    :param names: those of the recordings; numbers from 1 unless given.
     :param progress: called with a few words and the share of the round that is done.
     :param config: thresholds other than the usual ones.
 
     Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it.
     """
     check(samples, body, config)
-    effects = [effect.in_recording(samples.origin) for effect in effects]
-    suspected = setup_problems(body, samples, config)
-    clean = ~excluded(samples, config)
+    factor = working_factor(samples, config)
+    samples = whole_groups(samples, factor)
+    names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
+    effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
+    suspected = [problem for part in samples.recordings
+                 for problem in setup_problems(body, alone(samples, part) if samples.breaks else samples, config)]
+    clean = ~excluded(samples, config) & ~beside_breaks(samples, max(config.gap_margin, factor * config.smoothing_ends))
     may_fit = _may_fit(samples, train_mask, other is not None, config)
     inputs = best_inputs(body, samples, effects, clean & may_fit, config)
     chosen, valid = inputs.prepare(samples), inputs.mask(clean)
@@ -145,8 +165,9 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         config=config, verdict=verdict(first, final, steps, structure, setup), findings=findings(final, steps),
         steps=steps, first=first, final=final, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
-        notes=[*doubts(body, samples, config), *unidentifiable(body, samples, config), *_left_out(clean)],
-        recorded=recorded, elsewhere=elsewhere)
+        notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
+               *unidentifiable(body, samples, config), *_left_out(clean)],
+        recorded=recorded, elsewhere=elsewhere, names=names)
 
 
 def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[SetupProblem],

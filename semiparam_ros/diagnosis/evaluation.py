@@ -104,13 +104,13 @@ def evaluate_here(fit: Fit, held_out: Mask) -> Evaluation:
 def evaluate_there(fit: Fit, samples: Samples, valid: Mask) -> Evaluation:
     """The model on another recording: what began during the first one counts as there from the start.
 
-    What belongs to the first recording's own clock (a drift, a phase) is left out.
+    What belongs to the first recording's own clock (a drift, a phase) is left out, and what ended before its end.
     """
     effects = [effect.without_start() for effect in fit.effects]
     assembly = CoupledColumns(fit.body, effects)
     theta = fit.theta.copy()
     for index, effect in enumerate(effects):
-        if effect.of_one_recording:
+        if effect.of_one_recording or fit.effects[index].start.end_s is not None:
             theta[assembly.blocks[str(index)]] = 0.0
     columns, _ = assembly.batch(samples)
     there = replace(fit, samples=samples, residual=samples.outputs - columns @ theta)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime, timezone
 
+from semiparam_ros.diagnosis.data.recordings import alone
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
 from semiparam_ros.diagnosis.search.ambiguity import Rival
@@ -11,6 +13,8 @@ from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 
 MOST_PARAMETERS = 4
+EARLIEST_DATE_S = 1e9
+"""Stamps below it [s] count from the start of something, not from 1970."""
 TOSS_UP = 20.0
 """Odds above which a rival that was passed over for a plainer cause is named as the better one."""
 
@@ -20,7 +24,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     lines = [problem.sentence for problem in diagnosis.setup]
     lines += [_opening(diagnosis)] if not lines else []
     for finding in diagnosis.findings:
-        lines.append(_finding(finding))
+        lines.append(_finding(diagnosis, finding))
         lines += _doubts(diagnosis, finding) + _rivals(finding)
     lines += _dropped(diagnosis)
     if diagnosis.findings:
@@ -44,9 +48,34 @@ def _opening(diagnosis: Diagnosis) -> str:
     return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'
 
 
-def _finding(finding: Finding) -> str:
+def when(diagnosis: Diagnosis, effect: Effect) -> str:
+    """Since when, or in which recordings, an effect is there; empty when it always was."""
+    names = diagnosis.recordings_of(effect)
+    if not names:
+        return '' if effect.start_s is None else f', since {effect.start_s:.1f} s{at_time(diagnosis, effect)}'
+    inside = f', in {listed(names)}' if len(names) < len(diagnosis.names) else ''
+    samples = diagnosis.recorded.samples
+    own = alone(samples, samples.recordings[diagnosis.names.index(names[0])])
+    late = 0.0 if effect.start_s is None else effect.start_s - (own.origin - samples.origin) * 1e-9
+    return inside + (f', since {late:.1f} s of {names[0]}{at_time(diagnosis, effect)}' if late > 0.0 else '')
+
+
+def at_time(diagnosis: Diagnosis, effect: Effect) -> str:
+    """The date and time of an effect's start, in brackets; empty where stamps are no dates."""
+    stamp = effect.at_stamp(diagnosis.recorded.samples.origin).start.stamp_s
+    if stamp is None or stamp < EARLIEST_DATE_S:
+        return ''
+    return datetime.fromtimestamp(round(stamp, 1), timezone.utc).strftime(' (%Y-%m-%d %H:%M:%S UTC)')
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names as a sentence has them."""
+    return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'
+
+
+def _finding(diagnosis: Diagnosis, finding: Finding) -> str:
     effect = finding.effect
-    since = f', since {effect.start_s:.1f} s' if effect.start_s is not None else ''
+    since = when(diagnosis, effect)
     values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding))
     return (f'{place(effect.kind, effect.where)}: {effect.sentence}{since} ({values}; log evidence '
             f'+{finding.log_evidence_gain:.0f}).')
@@ -64,6 +93,7 @@ def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
     judged = [diagnosis.before, *diagnosis.by_step]
     before, after = (judged[number].nmse.mean() for number in (finding.round_number - 1, finding.round_number))
     since = f', since {finding.effect.start_s:.1f} s of this recording' if finding.effect.start_s is not None else ''
+    since = when(diagnosis, finding.effect) if diagnosis.recordings_of(finding.effect) else since
     rivals = _with_odds(finding.rivals)
     return [f'{place(finding.effect.kind, finding.effect.where)}: {finding.effect.sentence}{since}.',
             *(f'  {name}: {quantity_text(quantity)}' for name, quantity in finding.parameters.items()),

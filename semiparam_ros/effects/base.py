@@ -40,15 +40,18 @@ class Start:
 
     :param seconds: [s] after the start of the recording (of the node's life).
     :param stamp_s: [s] as the stamps of headers count.
+    :param end_s: [s] when it ends, counted as ``seconds``: set by a diagnosis of several recordings for what is in some
+        of them alone. It is no part of the text form, for nobody who declares an effect knows its end.
     """
 
     seconds: float | None = None
     stamp_s: float | None = None
+    end_s: float | None = None
 
     @property
     def values(self) -> Values:
         """By the names of the text form."""
-        named = zip(STARTS, (self.seconds, self.stamp_s), strict=True)
+        named = zip(STARTS, (self.seconds, self.stamp_s), strict=True)  # without the end
         return {name: value for name, value in named if value is not None}
 
 
@@ -248,6 +251,8 @@ class Effect:
             columns = columns * (samples.time >= self.start_s)[:, None, None]
         if self.start_stamp is not None:
             columns = columns * (samples.stamps >= self.start_stamp - STAMP_TOLERANCE_NS)[:, None, None]
+        if self.start.end_s is not None:
+            columns = columns * (samples.time < self.start.end_s)[:, None, None]
         return columns, memory
 
     def desired(self) -> Acting:
@@ -262,10 +267,11 @@ class Effect:
     def with_values(self: Self, **values: float) -> Self:
         """The same effect with some values changed, by the names of the text form."""
         start = {**self.start.values, **{name: value for name, value in values.items() if name in STARTS}}
+        seconds, stamp_s = (start.get(name) for name in STARTS)
         options = {name: value for name, value in values.items() if name in self.option_names}
         parameters = {name: value for name, value in values.items() if name not in (*STARTS, *self.option_names)}
         return replace(self, parameters={**self.parameters, **parameters}, options={**self.options, **options},
-                       start=Start(*(start.get(name) for name in STARTS)))
+                       start=Start(seconds, stamp_s, self.start.end_s))
 
     @property
     def values(self) -> Values:

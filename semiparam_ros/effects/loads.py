@@ -44,6 +44,9 @@ class Payload(Effect):
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         return load_regressor(body, samples, str(self.where)), None
 
+    def physical(self, coefficients: Array) -> bool:
+        return bool(coefficients[0] > 0.0)
+
     def relocated(self, body: RigidBody, coefficients: Array) -> Effect:
         """At the link nearest to the load's centre of mass."""
         mass, *moment = coefficients[:4]

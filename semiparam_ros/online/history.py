@@ -109,8 +109,9 @@ def batch_from(arrays: Mapping[str, Array], n_joints: int, n_outputs: int) -> Sa
         return SampleBatch(None, learnt)
     stamps = arrays['stamps'].astype(np.int64)
     widths = {'position': n_joints, 'velocity': n_joints, 'acceleration': n_joints, 'outputs': n_outputs}
-    columns = {name: arrays[name].reshape(len(stamps), width) for name, width in widths.items()}
-    return SampleBatch(Samples(stamps, **columns, origin=int(arrays['origin'])), learnt)
+    position, velocity, acceleration, outputs = (arrays[name].reshape(len(stamps), width)
+                                                 for name, width in widths.items())
+    return SampleBatch(Samples(stamps, position, velocity, acceleration, outputs, int(arrays['origin'])), learnt)
 
 
 class _Ring:

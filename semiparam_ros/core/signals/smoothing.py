@@ -29,8 +29,15 @@ LEAST_STEP = 0.2
 def smoothed(samples: Samples, with_velocities: bool = True) -> Samples:
     """The same samples with positions, velocities and accelerations as the smoother sees them.
 
+    Each recording by itself, where several are one.
+
     :param with_velocities: use the measured velocities too; not where they lag the positions.
     """
+    if samples.breaks:
+        parts = [smoothed(replace(samples[part], breaks=()), with_velocities) for part in samples.recordings]
+        position, velocity, acceleration = (np.concatenate([getattr(part, name) for part in parts])
+                                            for name in ('position', 'velocity', 'acceleration'))
+        return replace(samples, position=position, velocity=velocity, acceleration=acceleration)
     columns = [_smooth_joint(samples.time, samples.position[:, joint], samples.velocity[:, joint], with_velocities)
                for joint in range(samples.position.shape[1])]
     position, velocity, acceleration = (np.column_stack(part) for part in zip(*columns, strict=True))

@@ -6,6 +6,7 @@ reading) is a change between successive samples that the channel makes at no oth
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,13 +28,14 @@ class Gap(NamedTuple):
 
 
 def gaps(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[Gap]:
-    """Every step longer than ``config.gap_steps`` median steps."""
+    """Every step longer than ``config.gap_steps`` median steps, the pauses between recordings aside."""
     if len(samples) < 3:
         return []
     time = samples.time
     steps = np.diff(time)
     return [Gap(int(at), float(time[at]), float(steps[at]))
-            for at in np.flatnonzero(steps > config.gap_steps * typical_step(time))]
+            for at in np.flatnonzero(steps > config.gap_steps * typical_step(time))
+            if samples.stamps[at + 1] not in samples.breaks]
 
 
 def typical_step(time: Array) -> float:
@@ -45,6 +47,8 @@ def typical_step(time: Array) -> float:
 
 def excluded(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
     """(N,) true for samples near a gap or a shock: neither a fit nor an evaluation should use them."""
+    if samples.breaks:
+        return np.concatenate([excluded(replace(samples[part], breaks=()), config) for part in samples.recordings])
     mask = np.zeros(len(samples), dtype=bool)
     for gap in gaps(samples, config):
         mask[max(gap.before + 1 - config.gap_margin, 0):gap.before + 1 + config.gap_margin] = True

@@ -57,8 +57,7 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
 
     Raises SemiparamError when too few samples are left to work with.
     """
-    rate = 1e9 / float(np.median(np.diff(samples.stamps)))
-    factor = max(int(rate / config.working_rate_hz), 1)
+    factor = working_factor(samples, config)
     options = {name: Inputs(name, factor, config.smoothing_ends) for name in OPTIONS}
     require_enough(config, *(inputs.mask(train_mask) for inputs in options.values()))
     outputs = samples.outputs[train_mask]
@@ -70,6 +69,12 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
             scale = refit_weights(fit).scale
         losses[name] = float(fold_losses(fit, scale).sum())
     return options[min(losses, key=lambda name: losses[name])]
+
+
+def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
+    """How many samples one working sample averages."""
+    rate = 1e9 / float(np.median(np.diff(samples.stamps)))
+    return max(int(rate / config.working_rate_hz), 1)
 
 
 def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
@@ -98,7 +103,7 @@ def averaged(samples: Samples, factor: int) -> Samples:
     stamps = samples.stamps[:groups * factor].reshape(groups, factor)
     middle = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
     return Samples(middle, mean(samples.position), mean(samples.velocity), mean(samples.acceleration),
-                   mean(samples.outputs), samples.origin)
+                   mean(samples.outputs), samples.origin, samples.breaks)
 
 
 def resting(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:

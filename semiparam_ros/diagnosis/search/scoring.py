@@ -19,6 +19,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, reweighted
 from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
+from semiparam_ros.diagnosis.search.in_some_recordings import in_some_recordings
 from semiparam_ros.diagnosis.search.refit import gauss_newton, replace_effect
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
@@ -53,12 +54,13 @@ def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
 
 def _linear_trial(fit: Fit, effect: Effect) -> Trial:
     """The effect with its coefficients fitted, starting when it explains most if it can start."""
-    columns = added_columns(fit, effect)
+    columns = always = added_columns(fit, effect)
     if not effect.is_calibration:
-        start, late, always = best_start(fit, columns) if effect.must_start or effect.may_start else (0, 0.0, 1.0)
-        if effect.must_start or (effect.may_start and late > fit.config.start_worth * always):
+        start, late, throughout = best_start(fit, columns) if effect.must_start or effect.may_start else (0, 0.0, 1.0)
+        if effect.must_start or (effect.may_start and late > fit.config.start_worth * throughout):
             effect = replace(effect, start=Start(float(fit.samples.time[start])))
             columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
+        effect, columns = in_some_recordings(fit, effect, columns, always)
     explained = fit.explain(columns)
     if effect.is_calibration:
         names = [coefficient.name for coefficient in effect.calibrations]

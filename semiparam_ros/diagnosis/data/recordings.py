@@ -1,0 +1,77 @@
+"""Several recordings of one robot in one diagnosis: what each has for itself, and effects that are in some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Mask
+from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects.base import Start
+
+
+def whole_groups(samples: Samples, factor: int) -> Samples:
+    """The samples without a remainder of each recording, so that no mean of ``factor`` samples is over two of them."""
+    if not samples.breaks or factor == 1:
+        return samples
+    keep = np.concatenate([np.arange(part.start, part.stop - (part.stop - part.start) % factor)
+                           for part in samples.recordings])
+    return samples[keep]
+
+
+def beside_breaks(samples: Samples, margin: int) -> Mask:
+    """(N,) true for the first and the last ``margin`` samples of each recording that lie at a break."""
+    mask = np.zeros(len(samples), dtype=bool)
+    for part in samples.recordings[1:]:
+        mask[max(part.start - margin, 0):part.start + margin] = True
+    return mask
+
+
+def of_each(samples: Samples, names: Sequence[str], say: Callable[[Samples], list[str]]) -> list[str]:
+    """Sentences about each recording, named where there are several."""
+    if not samples.breaks:
+        return say(samples)
+    return [f'{name}: {sentence}' for name, part in zip(names, samples.recordings, strict=True)
+            for sentence in say(alone(samples, part))]
+
+
+def alone(samples: Samples, part: slice) -> Samples:
+    """One of the recordings, its time counted from its own start."""
+    return replace(samples[part], breaks=(), origin=int(samples.stamps[part.start]))
+
+
+def own_offsets(body: RigidBody, samples: Samples) -> list[Effect]:
+    """The offset of a wrench in each recording after the first, whose offset belongs to the model."""
+    if body.outputs != 'wrench':
+        return []
+    times = [(stamp - samples.origin) * 1e-9 for stamp in samples.breaks]
+    return [kinds()['sensor_offset'](start=Start(start, end_s=end))
+            for start, end in zip(times, [*times[1:], None], strict=True)]
+
+
+def spans(samples: Samples) -> Iterator[Start]:
+    """Every run of recordings that is not all of them, as when something begins and ends."""
+    edges: list[float | None] = [None, *((stamp - samples.origin) * 1e-9 for stamp in samples.breaks), None]
+    for first in range(len(edges) - 1):
+        for last in range(first + 1, len(edges)):
+            if (first, last) != (0, len(edges) - 1):
+                yield Start(edges[first], end_s=edges[last])
+
+
+def during(samples: Samples, number: int, effect: Effect) -> Effect:
+    """The effect in one of the recordings alone; with a start of its own, until that recording ends."""
+    edges: list[float | None] = [None, *((stamp - samples.origin) * 1e-9 for stamp in samples.breaks), None]
+    own = effect.start if effect.start.values else Start(edges[number])
+    return replace(effect, start=replace(own, end_s=edges[number + 1]))
+
+
+def present(samples: Samples, names: Sequence[str], effect: Effect) -> tuple[str, ...]:
+    """Names of the recordings in which the effect acts, at least for a part."""
+    start, end = effect.start.seconds, effect.start.end_s
+    times = [samples.time[[part.start, part.stop - 1]] for part in samples.recordings]
+    return tuple(name for name, (begin, stop) in zip(names, times, strict=True)
+                 if (start is None or start <= stop) and (end is None or begin < end))

@@ -1,0 +1,49 @@
+"""An effect that is in some of several recordings alone: a load in the second and not in the first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.data.recordings import spans
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import Start
+
+ALIKE = 0.02
+"""A whole recording is the plainer answer where a start inside one explains only this share more."""
+WORTH = 1.1
+"""Believes in some recordings rather than in all when these explain so many times more (as of a start in one)."""
+
+
+def in_some_recordings(fit: Fit, effect: Effect, started: Array, always: Array) -> tuple[Effect, Array]:
+    """The effect and its columns in those recordings in a row where it explains most, if that is plainer or better.
+
+    :param started: (N, n, c) its columns with the start that was found, :param always: without one.
+    """
+    if not fit.samples.breaks or effect.is_calibration or effect.of_one_recording:
+        return effect, started
+    found = (effect, started)
+    best = _explained(fit, effect, started)
+    least = best * (1.0 - ALIKE) if effect.start.values else best * WORTH
+    time = fit.samples.time
+    for span in spans(fit.samples):
+        inside = (time >= (-1e300 if span.seconds is None else span.seconds)) \
+            & (time < (1e300 if span.end_s is None else span.end_s))
+        columns = always * inside[:, None, None]
+        explained = _explained(fit, effect, columns)
+        if explained > least:
+            least, found = explained, (replace(effect, start=Start(span.seconds, end_s=span.end_s)), columns)
+    return found
+
+
+def _explained(fit: Fit, effect: Effect, columns: Array) -> float:
+    """Squares that the columns explain, in scaled units; none with coefficients that the cause cannot have.
+
+    A load in all recordings but the first explains what one of negative mass in the first does.
+    """
+    explained = fit.explain(columns)
+    if not effect.physical(explained.coefficients):
+        return 0.0
+    left = (explained.residual[fit.train_mask] / fit.scale) ** 2
+    return float(((fit.residual[fit.train_mask] / fit.scale) ** 2).sum() - left.sum())

@@ -1,0 +1,90 @@
+"""Several recordings in one diagnosis: an offset for each, and effects in some of them."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from semiparam_ros.cli.main import main
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.signals.smoothing import smoothed
+from semiparam_ros.diagnosis.data.outliers import excluded, gaps
+from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, present, spans, whole_groups
+from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.text_report import text_report
+from semiparam_ros.effects import effect_to_text, kinds
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.simulation.scenario import Scenario
+from semiparam_ros.simulation.simulate import simulate
+from support.recordings import write_arm
+
+LOAD = np.array([0.15, 0.0, 0.01, 0.01, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3])
+JUMP = np.array([1.0, -2.0, 0.5, 0.1, 0.2, 0.05])
+
+
+@cache
+def recorded(outputs):
+    """The body and three recordings of one robot."""
+    made = [simulate(Scenario(samples=500, outputs=outputs, seed=seed, robot_seed=1, motion=motion))
+            for seed, motion in ((1, 'circle_xy'), (2, 'circle_xz'), (3, 'circle_xy'))]
+    return body_of(made[0]), [samples_of(recording) for recording in made]
+
+
+@pytest.mark.parametrize(('outputs', 'loaded'), [('wrench', (1,)), ('effort', (1, 2))])
+def test_a_load_in_some_of_the_recordings_is_found_there(outputs, loaded):
+    """The middle one of three alone; of a wrench each recording also has another offset."""
+    body, samples = recorded(outputs)
+    load = kinds()['payload']('r_gripper')
+    changed = []
+    for number, part in enumerate(samples):
+        added = load.columns(body, part, None)[0] @ LOAD * (number in loaded)
+        changed.append(replace(part, outputs=part.outputs + added + (number * JUMP if outputs == 'wrench' else 0.0)))
+    names = ('monday', 'tuesday', 'friday')
+    found = diagnose(body, Samples.joined(changed), only=['payload', 'external_force', 'joint_offset'], names=names)
+    there = tuple(names[number] for number in loaded)
+    assert [(finding.effect.kind, found.recordings_of(finding.effect)) for finding in found.findings] == [
+        ('payload', there)]
+    mass = found.findings[0].parameters['mass']
+    assert mass.value == pytest.approx(0.15, abs=max(4.0 * mass.std, 0.005))
+    assert found.as_dict()['effects'][0]['recordings'] == list(there)
+    assert any(f', in {" and ".join(there)} (' in line for line in text_report(found))
+    assert [found.lasts(effect) for effect in found.final.effects if effect.kind == 'payload'] == [2 in loaded]
+
+
+def test_recordings_are_joined_without_touching_one_another():
+    _, (one, two, three) = recorded('wrench')
+    joined = Samples.joined([one, two, three])
+    assert [part.stop - part.start for part in joined.recordings] == [500, 500, 500]
+    assert (np.diff(joined.stamps) > 0).all() and gaps(joined) == []
+    np.testing.assert_allclose(smoothed(joined).acceleration[500:1000], smoothed(two).acceleration, atol=1e-6)
+    np.testing.assert_array_equal(excluded(joined), np.concatenate([excluded(part) for part in (one, two, three)]))
+    assert np.flatnonzero(beside_breaks(joined, 2)).tolist() == [498, 499, 500, 501, 998, 999, 1000, 1001]
+    assert [part.stop - part.start for part in whole_groups(joined, 3).recordings] == [498, 498, 498]
+    later = replace(two, stamps=two.stamps + 10**13)
+    assert Samples.joined([one, later]).stamps[-1] == later.stamps[-1]  # true stamps stay
+    with pytest.raises(SemiparamError, match='expected at least one'):
+        Samples.joined([])
+
+
+def test_runs_of_recordings():
+    _, samples = recorded('wrench')
+    joined = Samples.joined(samples)
+    load = kinds()['payload']('r_gripper')
+    runs = [present(joined, 'ABC', replace(load, start=span)) for span in spans(joined)]
+    assert runs == [('A',), ('A', 'B'), ('B',), ('B', 'C'), ('C',)]
+    assert present(joined, 'ABC', during(joined, 1, load)) == ('B',)
+    assert effect_to_text(during(joined, 1, load).without_start()) == 'payload@r_gripper'
+
+
+def test_the_command_takes_several_bags(tmp_path, capsys):
+    config = 'config/icub_right_arm.yaml'
+    one, two = (str(write_arm(tmp_path / f'{name}.mcap', 300, seed)) for seed, name in enumerate('ab'))
+    assert main(['diagnose', one, two, '--params', config, '--kinds', 'payload', '-o', str(tmp_path / 'p.yaml')]) == 0
+    capsys.readouterr()
+    assert 'sensor_offset' not in (tmp_path / 'p.yaml').read_text()
+    assert main(['diagnose', one, two, '--params', config, '--split', '0.5']) == 2
+    assert 'name the one that judges with --judge' in ' '.join(capsys.readouterr().err.split())
+    assert main(['diagnose', one, '--params', config, '--in', two, 'payload@r_gripper']) == 2
+    assert 'expected one of the recordings' in ' '.join(capsys.readouterr().err.split())
