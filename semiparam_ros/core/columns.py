@@ -36,8 +36,15 @@ class ColumnBlock(Protocol):
     def check(self, body: RigidBody) -> None:
         """Raise SemiparamError when the effect cannot be declared on this robot."""
 
+    @property
+    def is_load(self) -> bool:
+        """Whether it is a body that a link carries: what shapes psi shapes its columns too."""
+
     def prior_scale(self, body: RigidBody) -> Array:
         """(c,) prior standard deviation of each coefficient over gamma, in its unit; as many as there are columns."""
+
+    def prior_mean(self, body: RigidBody) -> Array:
+        """(c,) prior mean of each coefficient, in its unit; zero for what is not known."""
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         """The body and the inputs as they really are (a joint's zero, the direction of gravity, a delay)."""
@@ -56,6 +63,7 @@ class Absent:
     """Stands for an effect that does not act, with as many columns."""
 
     of_sensor = False
+    is_load = False
 
     def __init__(self, effect: ColumnBlock) -> None:
         self._effect = effect
@@ -66,6 +74,10 @@ class Absent:
     def prior_scale(self, body: RigidBody) -> Array:
         """(c,) that of the effect."""
         return self._effect.prior_scale(body)
+
+    def prior_mean(self, body: RigidBody) -> Array:
+        """(c,) that of the effect."""
+        return self._effect.prior_mean(body)
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         """Nothing moves."""
@@ -129,10 +141,16 @@ class CoupledColumns:
 
     @property
     def prior_mean(self) -> Array:
-        """(p,) the inertias of the robot description, and no offset and no effect."""
+        """(p,) the inertias of the robot description, no offset, and of the effects what was declared."""
         mean = np.zeros(self.n_columns)
         mean[:self.body.n_parameters] = self.body.base_parameters
+        mean[self.n_own:] = self.known
         return mean
+
+    @property
+    def known(self) -> Array:
+        """(n_effects,) prior mean of the effects' coefficients."""
+        return np.concatenate([np.zeros(0), *(effect.prior_mean(self.body) for effect in self.effects)])
 
     def one(self, sample: Sample, origin: int, memory: Memories = None) -> tuple[Array, Memories]:
         """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]: where time starts."""
@@ -157,10 +175,16 @@ class CoupledColumns:
                 raise SemiparamError(f"effect '{getattr(effect, 'kind', effect)}' gives columns of shape "
                                      f'{columns.shape[1:]}; expected {(body.n_outputs, len(scale))}, one for each of '
                                      'its coefficients.')
-            parts.append(columns)
+            parts.append(self._shaped(body, columns) if effect.is_load else columns)
             added.append(remembered)
         offset = np.broadcast_to(self._offset, (len(samples), *self._offset.shape))
         return np.concatenate([psi, offset, *parts], axis=2), list(zip(corrected, added, strict=True))
+
+    def _shaped(self, body: RigidBody, columns: Array) -> Array:
+        """What a load adds (N, n, c), as the effects shape psi: a gain of the efforts multiplies both."""
+        for effect in self.effects:
+            columns = effect.transform(body, columns)
+        return columns
 
     def desired(self, position: Array, velocity: Array, acceleration: Array, now: int, origin: int,
                 ) -> tuple[Array, Array]:

@@ -310,7 +310,8 @@ class Estimator:
     def _estimate(self, samples: Samples, columns: Array, scaling: tuple[Array, Array]) -> Hyperparameters:
         options, inputs = self.options, (samples.inputs - scaling[0]) / scaling[1]
         omega = spectrum(inputs.shape[1], options.features_count, options.features_seed)
-        return estimate(options.variant, samples.outputs, columns, inputs, omega,
+        known = columns[:, :, self.columns.n_own:] @ self.columns.known
+        return estimate(options.variant, samples.outputs - known, columns, inputs, omega,
                         length_scales=options.length_scales, noise=options.noise,
                         prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects)
 
@@ -335,7 +336,8 @@ class Estimator:
         if self.variant.features:
             features = RandomFeatures(3 * self.body.n_joints, self.options.features_count, self.options.features_seed,
                                       hyperparameters.tau, *self.input_scaling)
-        return Model(self.variant, hyperparameters, features, self.columns.prior_scale,
+        mean = np.concatenate([np.zeros(self.columns.n_own), self.columns.known])
+        return Model(self.variant, hyperparameters, features, self.columns.prior_scale, mean,
                      forgetting=self.options.forgetting, n_effects=self.columns.n_effects)
 
     def _provisional(self) -> Model:

@@ -18,10 +18,11 @@ from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, requir
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
-from semiparam_ros.diagnosis.findings import Finding, findings
-from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings
+from semiparam_ros.diagnosis.regression import Fit, refit_weights
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
+from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts
@@ -78,6 +79,18 @@ class Diagnosis:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
         return effect.start.end_s is None and effect not in own_offsets(self.first.body, self.recorded.samples)
 
+    @property
+    def declared(self) -> list[Finding]:
+        """The effects that were declared beforehand, with their fitted values."""
+        offsets = own_offsets(self.first.body, self.recorded.samples)
+        return [finding for finding in declared_findings(self.final, self.findings) if finding.effect not in offsets]
+
+    @property
+    def gain_and_mass_are_one(self) -> bool:
+        """Whether gains of the outputs are found or declared, but no mass is known that would tell them from masses."""
+        gains = any(name.startswith('gain') for effect in self.final.effects for name, _ in effect.calibrations)
+        return gains and not any(effect.is_load and 'mass' in effect.parameters for effect in self.final.effects)
+
     def recordings_of(self, effect: Effect) -> tuple[str, ...]:
         """Names of the recordings in which an effect acts; empty where there is one recording."""
         samples = self.recorded.samples
@@ -101,6 +114,7 @@ class Diagnosis:
         return {'verdict': self.verdict, 'effects': [
                     finding.as_dict() | {'recordings': list(self.recordings_of(finding.effect))}
                     for finding in self.findings],
+                'declared': [finding.as_dict() for finding in self.declared],
                 'recordings': list(self.names),
                 'before': self.before.as_dict(), 'after': self.after.as_dict(),
                 'by_step': [evaluation.as_dict() for evaluation in self.by_step],
@@ -148,7 +162,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     if body.outputs == 'effort':
         fitting &= ~resting(chosen, config)
     require_enough(config, *([fitting, held_out] if other is None else [fitting]))
-    first = starting_fit(body, chosen, effects, fitting, config)
+    first = _calibrated(starting_fit(body, chosen, effects, fitting, config))
     steps, setup = _searched(first, considered(body, only), suspected, progress)
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
@@ -168,6 +182,12 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *unidentifiable(body, samples, config), *_left_out(clean)],
         recorded=recorded, elsewhere=elsewhere, names=names)
+
+
+def _calibrated(fit: Fit) -> Fit:
+    """The declared model, with those calibrations at the least squares that were declared without a value."""
+    bare = [effect for effect in fit.effects if effect.is_calibration and not effect.parameters]
+    return refit_weights(gauss_newton(fit, bare)) if bare else fit
 
 
 def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[SetupProblem],

@@ -26,7 +26,10 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect found. ``round_number`` counts from 1; rivals cannot be told from it on this motion."""
+    """One effect found; rivals cannot be told from it on this motion.
+
+    ``round_number`` counts from 1; 0 is that of an effect declared beforehand.
+    """
 
     effect: Effect
     round_number: int
@@ -57,6 +60,13 @@ def findings(fit: Fit, steps: list[Step]) -> list[Finding]:
     return found
 
 
+def declared_findings(fit: Fit, found: list[Finding]) -> list[Finding]:
+    """The effects of the model that were declared beforehand, with their fitted values."""
+    deviations = coefficient_deviations(fit)
+    return [Finding(effect, 0, 0.0, _parameters(fit, index, deviations), ())
+            for index, effect in enumerate(fit.effects) if effect not in [finding.effect for finding in found]]
+
+
 def _index_in(fit: Fit, effect: Effect, taken: list[Effect]) -> int | None:
     """Where the model holds the effect now: at its place, or, as a load moves to the nearest link, with its start."""
     same = [index for index, known in enumerate(fit.effects) if known.kind == effect.kind and known not in taken
@@ -82,9 +92,12 @@ def _parameters(fit: Fit, index: int, deviations: Array) -> dict[str, Quantity]:
 def _calibrations(fit: Fit, effect: Effect) -> dict[str, Quantity]:
     if not effect.is_calibration:
         return {}
-    covariance = fit.explain(added_columns(fit, effect)).covariance
+    together = [known for known in fit.effects if known.is_calibration]
+    covariance = fit.explain(np.concatenate([added_columns(fit, known) for known in together], axis=2)).covariance
     inflation = float(np.mean(fit.correlation))
-    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0) * inflation)
+    before = sum(len(known.calibrations) for known in together[:together.index(effect)])
+    variances = np.diag(covariance)[before:before + len(effect.calibrations)]
+    stds = np.sqrt(np.maximum(variances, 0.0) * inflation)
     return {coefficient.name: Quantity(effect.value(coefficient.name), float(std), coefficient.unit)
             for coefficient, std in zip(effect.calibrations, stds, strict=True)}
 

@@ -13,6 +13,9 @@ from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 
 MOST_PARAMETERS = 4
+ONE_FREEDOM = ('A common gain of all outputs and every mass are one and the same freedom, so the gains hold for the masses '
+               'of the robot description alone. To know both, record the arm with a load of known mass too, and '
+               'declare that: --in LOADED.mcap \'payload@LINK{"mass": KG}\'.')
 EARLIEST_DATE_S = 1e9
 """Stamps below it [s] count from the start of something, not from 1970."""
 TOSS_UP = 20.0
@@ -26,6 +29,8 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     for finding in diagnosis.findings:
         lines.append(_finding(diagnosis, finding))
         lines += _doubts(diagnosis, finding) + _rivals(finding)
+    lines += [_declared(diagnosis, finding) for finding in diagnosis.declared]
+    lines += [ONE_FREEDOM] if diagnosis.gain_and_mass_are_one else []
     lines += _dropped(diagnosis)
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
@@ -46,6 +51,12 @@ def _opening(diagnosis: Diagnosis) -> str:
         return 'Something is missing, and the effects below explain only the smaller part of it.'
     count = len(diagnosis.findings)
     return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'
+
+
+def _declared(diagnosis: Diagnosis, finding: Finding) -> str:
+    values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding))
+    effect = finding.effect
+    return f'Declared: {place(effect.kind, effect.where)}{when(diagnosis, effect)} ({values}).'
 
 
 def when(diagnosis: Diagnosis, effect: Effect) -> str:

@@ -160,6 +160,10 @@ class Effect:
         size = size_of(body)
         return np.array([plausible(unit, size) for _, unit in self.coefficients(body)])
 
+    def prior_mean(self, body: RigidBody) -> Array:
+        """(c,) prior mean of each coefficient: zero, unless its value was declared."""
+        return np.zeros(len(self.coefficients(body)))
+
     def check(self, body: RigidBody) -> None:
         """Raise SemiparamError when the effect cannot be declared on this robot: its outputs, its place, its values."""
         if body.outputs not in self.outputs:

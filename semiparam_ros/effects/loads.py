@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -16,9 +16,14 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.effects.application_point import AtPoint
 from semiparam_ros.effects.base import Axis, Coefficient, Effect
 
+INERTIAL = (Coefficient('mass', 'kg'), *(Coefficient(f'first_moment_{axis}', 'kg m') for axis in 'xyz'),
+            *(Coefficient(f'inertia_{axes}', 'kg m^2') for axes in ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')))
+KNOWN_SHARE = 1e-6
+"""Prior standard deviation of a value that was declared, over that of one that was not."""
+
 
 class Payload(Effect):
-    """A body picked up: mass, first moment and inertia in the link's frame."""
+    """A body picked up: mass, first moment and inertia in the link's frame; what is known of them may be declared."""
 
     kind: ClassVar[str] = 'payload'
     shows_against: ClassVar[Axis] = 'time'
@@ -27,6 +32,8 @@ class Payload(Effect):
     separated_by: ClassVar[str] = 'fast motion that turns the load about every axis: weight alone is only a force'
     must_start: ClassVar[bool] = True
     is_load: ClassVar[bool] = True
+    parameter_units: ClassVar[Mapping[str, str]] = dict(INERTIAL)
+    positive: ClassVar[tuple[str, ...]] = ('mass',)
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
@@ -37,9 +44,19 @@ class Payload(Effect):
         return felt_links(body)
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        moments = (Coefficient(f'first_moment_{axis}', 'kg m') for axis in 'xyz')
-        inertias = (Coefficient(f'inertia_{axes}', 'kg m^2') for axes in ('xx', 'xy', 'yy', 'xz', 'yz', 'zz'))
-        return Coefficient('mass', 'kg'), *moments, *inertias
+        return INERTIAL
+
+    @property
+    def searched(self) -> tuple[str, ...]:
+        """Nothing: what is declared of a load is known."""
+        return ()
+
+    def prior_mean(self, body: RigidBody) -> Array:
+        return np.array([self.value(name) for name, _ in INERTIAL])
+
+    def prior_scale(self, body: RigidBody) -> Array:
+        known = np.array([name in self.parameters for name, _ in INERTIAL])
+        return np.asarray(super().prior_scale(body) * np.where(known, KNOWN_SHARE, 1.0))
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         return load_regressor(body, samples, str(self.where)), None
@@ -48,7 +65,9 @@ class Payload(Effect):
         return bool(coefficients[0] > 0.0)
 
     def relocated(self, body: RigidBody, coefficients: Array) -> Effect:
-        """At the link nearest to the load's centre of mass."""
+        """At the link nearest to the load's centre of mass, unless something is known of it at this one."""
+        if self.parameters:
+            return self
         mass, *moment = coefficients[:4]
         return replace(self, where=nearest_link(body, str(self.where), np.array(moment) / mass)[0]) \
             if mass > 0.0 else self

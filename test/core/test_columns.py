@@ -14,12 +14,16 @@ class Nothing:
     """An effect without effect: what the others here start from."""
 
     scale = np.zeros(0)
+    is_load = False
 
     def check(self, body):
         pass
 
     def prior_scale(self, body):
         return self.scale
+
+    def prior_mean(self, body):
+        return np.zeros(len(self.scale))
 
     def correct(self, body, samples, memory):
         return body, samples, memory

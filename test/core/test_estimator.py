@@ -304,12 +304,16 @@ def test_a_robot_that_rested_over_the_initial_window_is_predicted_within_reason_
 def test_the_time_of_an_effect_starts_with_the_first_sample_also_when_it_was_not_learnt(arm, recording):
     class Ramp:
         seen: list = []  # noqa: RUF012
+        is_load = False
 
         def check(self, body):
             pass
 
         def prior_scale(self, body):
             return np.ones(6)
+
+        def prior_mean(self, body):
+            return np.zeros(6)
 
         def correct(self, body, samples, memory):
             return body, samples, memory

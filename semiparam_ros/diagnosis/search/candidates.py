@@ -9,6 +9,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
@@ -69,12 +71,22 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
 
 
 def rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
-    """(N, n, 1) outputs of the rigid body alone as the effects correct and shape it."""
+    """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it."""
     body, inputs, _ = CoupledColumns(fit.body, effects).corrected(fit.samples)
-    load = (body.regressors(inputs) @ fit.rigid_part)[:, :, None]
+    load = (body.regressors(inputs) @ fit.rigid_part)[:, :, None] + _carried(fit, body, inputs)
     for effect in effects:
         load = effect.transform(body, load)
     return load
+
+
+def _carried(fit: Fit, body: RigidBody, inputs: Samples) -> Array:
+    """(N, n, 1) outputs of the loads that the model holds."""
+    blocks = CoupledColumns(fit.body, fit.effects).blocks
+    carried = np.zeros((len(inputs), body.n_outputs))
+    for index, effect in enumerate(fit.effects):
+        if effect.is_load:
+            carried += effect.columns(body, inputs, None)[0] @ fit.theta[blocks[str(index)]]
+    return carried[:, :, None]
 
 
 def best_start(fit: Fit, columns: Array) -> tuple[int, float, float]:
