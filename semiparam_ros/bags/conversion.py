@@ -22,12 +22,14 @@ class Edits:
     """What is changed on the way.
 
     ``topics``: old name -> new name, and only these are taken; empty takes all. ``joints``: old name -> new name,
-    where one * in both stands for any text. ``stamps_from_log`` puts the log time into every header.
+    where one * in both stands for any text. ``effort_factors``: new name of a joint -> factor. ``stamps_from_log``
+    puts the log time into every header.
     """
 
     topics: Mapping[str, str] = field(default_factory=dict)
     joints: Mapping[str, str] = field(default_factory=dict)
     effort_sign: float = 1.0
+    effort_factors: Mapping[str, float] = field(default_factory=dict)
     wrench_sign: float = 1.0
     wrench_frame: str = ''
     stamps_from_log: bool = False
@@ -36,7 +38,8 @@ class Edits:
         """Whether messages of this type change; others are copied byte by byte."""
         named = bool(self.joints) or self.stamps_from_log
         turned = self.wrench_sign != 1.0 or bool(self.wrench_frame) or self.stamps_from_log
-        concerned = {_JOINT_STATE: named or self.effort_sign != 1.0, _TRAJECTORY: named, _WRENCH: turned}
+        scaled = self.effort_sign != 1.0 or bool(self.effort_factors)
+        concerned = {_JOINT_STATE: named or scaled, _TRAJECTORY: named, _WRENCH: turned}
         return concerned.get(type_name, False)
 
     def apply(self, message: Message) -> object:
@@ -46,7 +49,8 @@ class Edits:
             data.header.stamp = stamp_fields(message.log_time)
         if message.type == _JOINT_STATE:
             data.name = [renamed(name, self.joints) for name in data.name]
-            data.effort = [self.effort_sign * value for value in data.effort]
+            factors = [self.effort_sign * self.effort_factors.get(name, 1.0) for name in data.name]
+            data.effort = [factor * value for factor, value in zip(factors, data.effort, strict=False)]
         elif message.type == _TRAJECTORY:
             data.joint_names = [renamed(name, self.joints) for name in data.joint_names]
         elif message.type == _WRENCH:

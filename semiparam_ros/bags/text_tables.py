@@ -1,4 +1,4 @@
-"""Text tables (white space, commas, semicolons or tabs between numbers) made into bags."""
+"""Text tables (white space, commas, semicolons or tabs between numbers), and arrays as tables, made into bags."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from semiparam_ros.bags import recording_layout as layout_names
+from semiparam_ros.bags.array_files import array_lines, holds_arrays
 from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.stamps import NANOSECONDS, stamp_fields
@@ -33,7 +34,7 @@ class TableLayout:
 
     Roles: 'time', 'position', 'velocity', 'acceleration', 'effort' (one column for each joint), 'force', 'torque'
     (three each). Without 'time', rows are ``period`` [s] apart and the first has the stamp ``start`` [s]. Signs
-    multiply what the file holds.
+    multiply what the file holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or -1).
     """
 
     joints: tuple[str, ...] = ()
@@ -45,6 +46,7 @@ class TableLayout:
     wrench_frame: str = ''
     wrench_sign: float = 1.0
     effort_sign: float = 1.0
+    effort_factors: Mapping[str, float] = field(default_factory=dict)
 
     def checked(self) -> TableLayout:
         """Itself, or SemiparamError for the first thing that is missing or contradicts."""
@@ -69,6 +71,12 @@ class TableLayout:
         if 'columns' in converted:
             converted['columns'] = {**self.columns, **converted['columns']}
         return replace(self, **converted)
+
+    def spread(self, header: Sequence[str]) -> TableLayout:
+        """The layout with NAME:1, NAME:2 and so on in place of the NAME of an array of several columns."""
+        columns = {role: tuple(part for column in named for part in _parts(column, header))
+                   for role, named in self.columns.items()}
+        return replace(self, columns=columns)
 
 
 def load_layout(path: str | os.PathLike[str]) -> TableLayout:
@@ -106,6 +114,8 @@ def _converted(name: str, value: Any, where: str) -> Any:
         if not isinstance(value, Mapping):
             raise SemiparamError(f'{where}: columns is {value!r}; expected a mapping such as "position: 1-4".')
         return {str(role): parse_columns(columns) for role, columns in value.items()}
+    if name == 'effort_factors':
+        return effort_factors(value, where)
     if name == 'degrees':
         if not isinstance(value, bool):
             raise SemiparamError(f'{where}: degrees is {value!r}; expected true or false.')
@@ -115,6 +125,19 @@ def _converted(name: str, value: Any, where: str) -> Any:
     if name == 'period' and value is not None:
         return _positive(name, value, where)
     return _number(name, value, where)
+
+
+def effort_factors(value: object, where: str) -> dict[str, float]:
+    """Factors by joint from a mapping, or from 'NAME=FACTOR,...'; anything else raises SemiparamError."""
+    pairs: list[tuple[object, ...]]
+    if isinstance(value, Mapping):
+        pairs = list(value.items())
+    else:
+        pairs = [tuple(part.rsplit('=', 1)) for part in str(value).split(',')]
+    if not all(len(pair) == 2 for pair in pairs):
+        raise SemiparamError(f'{where}: effort_factors is {value!r}; expected NAME=FACTOR,... such as '
+                             'shoulder=11.4,elbow=-9.8.')
+    return {str(name).strip(): _number(f'the effort factor of {name}', factor, where) for name, factor in pairs}
 
 
 def _number(name: str, value: Any, where: str) -> float:
@@ -141,13 +164,17 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
         if role not in widths:
             yield f'column role {role!r} is unknown: expected one of {", ".join(widths)}.'
         elif len(roles[role]) != widths[role]:
-            yield f'{role} has {len(roles[role])} columns; expected {widths[role]}.'
+            yield (f'{role} has {len(roles[role])} columns; expected {widths[role]}'
+                   f'{", one for each of --joints" if role in PER_JOINT else ""}.')
         elif 0 in roles[role]:
             yield f'{role} names column 0; columns count from 1.'
     if 'position' not in roles:
         yield 'the table has no position columns: expected --position COLUMNS or "position:" under "columns:".'
     if ('force' in roles) is not ('torque' in roles):
         yield 'a wrench needs both force and torque columns; only one of them is named.'
+    for name in layout.effort_factors:
+        if name not in layout.joints:
+            yield f'effort_factors names {name!r}; expected some of the joints {", ".join(layout.joints)}.'
     if 'time' not in roles and layout.period is None:
         yield 'rows have no time: expected --time COLUMN, --rate HZ or --period SECONDS.'
     if layout.time_unit not in TIME_UNITS:
@@ -157,6 +184,11 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
 def column_indices(layout: TableLayout, header: Sequence[str], where: str) -> dict[str, list[int]]:
     """Role -> indices from 0 into a row, names looked up in the header line."""
     return {role: [_index(column, header, where) for column in columns] for role, columns in layout.columns.items()}
+
+
+def _parts(column: int | str, header: Sequence[str]) -> list[int | str]:
+    """Every column of the array that is named, or the column."""
+    return [name for name in header if name.rpartition(':')[0] == column] or [column]
 
 
 def _index(column: int | str, header: Sequence[str], where: str) -> int:
@@ -194,11 +226,11 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
     """Write every row of a table as messages of one stamp; returns what was converted.
 
     :param robot_description: a URDF that travels in the bag.
-    :param progress: called with the number of bytes read so far.
+    :param progress: called with the number of bytes read so far, of a text table.
     A line that does not fit the layout raises SemiparamError naming line and column.
     """
     summary = Summary()
-    for row in read_rows(path, layout.checked(), progress):
+    for row in read_rows(path, layout, progress):
         summary.not_increasing += summary.rows > 0 and row.stamp <= summary.end_ns
         summary.rows += 1
         if summary.rows == 1:
@@ -217,23 +249,26 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
               progress: Callable[[int], None] = lambda done: None) -> Iterator[Row]:
     """The rows of a table. Blank lines and those that begin with # or % are passed by; names may stand in line 1."""
     name = repr(str(path))
-    numbers = _lines(Path(path), progress)
+    arrays = holds_arrays(Path(path))
+    numbers = array_lines(Path(path), _lines) if arrays else _lines(Path(path), progress)
     first = next(numbers, None)
     if first is None:
         return
     header = [] if all(map(_is_number, first[1])) else first[1]
+    layout = layout.spread(header).checked()
     indices = column_indices(layout, header, name)
     width = 1 + max(index for columns in indices.values() for index in columns)
     convert = _Units(layout)
     for number, (line, cells) in enumerate(numbers if header else chain([first], numbers)):
         where = f'{name} line {line}'
         if len(cells) < width:
-            raise SemiparamError(f'{where} has {len(cells)} columns; expected at least {width}.')
+            raise SemiparamError(f'{where} has {len(cells)} columns; expected at least {width}, the highest that is '
+                                 'named. White space, commas, semicolons or tabs separate them.')
         yield convert.row({role: [cells[index] for index in columns] for role, columns in indices.items()}, number,
                           where)
 
 
-def _lines(path: Path, progress: Callable[[int], None]) -> Iterator[tuple[int, list[str]]]:
+def _lines(path: Path, progress: Callable[[int], None] = lambda done: None) -> Iterator[tuple[int, list[str]]]:
     """(number of the line, its cells)."""
     read = 0
     try:
@@ -278,6 +313,9 @@ class _Units:
         """The ``number``-th row (from 0) from its cells by role."""
         scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
                   for role, factor in self._factors.items()}
+        if self._layout.effort_factors and scaled['effort']:
+            scaled['effort'] = [value * self._layout.effort_factors.get(joint, 1.0)
+                                for joint, value in zip(self._layout.joints, scaled['effort'], strict=True)]
         stamp = self._stamp(cells['time'][0] if 'time' in cells else None, number, where)
         return Row(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'], scaled['effort'],
                    scaled['force'] + scaled['torque'])

@@ -1,4 +1,4 @@
-"""`semiparam convert`: a text table, a bag of another format or a damaged bag becomes an MCAP bag."""
+"""`semiparam convert`: a table, a bag of another format or a damaged bag becomes an MCAP bag."""
 
 from __future__ import annotations
 
@@ -8,34 +8,46 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from semiparam_ros.bags.array_files import holds_arrays
 from semiparam_ros.bags.conversion import Edits, convert_bag, read_description
 from semiparam_ros.bags.reader import is_bag, open_bag
-from semiparam_ros.bags.text_tables import PER_JOINT, TIME_UNITS, TableLayout, convert_table, load_layout
+from semiparam_ros.bags.text_tables import (
+    PER_JOINT,
+    TIME_UNITS,
+    TableLayout,
+    convert_table,
+    effort_factors,
+    load_layout,
+)
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.cli.options import console, progress_bar
 from semiparam_ros.errors import SemiparamError
 
-HELP = 'Convert a text table or a bag (ROS 1, rosbag2, damaged MCAP) to an MCAP bag.'
+HELP = 'Convert a table (text, .npz, .mat) or a bag (ROS 1, rosbag2, damaged MCAP) to an MCAP bag.'
 
 _TABLE_OPTIONS = ('joints', 'degrees', 'period', 'rate', 'start', 'time_unit')
-_BOTH_OPTIONS = ('wrench_frame', 'wrench_sign', 'effort_sign')
+_BOTH_OPTIONS = ('wrench_frame', 'wrench_sign', 'effort_sign', 'effort_factors')
 _ROLES = ('time', *PER_JOINT, 'force', 'torque')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Positional files, then what concerns tables, bags, and both."""
     parser.add_argument('input', metavar='INPUT', type=Path,
-                        help='text table, .mcap file, rosbag2 directory, .db3 file or ROS 1 .bag')
+                        help='text table, .npz, .npy or .mat file, folder with a text table for each quantity, .mcap '
+                        'file, rosbag2 directory, .db3 file or ROS 1 .bag')
     parser.add_argument('output', metavar='OUTPUT.mcap', type=Path, help='the MCAP bag that is written')
     parser.add_argument('--robot-description', metavar='URDF', type=Path,
                         help='URDF file that travels in the bag as the latched /robot_description')
     parser.add_argument('--effort-sign', type=float, metavar='SIGN', help='multiplies joint efforts: 1 or -1')
+    parser.add_argument('--effort-factors', metavar='JOINT=FACTOR,...',
+                        help='multiplies the efforts of single joints: N m for an ampere, or -1')
     parser.add_argument('--wrench-sign', type=float, metavar='SIGN', help='multiplies wrenches: 1 or -1')
     parser.add_argument('--wrench-frame', metavar='FRAME', help='frame_id of the wrenches')
     _add_table_arguments(parser.add_argument_group(
-        'text tables', 'COLUMNS are numbers from 1 (1-4, or 1,3,5) or names of the header line. Options win over the '
+        'tables', 'COLUMNS are numbers from 1 (1-4, or 1,3,5) or names: of the header line, of arrays (STRUCT.FIELD '
+        'in a struct), or of the files of a folder; NAME:2 is the second column of an array. Options win over the '
         '--columns file, which holds joints, columns, degrees, period (or rate), start, time_unit, wrench_frame, '
-        'wrench_sign, effort_sign.'))
+        'wrench_sign, effort_sign, effort_factors (a mapping).'))
     _add_bag_arguments(parser.add_argument_group('bags'))
 
 
@@ -70,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
     if args.output.suffix != '.mcap':
         raise SemiparamError(f'{str(args.output)!r} is no name for an MCAP bag; expected one that ends in .mcap.')
     description = read_description(args.robot_description) if args.robot_description else None
-    lines = _from_bag(args, description) if is_bag(args.input) else _from_table(args, description)
+    table = holds_arrays(args.input) or not is_bag(args.input)
+    lines = _from_bag(args, description) if not table else _from_table(args, description)
     for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     return 0
@@ -97,13 +110,14 @@ def table_layout(args: argparse.Namespace) -> TableLayout:
     values = {name: getattr(args, name) for name in (*_TABLE_OPTIONS, *_BOTH_OPTIONS)
               if getattr(args, name) is not None}
     values['columns'] = {role: getattr(args, role) for role in _ROLES if getattr(args, role) is not None}
-    return layout.merged(values, 'command line').checked()
+    return layout.merged(values, 'command line')
 
 
 def _from_bag(args: argparse.Namespace, description: str | None) -> list[str]:
     _refuse(args, ('columns', *_TABLE_OPTIONS, *_ROLES), 'text tables', 'a bag')
     edits = Edits(_pairs(args.topic, optional=True), _pairs([part for text in args.joint for part in text.split(',')]),
                   1.0 if args.effort_sign is None else args.effort_sign,
+                  {} if args.effort_factors is None else effort_factors(args.effort_factors, 'command line'),
                   1.0 if args.wrench_sign is None else args.wrench_sign, args.wrench_frame or '', args.stamps_from_log)
     with open_bag(args.input) as source, BagWriter(args.output) as bag, progress_bar() as bar:
         task = bar.add_task('messages', total=sum(info.count for topic, info in source.topics.items()

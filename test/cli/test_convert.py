@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
@@ -103,6 +104,70 @@ def test_options_win_over_the_columns_file(tmp_path):
     states = messages(bag, '/joint_states')
     assert states[0].data.name == ['c', 'd'] and states[0].data.position == [5.0, 6.0]
     assert [state.log_time for state in states] == [2_000_000_000, 2_500_000_000, 3_000_000_000]
+
+
+def quantities(count=50):
+    """Time, positions and currents of two joints, each as its own array."""
+    time = 100.0 + 0.01 * np.arange(count)
+    position = np.column_stack([np.sin(time), np.cos(time)])
+    return {'t': time, 'q': position, 'current': 3.0 * position}
+
+
+def saved_arrays(folder, arrays, form):
+    path = folder / f'run.{form}'
+    if form == 'npz':
+        np.savez(path, **arrays, note=np.array(['bench']), rate=100.0)
+    elif form == 'mat':  # of a struct, samples along the rows as MATLAB has them
+        savemat(path, {'log': {name: values.T for name, values in arrays.items()}, 'title': 'bench'})
+    else:
+        path.mkdir()
+        for name, values in arrays.items():
+            np.savetxt(path / f'{name}.csv', values, delimiter=',', fmt='%.17g')
+    return path
+
+
+@pytest.mark.parametrize('form', ['npz', 'mat', 'folder'])
+def test_arrays_and_one_file_for_each_quantity(form, tmp_path):
+    arrays, within = quantities(), 'log.' if form == 'mat' else ''
+    path, bag = saved_arrays(tmp_path, arrays, form), tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'hip,knee', '--time', f'{within}t', '--position', f'{within}q', '--effort',
+                   f'{within}current', '--effort-factors', 'knee=-11.5', '--effort-sign', '-1') == 0
+    states = messages(bag, '/joint_states')
+    np.testing.assert_array_equal([state.data.position for state in states], arrays['q'])
+    np.testing.assert_allclose([state.data.effort for state in states], arrays['current'] * [-1.0, 11.5], rtol=1e-15)
+    assert states[1].log_time - states[0].log_time == pytest.approx(10_000_000, abs=100)
+    loaded = load_samples(bag, Settings(outputs='effort', joints=('hip', 'knee')))  # velocities are filtered
+    assert len(loaded.samples) > 40
+
+
+def test_single_columns_of_an_array_and_factors_for_a_bag(tmp_path, capsys):
+    path, bag = saved_arrays(tmp_path, quantities(), 'npz'), tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'knee', '--rate', '100', '--position', 'q:2', '--effort', 'current:2') == 0
+    assert convert(bag, tmp_path / 'turned.mcap', '--joint', 'knee=elbow', '--effort-factors', 'elbow=2') == 0
+    before, after = (messages(path, '/joint_states')[3].data for path in (bag, tmp_path / 'turned.mcap'))
+    assert after.name == ['elbow'] and after.effort == [2.0 * before.effort[0]]
+    capsys.readouterr()
+    assert convert(path, bag, '--joints', 'a,b', '--rate', '9', '--position', 'q', '--effort-factors', 'c=2') == 2
+    assert "effort_factors names 'c'; expected some of the joints a, b" in capsys.readouterr().err
+    assert convert(path, bag, '--joints', 'a,b', '--rate', '9', '--position', 'q', '--effort-factors', '2') == 2
+    assert 'expected NAME=FACTOR' in capsys.readouterr().err
+    assert convert(path, bag, '--joints', 'a,b', '--rate', '9', '--position', 'p') == 2
+    assert 'position has 1 columns; expected 2, one for each of --joints' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('name', 'content', 'sentence'), [
+    ('a.npz', b'PK no archive', 'is damaged or holds no plain arrays'), ('a.npz', b'', 'holds no plain arrays'),
+    ('a.mat', b'MATLAB 5.0 but not really', 'is damaged or holds no plain arrays'),
+    ('a.npy', None, 'holds no arrays of numbers')])
+def test_array_files_that_hold_nothing_end_in_one_sentence(name, content, sentence, tmp_path, capsys):
+    path = tmp_path / name
+    if content is None:
+        np.save(path, np.array(['a', 'b']))
+    else:
+        path.write_bytes(content)
+    assert convert(path, tmp_path / 'out.mcap', *TWO_JOINTS) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and len(said.strip().splitlines()) == 1
 
 
 def test_the_same_input_gives_the_same_bytes(tmp_path):

@@ -1,0 +1,111 @@
+"""Named arrays as the columns of one table: files of numpy and MATLAB, and folders with one text table for each."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from semiparam_ros.errors import SemiparamError
+
+SUFFIXES = ('.npz', '.npy', '.mat')
+TABLES = ('.csv', '.txt', '.dat', '.tsv')
+Cells = Iterator[tuple[int, list[str]]]
+
+
+def is_table_folder(path: Path) -> bool:
+    """Whether a path is a folder of text tables rather than a bag."""
+    return path.is_dir() and not (path / 'metadata.yaml').exists() and bool(_tables(path))
+
+
+def holds_arrays(path: Path) -> bool:
+    """Whether :func:`array_lines` reads this path."""
+    return path.suffix.lower() in SUFFIXES or is_table_folder(path)
+
+
+def array_lines(path: Path, text_lines: Callable[[Path], Cells]) -> Cells:
+    """A header line of names, then a line of cells for each sample, as a text table would have them.
+
+    An array of several columns gives NAME:1, NAME:2 and so on. Raises SemiparamError where nothing can be read.
+
+    :param text_lines: reads one text table.
+    """
+    arrays = _folder(path, text_lines) if path.is_dir() else _file(path)
+    columns = _columns(arrays, repr(str(path)))
+    yield 1, list(columns)
+    for number, row in enumerate(zip(*(values.tolist() for values in columns.values()), strict=True), 2):
+        yield number, [repr(value) for value in row]
+
+
+def _tables(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in TABLES)
+
+
+def _folder(folder: Path, text_lines: Callable[[Path], Cells]) -> dict[str, Any]:
+    arrays = {}
+    for path in _tables(folder):
+        try:
+            rows = [[float(cell) for cell in cells] for _, cells in text_lines(path)]
+            arrays[path.stem] = np.array(rows)
+        except ValueError:
+            raise SemiparamError(f'{str(path)!r} is no table of numbers alone; expected as many of them in each line '
+                                 'and no header, for in a folder the name of a file names its columns.') from None
+    return arrays
+
+
+def _file(path: Path) -> dict[str, Any]:
+    name = repr(str(path))
+    try:
+        if path.suffix.lower() == '.mat':
+            return _matlab(path)
+        loaded = np.load(path, allow_pickle=False)
+        return {'array': loaded} if isinstance(loaded, np.ndarray) else {key: loaded[key] for key in loaded.files}
+    except OSError as error:
+        raise SemiparamError(f'{name} cannot be read: {error.strerror or error}.') from error
+    except NotImplementedError as error:
+        raise SemiparamError(f"{name} is of MATLAB 7.3 or later; save it with save(FILE, '-v7').") from error
+    except (ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise SemiparamError(f'{name} is damaged or holds no plain arrays ({" ".join(str(error).split())}); save '
+                             'arrays of numbers.') from error
+
+
+def _matlab(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    try:
+        return dict(_fields(loadmat(path, simplify_cells=True)))
+    except (OSError, NotImplementedError):
+        raise
+    except Exception as error:  # the reader fails in many ways on a damaged file
+        raise ValueError(str(error)) from error
+
+
+def _fields(values: Mapping[str, Any], within: str = '') -> Iterator[tuple[str, Any]]:
+    """Arrays by name, those of a struct as STRUCT.FIELD."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _fields(value, f'{within}{name}.')
+        elif not name.startswith('__'):
+            yield within + name, value
+
+
+def _columns(arrays: Mapping[str, Any], where: str) -> dict[str, np.ndarray[Any, Any]]:
+    """Columns (N,) by name. Samples run along the longer side that most arrays share."""
+    numeric = {name: np.atleast_1d(np.squeeze(np.asarray(values))) for name, values in arrays.items()}
+    numeric = {name: values for name, values in numeric.items()
+               if values.dtype.kind in 'iuf' and 1 <= values.ndim <= 2 and values.size > 1}
+    lengths = [max(values.shape) for values in numeric.values()]
+    if not lengths:
+        raise SemiparamError(f'{where} holds no arrays of numbers; expected one for each quantity, a row a sample.')
+    count = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    columns: dict[str, np.ndarray[Any, Any]] = {}
+    for name, values in numeric.items():
+        if count not in values.shape:
+            continue
+        rows = values.reshape(len(values), -1) if len(values) == count else values.T
+        names = [name] if rows.shape[1] == 1 else [f'{name}:{number}' for number in range(1, rows.shape[1] + 1)]
+        columns.update(zip(names, rows.T, strict=True))
+    return columns
