@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from semiparam_ros.core.band_calibration import BandCalibration
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
 from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
@@ -20,9 +21,13 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
+from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset
 from semiparam_ros.errors import SemiparamError
 
 HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
+AUTO = 'auto'
+"""Forgetting: the model forgets nothing, and what it leaves is followed at the pace that is seen."""
+
 EFFECT_GAMMA = 1.0
 """Standard deviation of effects over their prior scale, in the variants that have no gamma."""
 
@@ -107,7 +112,7 @@ class ModelOptions:
     noise: Noise = 'output'
     initial_samples: int = 1000
     horizon: int = 25
-    forgetting: float = 1.0
+    forgetting: float | str = AUTO
     hyperparameters: Hyperparameters | None = None
     input_mean: tuple[float, ...] = ()
     input_scale: tuple[float, ...] = ()
@@ -117,7 +122,9 @@ class Prediction(NamedTuple):
     """What the model said of one sample before learning it, in N, N m; and the horizon that it completed."""
 
     mean: Array  # (n,)
-    std: Array  # (n,) predictive, noise included
+    std: Array  # (n,) predictive, noise included, calibrated
+    model_mean: Array  # (n,) of the model alone, without the wandering offset
+    model_std: Array  # (n,) of the model alone, not calibrated: what a gate or a detector of changes compares with
     ready: bool  # the initial window is over
     horizon: HorizonErrors | None
     sample: Sample
@@ -129,9 +136,11 @@ class Prediction(NamedTuple):
 
     @property
     def log_density(self) -> float:
-        """Of the measured outputs [nat]; NaN outputs give NaN."""
-        innovation = self.sample.outputs / self.output_scale - self.fixed - self.prior.mean
-        return log_density(innovation, self.prior.covariance) - float(np.log(self.output_scale).sum())
+        """Of the measured outputs, by mean and std as published [nat]; NaN outputs give NaN."""
+        innovation = (self.sample.outputs - self.mean) / self.output_scale
+        factor = self.std / self.model_std
+        return (log_density(innovation / factor, self.prior.covariance)
+                - float(np.log(self.output_scale * factor).sum()))
 
 
 class DesiredOutputs(NamedTuple):
@@ -153,6 +162,9 @@ class EstimatorState(NamedTuple):
 
     recursion: dict[str, Array]
     horizon: Mapping[str, Array | Stamps]
+    calibration: dict[str, Array]
+    wandering: dict[str, Array]  # empty where the forgetting is a number
+    window_left: int  # samples
     window: tuple[Remembered, ...]
     origin: int | None  # [ns]
     newest: int | None  # [ns] stamp of the last sample
@@ -167,10 +179,12 @@ class Estimator:
 
     :param origin: stamp [ns] from which the time of effects counts, such as the start of a recording; that of the first
         sample unless given. It moves along when the clock jumps, so that time goes on from the last sample.
+    :param window: with given hyperparameters, how many samples of the window that they are from come again first. Bands
+        are not calibrated meanwhile by samples that are not learnt, as they were not when the window was gathered.
     """
 
     def __init__(self, body: RigidBody, options: ModelOptions | None = None, effects: Sequence[ColumnBlock] = (),
-                 origin: int | None = None) -> None:
+                 origin: int | None = None, window: int = 0) -> None:
         """Raises SemiparamError when the options or the effects do not fit the robot."""
         self.options = options or ModelOptions()
         self.variant = variant_named(self.options.variant)
@@ -184,7 +198,8 @@ class Estimator:
         given = self.options.hyperparameters
         self.ready = given is not None
         self.model = self._provisional() if given is None else self._given(given)
-        self.horizon = self._new_horizon()
+        self.window_samples = self._window_left = window
+        self._begin_following()
 
     def step(self, sample: Sample, learn: bool = True) -> Prediction:
         """Predict the sample, then learn it (unless told not to)."""
@@ -204,8 +219,9 @@ class Estimator:
             require_finite('columns of the effects', columns)
         prior, learnt, fixed = self.model.predict(x, columns)
         scale = self.model.output_scale
-        mean, std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
-        return Prediction(mean, std, self.ready, None, sample, prior, learnt, fixed, scale, memory)
+        model_mean, model_std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
+        mean = model_mean if self.wandering is None else model_mean + self.wandering.offset
+        return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None, sample, prior, learnt, fixed, scale, memory)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -222,6 +238,9 @@ class Estimator:
         prior, _, fixed = model.predict(x, shown)
         outputs = model.output_scale * (prior.mean + fixed)
         of_sensor = model.contribution(shown - needed)
+        if self.wandering is not None:
+            outputs = outputs + self.wandering.offset
+            of_sensor = of_sensor + self.wandering.offset * self.columns.has_offset
         require_finite('predicted outputs of a desired state', outputs)
         return DesiredOutputs(outputs, outputs - of_sensor)
 
@@ -241,7 +260,9 @@ class Estimator:
         correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None
         if not learn:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
-        self.horizon.remember(sample.stamp, recursion.theta, correction)
+        self._follow(sample.outputs, prediction.model_mean, prediction.model_std, learn)
+        parts = None if self.wandering is None else self.wandering.parts / prediction.output_scale
+        self.horizon.remember(sample.stamp, recursion.theta, correction, parts)
         if learn and not self.ready:
             self.window.append(Remembered(sample, prediction.columns))
             if len(self.window) >= self.options.initial_samples:
@@ -258,11 +279,14 @@ class Estimator:
         hyperparameters = self._estimate(samples, np.array([columns for _, columns in self.window]), scaling)
         self.input_scaling = scaling
         self.model = model = self._build(hyperparameters)
+        self._begin_following()
+        scale = model.output_scale
         for sample, columns in self.window:
             prior, _, fixed = model.predict(sample.inputs, columns)
-            model.recursion.learn(prior, sample.outputs / model.output_scale - fixed)
-        self.ready, self.window = True, []
-        self.horizon = self._new_horizon()
+            self._follow(sample.outputs, scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal()),
+                         learn=True)
+            model.recursion.learn(prior, sample.outputs / scale - fixed)
+        self.window_samples, self.ready, self.window = len(self.window), True, []
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons and what effects remember, as after a jump of the clock; keep the model."""
@@ -277,8 +301,9 @@ class Estimator:
 
     def state(self) -> EstimatorState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
-        return EstimatorState(self.model.recursion.state(), self.horizon.state(), tuple(self.window), self.origin,
-                              self._newest, self._memory)
+        wandering = {} if self.wandering is None else self.wandering.state()
+        return EstimatorState(self.model.recursion.state(), self.horizon.state(), self.calibration.state(), wandering,
+                              self._window_left, tuple(self.window), self.origin, self._newest, self._memory)
 
     def restore(self, state: EstimatorState) -> None:
         """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
@@ -287,6 +312,10 @@ class Estimator:
         """
         self.model.recursion.restore(state.recursion)
         self.horizon.restore(state.horizon)
+        self.calibration.restore(state.calibration)
+        if self.wandering is not None:
+            self.wandering.restore(state.wandering)
+        self._window_left = state.window_left
         self.window, self._memory = list(state.window), state.memory
         self.origin, self._newest = state.origin, state.newest
 
@@ -337,17 +366,36 @@ class Estimator:
             features = RandomFeatures(3 * self.body.n_joints, self.options.features_count, self.options.features_seed,
                                       hyperparameters.tau, *self.input_scaling)
         mean = np.concatenate([np.zeros(self.columns.n_own), self.columns.known])
+        given = self.options.forgetting
         return Model(self.variant, hyperparameters, features, self.columns.prior_scale, mean,
-                     forgetting=self.options.forgetting, n_effects=self.columns.n_effects)
+                     forgetting=given if isinstance(given, float) else 1.0, n_effects=self.columns.n_effects)
 
     def _provisional(self) -> Model:
         hyperparameters = Hyperparameters(gamma=PROVISIONAL_GAMMA, rho=1.0, tau=(1.0,), sigma=PROVISIONAL_SIGMA,
                                           output_scale=(1.0,) * self.body.n_outputs, pi=None)
         return Model(VARIANTS['P'], hyperparameters, None, self.columns.prior_scale, self.columns.prior_mean)
 
-    def _new_horizon(self) -> HorizonIndex:
-        recursion = self.model.recursion
-        return HorizonIndex(self.options.horizon, recursion.n_outputs, recursion.n_features, recursion.n_columns)
+    def _begin_following(self) -> None:
+        """What follows the model's errors starts anew with each model."""
+        recursion, n_outputs = self.model.recursion, self.body.n_outputs
+        self.calibration = BandCalibration(n_outputs)
+        self.wandering = WanderingOffset(n_outputs) if self.options.forgetting == AUTO else None
+        self.horizon = HorizonIndex(self.options.horizon, n_outputs, recursion.n_features, recursion.n_columns,
+                                    None if self.wandering is None else DECAY)
+
+    def _follow(self, outputs: Array, model_mean: Array, model_std: Array, learn: bool) -> None:
+        """Let the wandering offset and the bands follow what the model (n,) left of a sample (n,), in N and N m."""
+        innovation = residual = outputs - model_mean
+        std = self.calibration.factor * model_std
+        if self.wandering is not None:
+            innovation = residual - self.wandering.offset
+            if learn:
+                self.wandering.learn(residual, std)
+            else:
+                self.wandering.rest()
+        if learn or not self._window_left:
+            self.calibration.learn(innovation, model_std)
+        self._window_left -= min(self._window_left, learn)
 
 
 def require_finite(what: str, values: Array) -> None:

@@ -38,9 +38,12 @@ class HorizonIndex:
     """The running index of a :class:`SemiParametricRecursion` over ``length`` T samples, at least 1.
 
     One row for each of the last T models, newest first, in buffers of 2 T rows that fill towards their front.
+
+    :param decay: (K, 1) by which the parts of each model's offset shrink with every sample; None where there is none.
     """
 
-    def __init__(self, length: int, n_outputs: int, n_features: int, n_columns: int) -> None:
+    def __init__(self, length: int, n_outputs: int, n_features: int, n_columns: int,
+                 decay: Array | None = None) -> None:
         if length < 1:
             raise SemiparamError(f'horizon.length is {length}; expected at least one sample.')
         self.length = length
@@ -52,6 +55,8 @@ class HorizonIndex:
         self._outputs = np.zeros((rows, n_outputs))
         self._origins = np.zeros(rows, dtype=np.int64)
         self._ones = np.ones(length)
+        self._decay = np.zeros((0, 1)) if decay is None else decay
+        self._parts = np.zeros((rows, len(self._decay), n_outputs))
         self.clear()
 
     def clear(self) -> None:
@@ -81,7 +86,8 @@ class HorizonIndex:
 
     def _rows(self) -> dict[str, Array | Stamps]:
         return {'gains': self._gains, 'innovations': self._innovations, 'theta': self._theta,
-                'squared_error': self._squared_error, 'outputs': self._outputs, 'origins': self._origins}
+                'squared_error': self._squared_error, 'outputs': self._outputs, 'origins': self._origins,
+                'offsets': self._parts}
 
     def score(self, prior: Prior, fixed: Array, outputs: Array) -> HorizonErrors | None:
         """Charge one sample to the last T models; the errors of the oldest when its horizon is now complete.
@@ -93,13 +99,19 @@ class HorizonIndex:
         self._outputs[self._start - 1] = outputs
         if self._filled:
             models = slice(self._start, self._start + self._filled)
-            self._squared_error[models] += (outputs - fixed - self._predictions(prior, models)) ** 2
+            error = outputs - fixed - self._predictions(prior, models)
+            if len(self._decay):
+                offsets = self._parts[models]
+                error -= offsets.sum(axis=1)
+                offsets *= self._decay
+            self._squared_error[models] += error * error
         return self._complete() if self._filled == self.length else None
 
-    def remember(self, stamp: int, theta: Array, correction: Correction | None) -> None:
+    def remember(self, stamp: int, theta: Array, correction: Correction | None, offsets: Array | None = None) -> None:
         """Keep the model as it stands after the sample of ``stamp`` [ns], and let go of the oldest.
 
         :param theta: (p,) its coefficients. :param correction: what learning the sample did, None if it did not.
+        :param offsets: (K, n) the parts of its offset at the next sample.
         """
         self._start -= 1
         self._filled = min(self._filled + 1, self.length)
@@ -107,6 +119,8 @@ class HorizonIndex:
         self._innovations[self._start] = 0.0 if correction is None else correction.innovations.ravel()
         np.negative(theta, out=self._theta[self._start, :-1])
         self._squared_error[self._start] = 0.0
+        if offsets is not None:
+            self._parts[self._start] = offsets
         self._origins[self._start] = stamp
 
     def _predictions(self, prior: Prior, models: slice) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from semiparam_ros.bags.loading import LoadedBag
-from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
@@ -133,7 +133,7 @@ class TrainedModel(NamedTuple):
     variant: str
     seed: int
     settings: Settings
-    state: dict[str, Array]
+    state: EstimatorState
 
 
 class Learnt(NamedTuple):
@@ -167,7 +167,7 @@ def learn(scenario: Scenario, variant: str, seed: int) -> Learnt:
     run_through(estimator, scenario.train[:initial], learning=True)
     estimator.clear_pending()
     trace = run_through(estimator, scenario.train[initial:], learning=True)
-    model = TrainedModel(variant, seed, settings, estimator.model.recursion.state())
+    model = TrainedModel(variant, seed, settings, estimator.state())
     return Learnt(model, hyperparameters, seconds, trace)
 
 
@@ -178,7 +178,8 @@ def follow(scenario: Scenario, model: TrainedModel, subset: int) -> Followed:
     traces = []
     for learning in (True, False):
         estimator = build_estimator(model.settings, scenario.robot_description, samples.origin)
-        estimator.model.recursion.restore(model.state)
+        estimator.restore(model.state)
+        estimator.begin_recording(samples.origin)
         traces.append(run_through(estimator, samples, learning))
     return Followed(model.variant, model.seed, subset, *traces)
 

@@ -272,8 +272,11 @@ class ContactGate:
 
 
 def standardised_innovation(prediction: Prediction) -> float:
-    """Root mean square over the outputs of (y - mean) / std; 0 while the model is provisional."""
+    """Root mean square over the outputs of (y - mean) / std, both of the model alone; 0 while it is provisional.
+
+    Calibrated bands widen, and a wandering offset follows, when the outputs are not as predicted: this must not.
+    """
     if not prediction.ready:
         return 0.0
-    ratio = (prediction.sample.outputs - prediction.mean) / prediction.std
+    ratio = (prediction.sample.outputs - prediction.model_mean) / prediction.model_std
     return sqrt(float(ratio @ ratio) / len(ratio))

@@ -197,7 +197,7 @@ class Learner:
         self.answered += 1
         self._seen += 1
         self.learnt += answer.learnt
-        self.tare.add(sample.stamp, answer.residual, answer.prediction.ready)
+        self.tare.add(sample.stamp, sample.outputs - answer.prediction.model_mean, answer.prediction.ready)
         self._listener.answered(answer)
         self.history.append(sample, answer.learnt)
         self.switcher.offer(sample, answer.learnt)

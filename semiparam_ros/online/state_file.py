@@ -25,7 +25,7 @@ from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 4
+FORMAT, VERSION = 'semiparam_ros state', 5
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
@@ -75,10 +75,11 @@ def snapshot(state: SavedState) -> Snapshot:
     learnt = state.estimator.state()
     memory: dict[str, Array] = {}
     gate: dict[str, Array] = {}
-    meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest,
+    meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'window_left': learnt.window_left,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate)}
     groups: dict[str, Mapping[str, Array | Stamps]] = {
         'history': arrays_of(state.batch), 'recursion': learnt.recursion, 'horizon': learnt.horizon,
+        'calibration': learnt.calibration, 'wandering': learnt.wandering,
         'memory': memory, 'gate': gate, 'window': _stacked(learnt.window)}
     return {'meta': np.array(json.dumps(meta)), 'bias': state.bias, 'probe': probe(state.estimator.body),
             **{f'{group}.{name}': values for group, arrays in groups.items() for name, values in arrays.items()}}
@@ -160,7 +161,7 @@ def _meta(state: SavedState) -> dict[str, Any]:
     known = known_of(state.estimator)
     return {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
             'settings': {name: values[name] for name in (*ADOPTED, *FIXED)},
-            'known': None if known is None else [asdict(known.hyperparameters), known.input_mean, known.input_scale]}
+            'known': None if known is None else [asdict(known.hyperparameters), *known[1:]]}
 
 
 def _write_archive(stream: IO[bytes], arrays: Snapshot) -> None:
@@ -225,12 +226,14 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
     """The estimator as it was."""
     known = None
     if meta['known'] is not None:
-        hyperparameters, mean, scale = meta['known']
+        hyperparameters, mean, scale, window = meta['known']
         for name in ('tau', 'output_scale', 'pi'):
             hyperparameters[name] = None if hyperparameters[name] is None else tuple(hyperparameters[name])
-        known = Known(Hyperparameters(**hyperparameters), tuple(mean), tuple(scale))
+        known = Known(Hyperparameters(**hyperparameters), tuple(mean), tuple(scale), int(window))
     estimator = new_estimator(settings, body, known)
     estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
+                                     _group(arrays, 'calibration'), _group(arrays, 'wandering'),
+                                     int(meta['window_left']),
                                      _unstacked(_group(arrays, 'window'), body.n_joints, estimator.columns.n_columns),
                                      meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory')))))

@@ -240,6 +240,7 @@ class Known(NamedTuple):
     hyperparameters: Hyperparameters
     input_mean: tuple[float, ...]
     input_scale: tuple[float, ...]
+    window: int  # samples that they are from
 
 
 class Window(NamedTuple):
@@ -269,8 +270,8 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
                   origin: int | None = None) -> Estimator:
     """An estimator that has learnt nothing yet; time counts from ``origin`` [ns]."""
     if known is not None:
-        settings = settings.changed(hyperparameter_values(*known))
-    return Estimator(body, model_options(settings), declared_effects(settings), origin)
+        settings = settings.changed(hyperparameter_values(*known[:3]))
+    return Estimator(body, model_options(settings), declared_effects(settings), origin, known.window if known else 0)
 
 
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
@@ -285,7 +286,8 @@ def known_of(estimator: Estimator) -> Known | None:
     if not estimator.ready or estimator.input_scaling is None:
         return None
     mean, scale = estimator.input_scaling
-    return Known(estimator.model.hyperparameters, tuple(mean.tolist()), tuple(scale.tolist()))
+    return Known(estimator.model.hyperparameters, tuple(mean.tolist()), tuple(scale.tolist()),
+                 estimator.window_samples)
 
 
 class Outcome(NamedTuple):

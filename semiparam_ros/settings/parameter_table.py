@@ -14,7 +14,7 @@ from semiparam_ros.core.variants import VARIANTS
 
 Value: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
-KINDS = {'bool': 'bool', 'int': 'integer', 'float': 'double', 'str': 'string', 'tuple[str, ...]': 'string_array',
+KINDS = {'bool': 'bool', 'int': 'integer', 'float': 'double', 'float | str': 'double', 'str': 'string', 'tuple[str, ...]': 'string_array',
          'tuple[float, ...]': 'double_array'}
 """ROS parameter type of each annotation in the table."""
 
@@ -26,7 +26,10 @@ OUTPUTS = ('wrench', 'effort')
 
 @dataclass(frozen=True)
 class Parameter:
-    """One row of the table; ``minimum`` and ``maximum`` are inclusive and bind every item of an array."""
+    """One row of the table; ``minimum`` and ``maximum`` are inclusive and bind every item of an array.
+
+    ``words`` are texts that stand in place of a number.
+    """
 
     name: str
     default: Value
@@ -34,6 +37,7 @@ class Parameter:
     description: str
     unit: str = ''
     choices: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
     minimum: float | None = None
     maximum: float | None = None
     live: bool = False
@@ -46,6 +50,10 @@ class Parameter:
     @property
     def permitted(self) -> str:
         """The permitted values in words, empty when any value of the type will do."""
+        return ', or '.join(filter(None, [self._permitted_numbers, *self.words]))
+
+    @property
+    def _permitted_numbers(self) -> str:
         if self.choices:
             return 'one of ' + ', '.join(self.choices)
         if self.minimum is not None and self.maximum is not None:
@@ -64,6 +72,8 @@ class Parameter:
 
     def refusal(self, value: object) -> str | None:
         """A sentence saying why a (converted) value is refused, or None."""
+        if isinstance(value, str) and value in self.words:
+            return None
         if not _has_kind(value, self.kind):
             return f'{self.name} is {shown(value)}; expected {EXPECTED[self.kind]}{self._hint()}.'
         for item in value if isinstance(value, tuple) else (value,):
@@ -176,9 +186,10 @@ class Table:
         'effects_reference', (), 'Base parameters that predict the load on which effects such as load_friction depend; '
         'a diagnosis writes them. Empty: those of the robot description.', live=True)
     learning: bool = declare('learning', True, 'Learn from every sample; false: predict only.', live=True)
-    forgetting: float = declare(
-        'forgetting', 1.0, 'Forgetting factor for each sample; 1.0 forgets nothing, 0.999 has a memory of about 1000 '
-        'samples.', minimum=0.5, maximum=1.0, live=True)
+    forgetting: float | str = declare(
+        'forgetting', 'auto', 'auto: the model forgets nothing, and what it leaves is followed by an offset that wanders '
+        'at the pace that is seen. Or a forgetting factor for each sample: 1.0 forgets nothing, 0.999 has a memory of '
+        'about 1000 samples.', minimum=0.5, maximum=1.0, words=('auto',), live=True)
     noise: str = declare(
         'noise', 'output', 'One standard deviation of the noise for all outputs, or one for each output.',
         choices=('one', 'output'), live=True)

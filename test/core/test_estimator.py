@@ -103,7 +103,7 @@ def test_predictive_deviations_are_those_of_the_errors(trained, recording):
 def test_the_density_is_that_of_a_gaussian_in_newtons(trained):
     model, predictions = trained
     prediction = predictions[-1]
-    scale = model.model.output_scale
+    scale = model.model.output_scale * prediction.std / prediction.model_std
     covariance = np.diag(scale) @ prediction.prior.covariance @ np.diag(scale)
     error = prediction.sample.outputs - prediction.mean
     expected = -0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(2 * np.pi * covariance)[1])
@@ -139,8 +139,8 @@ def test_without_learning_the_answers_stay_but_horizons_go_on(trained, recording
     before = model.predict(sample)
     found = run(model, recording[:40], learn=False)
     after = model.predict(sample)
-    np.testing.assert_array_equal(before.mean, after.mean)
-    np.testing.assert_array_equal(before.std, after.std)
+    np.testing.assert_array_equal(before.model_mean, after.model_mean)
+    np.testing.assert_array_equal(before.model_std, after.model_std)
     assert all(each.horizon is not None for each in found)
     late = found[20:26]  # all by the same model: the index is that of these very predictions
     error = sum((p.sample.outputs - p.mean) ** 2 for p in late[1:])
@@ -459,3 +459,17 @@ def test_log_density_is_that_of_scipy():
     root = rng.normal(size=(6, 6))
     covariance, error = root @ root.T + np.eye(6), rng.normal(size=6)
     assert log_density(error, covariance) == pytest.approx(multivariate_normal(cov=covariance).logpdf(error))
+
+
+def test_the_horizon_holds_the_wandering_offset_of_each_model(trained, recording):
+    """The index of origin t is that of a copy made at t which predicts on without learning."""
+    model = trained_copy(trained)
+    model.wandering.learn(np.array([3.0, -2.0, 1.0, 0.1, 0.2, -0.3]), np.ones(6))  # something that ebbs away
+    run(model, recording[:30])
+    twin, follows = copy.deepcopy(model), recording[30:30 + model.options.horizon]
+    origin = model._newest
+    error = sum((each.sample.outputs - each.mean) ** 2 for each in run(twin, follows, learn=False))
+    power = sum(sample.outputs**2 for sample in follows)
+    found = [each.horizon for each in run(model, follows)][-1]
+    assert found.origin == origin and np.abs(model.wandering.offset).max() > 1e-4
+    np.testing.assert_allclose(found.eps, error / power, rtol=1e-9)

@@ -116,7 +116,7 @@ class Lives(RuleBasedStateMachine):
     def declares(self, effects):
         self.change(effects=tuple(effects))
 
-    @rule(forgetting=st.sampled_from([1.0, 0.99, 0.9]), horizon=st.sampled_from([1, 3, 7]),
+    @rule(forgetting=st.sampled_from(['auto', 1.0, 0.99, 0.9]), horizon=st.sampled_from([1, 3, 7]),
           noise=st.sampled_from(['one', 'output']))
     def tunes(self, forgetting, horizon, noise):
         self.change(forgetting=forgetting, horizon_length=horizon, noise=noise)

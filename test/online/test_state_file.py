@@ -90,15 +90,15 @@ def same(one, other):
 SCRATCH = {
     'body',  # built from the description, not from the file; with pinocchio's own work space
     '_left', '_right',  # columns of changes that wait no longer
-    '_gains', '_innovations', '_theta', '_squared_error', '_outputs', '_origins',  # rows of horizons that are over
+    '_gains', '_innovations', '_theta', '_squared_error', '_outputs', '_origins', '_parts',  # rows of horizons that are over
     'revision',  # another one with every change, so that predictions made before are refused
     'options', 'hyperparameters',  # estimated the first time, given the second
 }
 
 
 LAYOUT = {
-    4: {
-        'meta': 'format gate joints known memory newest origin settings version',
+    5: {
+        'meta': 'format gate joints known memory newest origin settings version window_left',
         'gate': 'bands calm_since closed closed_at closed_since counts level mean newest resting speed tails',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
@@ -112,7 +112,9 @@ LAYOUT = {
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.gains': 'f8 (5, 40)',
         'horizon.innovations': 'f8 (5, 138)', 'horizon.theta': 'f8 (5, 23)', 'horizon.squared_error': 'f8 (5, 6)',
-        'horizon.outputs': 'f8 (5, 6)', 'horizon.origins': 'i8 (5,)',
+        'horizon.outputs': 'f8 (5, 6)', 'horizon.origins': 'i8 (5,)', 'horizon.offsets': 'f8 (5, 5, 6)',
+        'calibration.scales': 'f8 (5, 6)', 'calibration.log_weights': 'f8 (5, 6)',
+        'wandering.offsets': 'f8 (5, 6)', 'wandering.log_weights': 'f8 (5, 6)',
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (0, 6)', 'gate.3': 'f8 (0, 6)',  # level, mean, tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 1 else 'f8 (6,)' for number in range(4, 22)},  # six bands
     },
@@ -139,7 +141,7 @@ def test_other_versions_are_refused(tmp_path):
     meta = json.loads(str(arrays['meta']))
     for version in (1, state_file.VERSION - 1, state_file.VERSION + 1, None):
         np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
-        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 4'):
+        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 5'):
             state_file.load(path, SETTINGS, BODY)
 
 

@@ -69,7 +69,7 @@ class RandomSettings:
         if row.kind == 'bool':
             return self.chance.random() < 0.5
         if row.name == 'forgetting':
-            return self.chance.choice([0.5, 0.9, 0.99, 0.999, 1.0, 1])
+            return self.chance.choice(['auto', 0.5, 0.9, 0.99, 0.999, 1.0, 1])
         if row.name == 'horizon.length':
             return self.chance.choice([1, 2, 25, 200, 1000])
         low = row.minimum or 0.0
@@ -80,9 +80,9 @@ class RandomSettings:
     def _wrong(self, row):
         wrong = [*WRONG_TYPES[row.kind], *(NO_FILES if row.name == 'state_file' else ())]
         if row.minimum is not None:
-            wrong.append(type(row.default)(row.minimum - 1))
+            wrong.append((int if row.kind == 'integer' else float)(row.minimum - 1))
         if row.maximum is not None:
-            wrong.append(type(row.default)(row.maximum + 1))
+            wrong.append((int if row.kind == 'integer' else float)(row.maximum + 1))
         if row.choices:
             wrong.append(['SPKK', 'P'] if row.kind == 'string_array' else 'SPKK')
         return self.chance.choice(wrong), False

@@ -220,6 +220,10 @@ def model_report(learner: Learner, tally: Tally) -> Report:
     if tally.errors is not None:
         values |= {f'horizon error {name}': f'{error:.3g}' for name, error in
                    zip(learner.body.output_names, tally.errors.eps, strict=True)}
+    if learner.estimator.wandering is not None:
+        pace = learner.estimator.wandering.pace()
+        values |= {f'pace {name} [1/sample]': f'{value:.2g}' for name, value in
+                   zip(learner.body.output_names, pace.tolist(), strict=True)}
     condition = conditioning(learner.estimator.model, learner.estimator.columns.prior_scale)
     if condition is not None:
         values |= {'condition number': f'{condition.number:.3g}',

@@ -141,6 +141,10 @@ class Parameters:
 
     def _declare(self, parameter: Parameter) -> None:
         """By type first and value afterwards, because an empty list says nothing of its type."""
+        if parameter.words:
+            self._node.declare_parameter(parameter.name, getattr(self.settings, parameter.field),
+                                         descriptor(parameter), ignore_override=True)
+            return
         kind = ROS_TYPES[parameter.kind]
         self._node.declare_parameter(parameter.name, kind, ParameterDescriptor(), ignore_override=True)
         self._node.set_parameters([_ros_parameter(parameter, getattr(self.settings, parameter.field))])
@@ -187,7 +191,9 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
                                  type=ROS_TYPES[parameter.kind].value)
     unit = f'[{parameter.unit}]' if parameter.unit else ''
     result.additional_constraints = ' '.join(filter(None, [parameter.permitted, unit]))
-    if parameter.minimum is not None or parameter.maximum is not None:
+    if parameter.words:
+        result.dynamic_typing = True  # a number or a word, which no range can describe
+    elif parameter.minimum is not None or parameter.maximum is not None:
         low, high = parameter.minimum, parameter.maximum
         if parameter.kind == 'double':
             result.floating_point_range = [FloatingPointRange(
@@ -207,4 +213,5 @@ def _can_convert(item: RosParameter) -> bool:
 def _ros_parameter(parameter: Parameter, value: object) -> RosParameter:
     converted = parameter.convert(value)
     plain = list(converted) if isinstance(converted, tuple) else converted
-    return RosParameter(parameter.name, ROS_TYPES[parameter.kind], plain)
+    kind = ROS_TYPES['string' if isinstance(plain, str) else parameter.kind]
+    return RosParameter(parameter.name, kind, plain)

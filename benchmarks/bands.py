@@ -1,0 +1,189 @@
+"""Bands and pace on recordings: what the published mean and standard deviation are worth beside those of the model alone.
+
+    python benchmarks/bands.py --data FOLDER             bundled recordings, and the measured ones where FOLDER has them
+    python benchmarks/bands.py --stationary 5            simulated recordings in which nothing changes, five seeds
+
+The first recording is learnt: its initial window gives the hyperparameters, the rest is predicted and then learnt
+(``first``). From there the second recording is predicted, learning it (``learning``) and not (``frozen``); the bundled
+one in five parts. The model alone has ``forgetting: 1.0``, no wandering offset and bands that are not calibrated; it is
+the same model, so that one run gives both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+os.environ.setdefault('OMP_NUM_THREADS', '1')
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
+import numpy as np
+
+from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.core.estimator import Estimator, Prediction, log_density
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.effects import kinds
+from semiparam_ros.experiments.initial_window import fitted_settings
+from semiparam_ros.experiments.scoreboard import samples_of
+from semiparam_ros.settings import Settings, load_params
+from semiparam_ros.settings.build import build_estimator
+from semiparam_ros.simulation.causes import CAUSES
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+
+ROOT = Path(__file__).resolve().parents[1]
+BAND = 1.959963984540054
+CHANGES = ('sensor_drift', 'thermal_drift', 'payload')
+"""Kinds that change while they are recorded."""
+
+
+class Pair(NamedTuple):
+    """Two recordings of one robot; the second one is predicted in so many parts."""
+
+    name: str
+    settings: Settings
+    train: Samples
+    test: Samples
+    parts: int
+    urdf: str | None
+
+
+def pairs(folder: Path | None) -> Iterator[Pair]:
+    """The bundled recordings, and the measured ones that the folder has: converted by ``semiparam convert``."""
+    icub = load_params(ROOT / 'config' / 'icub_right_arm.yaml')
+    yield _two('bundled', icub, ROOT / 'bags' / 'icub_xy.mcap', ROOT / 'bags' / 'icub_xz.mcap', 5)
+    if folder is None:
+        return
+    efforts = Settings(outputs='effort')
+    yield _two('iCub', icub, folder / 'train.mcap', folder / 'test.mcap')
+    yield _two('UR3', efforts, folder / 'id1.mcap', folder / 'id2.mcap')
+    franka = replace(efforts, joints=tuple(f'panda_joint{number}' for number in range(1, 8)), initial_samples=300)
+    bag = load_samples(folder / 'panda.mcap', franka)
+    cut = len(bag.samples) * 6 // 10
+    yield Pair('Franka', franka, bag.samples[:cut], bag.samples[cut:], 1, bag.robot_description)
+
+
+def _two(name: str, settings: Settings, train: Path, test: Path, parts: int = 1) -> Pair:
+    first, second = load_samples(train, settings), load_samples(test, settings)
+    return Pair(name, settings, first.samples, second.samples, parts, first.robot_description)
+
+
+def follow(estimator: Estimator, samples: Samples, learn: bool) -> list[Prediction]:
+    """Every sample predicted, then perhaps learnt."""
+    return [estimator.step(sample, learn) for sample in samples]
+
+
+def figures(predictions: Sequence[Prediction]) -> dict[str, float]:
+    """Published and of the model alone: share within 95 % bands, log density [nat], squared error over variance."""
+    measured = np.array([prediction.sample.outputs for prediction in predictions])
+    mean, std = (np.array([getattr(each, name) for each in predictions]) for name in ('mean', 'std'))
+    model_mean, model_std = (np.array([getattr(each, name) for each in predictions])
+                             for name in ('model_mean', 'model_std'))
+    return {'samples': len(predictions), 'band': _covered(measured - mean, std),
+            'model_band': _covered(measured - model_mean, model_std),
+            'log_density': float(np.mean([each.log_density for each in predictions])),
+            'model_log_density': float(np.mean([_model_log_density(each) for each in predictions])),
+            'nmse': _nmse(measured - mean, measured), 'model_nmse': _nmse(measured - model_mean, measured)}
+
+
+def _covered(errors: Array, std: Array) -> float:
+    return float(np.mean(np.abs(errors) <= BAND * std))
+
+
+def _nmse(errors: Array, measured: Array) -> float:
+    variance = measured.var(axis=0)
+    moved = variance > 0.0
+    return float(np.mean(np.mean(errors**2, axis=0)[moved] / variance[moved]))
+
+
+def _model_log_density(prediction: Prediction) -> float:
+    scale = prediction.output_scale
+    innovation = (prediction.sample.outputs - prediction.model_mean) / scale
+    return log_density(innovation, prediction.prior.covariance) - float(np.log(scale).sum())
+
+
+def run(pair: Pair, variant: str, features: int) -> dict[str, Any]:
+    """Figures of one variant on one pair."""
+    settings = replace(pair.settings, variant=variant, features_count=features)
+    window = settings.initial_samples
+    settings, _ = fitted_settings(settings, pair.train[:window], pair.urdf)
+    estimator = build_estimator(settings, pair.urdf, pair.train.origin)
+    follow(estimator, pair.train[:window], learn=True)
+    result: dict[str, Any] = {'recording': pair.name, 'variant': variant, 'features': features,
+                              'first': figures(follow(estimator, pair.train[window:], learn=True))}
+    learnt, length = estimator.state(), len(pair.test) // pair.parts
+    for phase, learn in (('learning', True), ('frozen', False)):
+        predictions = []
+        for part in range(pair.parts):
+            samples = pair.test[part * length:(part + 1) * length]
+            estimator.restore(learnt)
+            estimator.begin_recording(samples.origin)
+            predictions += follow(estimator, samples, learn)
+        result[phase] = figures(predictions)
+    return result
+
+
+def stationary(seeds: int, features: int) -> Iterator[dict[str, Any]]:
+    """SPK on simulated recordings in which nothing changes: the error with the wandering offset over that without."""
+    for outputs in ('wrench', 'effort'):
+        names = ['nothing', *(name for name in kinds(outputs) if name in CAUSES and name not in CHANGES)]
+        for name in names:
+            for seed in range(seeds):
+                hidden = () if name == 'nothing' else (EffectRequest(name, size=1.0),)
+                recording = simulate(Scenario(motion='circle_xy', samples=4000, seed=seed, outputs=outputs,
+                                              effects=hidden))
+                settings = Settings(robot_description=recording.urdf, joints=tuple(recording.joint_names),
+                                    outputs=outputs, sensor_frame=recording.frame_id or '',
+                                    wrench_convention=recording.convention, features_count=features)
+                estimator = build_estimator(settings)
+                predictions = [each for each in follow(estimator, samples_of(recording), learn=True) if each.ready]
+                yield {'outputs': outputs, 'kind': name, 'seed': seed, **figures(predictions)}
+
+
+def show(result: dict[str, Any]) -> str:
+    """One row of the table."""
+    cells = [f'{result[phase]["band"]:.1%} ({result[phase]["model_band"]:.1%}) | '
+             f'{result[phase]["log_density"]:.2f} ({result[phase]["model_log_density"]:.2f}) | '
+             f'{result[phase]["nmse"]:.4f} ({result[phase]["model_nmse"]:.4f})'
+             for phase in ('first', 'learning', 'frozen')]
+    return f'| {result["recording"]} | {result["variant"]} | {" | ".join(cells)} |'
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('--data', type=Path, metavar='FOLDER', help='holds train.mcap and test.mcap (iCub), id1.mcap '
+                        'and id2.mcap (UR3) and panda.mcap')
+    parser.add_argument('--variant', nargs='+', choices=tuple(VARIANTS), default=list(VARIANTS))
+    parser.add_argument('--features', type=int, default=500, help='D (default: %(default)s)')
+    parser.add_argument('--stationary', type=int, metavar='SEEDS', help='the simulated recordings instead')
+    parser.add_argument('--json', type=Path, metavar='FILE', help='write all figures there')
+    args = parser.parse_args()
+    results = []
+    if args.stationary:
+        for result in stationary(args.stationary, args.features):
+            results.append(result)
+            print(f'{result["outputs"]} {result["kind"]} {result["seed"]}: error {result["nmse"]:.5f}, with '
+                  f'forgetting 1 {result["model_nmse"]:.5f}, ratio {result["nmse"] / result["model_nmse"]:.4f}; band '
+                  f'{result["band"]:.1%} ({result["model_band"]:.1%})', flush=True)
+        ratios = [result['nmse'] / result['model_nmse'] for result in results]
+        print(f'{len(ratios)} recordings: ratio median {np.median(ratios):.4f}, largest {max(ratios):.4f}')
+    else:
+        for pair in pairs(args.data):
+            for variant in args.variant:
+                results.append(run(pair, variant, args.features))
+                print(show(results[-1]), flush=True)
+    if args.json:
+        args.json.write_text(json.dumps({'command': 'bands', 'runs': results}, indent=1) + '\n', encoding='utf-8')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""How wide the bands must be: the innovations as they are, against what the model thinks they are.
+
+The model's standard deviation knows the noise of the initial window and what an unknown model of its class would do. It
+does not know that another motion shows effects of another size. So every output has a scale c^2, the recent mean of
+innovation^2 / variance, and the published standard deviation is c times the model's:
+
+    c_m^2 <- c_m^2 + (q - c_m^2) / m,      q = innovation^2 / variance
+
+for a few memories m; m without end is the model's own scale, c = 1. They are mixed by their evidence, which is forgotten
+fast: a short memory takes over within a few samples of a change, a long one when all is calm. With a memory of m samples
+the prediction is Student's t with 2 m - 1 degrees of freedom, whose variance is wider than c^2; that factor is included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+MEMORIES = np.array([[np.inf], [10.0], [30.0], [100.0], [500.0]])
+"""[samples]"""
+SHARE_OF_OWN = 0.5
+"""Probability of the model's own scale before anything is seen; the others share the rest."""
+EVIDENCE_MEMORY = 100.0
+"""[samples]"""
+LARGEST_STEP = 100.0
+"""Of q over c^2: one spike widens the band of the shortest memory by a factor of 3.3, not by its own size."""
+LEAST_SCALE = 1e-6
+"""Of c^2: an output without any noise still has a band."""
+LEAST_LOG_WEIGHT = -30.0
+
+_RATE = 1.0 / MEMORIES
+_WIDENING = 1.0 + 2.0 / (2.0 * MEMORIES - 3.0)
+
+
+class BandCalibration:
+    """The scales c^2 of every memory, (K, n), and their log weights."""
+
+    def __init__(self, n_outputs: int) -> None:
+        shares = np.full((len(MEMORIES), 1), (1.0 - SHARE_OF_OWN) / (len(MEMORIES) - 1))
+        shares[0] = SHARE_OF_OWN
+        self._scales = np.ones((len(MEMORIES), n_outputs))
+        self._log_weights = np.log(shares) * self._scales
+        self._keep = 1.0 - 1.0 / EVIDENCE_MEMORY
+        self._mix()
+
+    def learn(self, innovation: Array, std: Array) -> None:
+        """Take in the innovation (n,) of a sample, and the standard deviation (n,) that the model gave it."""
+        standardised = innovation / std
+        ratio = np.minimum(standardised * standardised, LARGEST_STEP * self._scales.max(axis=0))
+        wide = _WIDENING * self._scales
+        log_weights = self._keep * self._log_weights - 0.5 * (np.log(wide) + ratio / wide)
+        log_weights -= log_weights.max(axis=0)
+        self._log_weights = np.maximum(log_weights, LEAST_LOG_WEIGHT)
+        step = np.minimum(ratio, LARGEST_STEP * self._scales) - self._scales
+        self._scales = np.maximum(self._scales + _RATE * step, LEAST_SCALE)
+        self._mix()
+
+    def state(self) -> dict[str, Array]:
+        """Copies; :meth:`restore` takes them back bit for bit."""
+        return {'scales': self._scales.copy(), 'log_weights': self._log_weights.copy()}
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
+        scales, log_weights = (np.array(state.get(name, np.nan), dtype=float) for name in ('scales', 'log_weights'))
+        if not scales.shape == log_weights.shape == self._scales.shape or not (
+                (scales >= LEAST_SCALE) & np.isfinite(scales) & np.isfinite(log_weights)).all():
+            raise SemiparamError(f'the saved calibration of the bands has shapes {scales.shape} and '
+                                 f'{log_weights.shape}; expected positive scales and weights of shape '
+                                 f'{self._scales.shape}.')
+        self._scales, self._log_weights = scales, log_weights
+        self._mix()
+
+    def _mix(self) -> None:
+        weights = np.exp(self._log_weights)
+        self.factor: Array = np.sqrt((weights * _WIDENING * self._scales).sum(axis=0) / weights.sum(axis=0))
+        """(n,) c, of the standard deviation of each output."""

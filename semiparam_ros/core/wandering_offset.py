@@ -1,0 +1,93 @@
+"""An offset of each output that wanders, at a pace that is found while samples come.
+
+What a model leaves of a real robot's outputs stays alike for seconds: offsets wander, cables settle, joints warm up. A
+forgetting factor follows that by forgetting inertias too. Here the model forgets nothing, and what it leaves, r, is
+followed beside it by a few filters, one for each pace g, of every output by itself:
+
+    b_{t+1} = a (b_t + g (r_t - b_t)),      a = 1 - g / 50
+
+the steady state of the Kalman filter of an offset that wanders and slowly returns to zero (exponential smoothing). g = 0
+is the model alone. The filters are mixed by their evidence, which is forgotten slowly (dynamic model averaging; Raftery,
+Karny and Ettler 2010), with Student's t for the densities, so that a spike decides nothing.
+
+Only samples that are learnt are followed. While others go by, as in a contact or at rest, the offsets return to zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+
+PACES = np.array([[0.0], [0.003], [0.01], [0.03], [0.1]])
+"""g; a pace has a memory of 1 / g samples."""
+DECAY = 1.0 - PACES / 50.0
+SHARE_OF_NONE = 0.5
+"""Probability of g = 0 before anything is seen; the others share the rest."""
+EVIDENCE_MEMORY = 500.0
+"""[samples]"""
+DEGREES = 5.0
+LEAST_LOG_WEIGHT = -30.0
+LARGEST_STEP = 6.0
+"""[standard deviations] A spike moves an offset no further than this times the pace."""
+
+
+class WanderingOffset:
+    """The offsets b of every pace, (K, n), and their log weights."""
+
+    def __init__(self, n_outputs: int) -> None:
+        shares = np.full((len(PACES), 1), (1.0 - SHARE_OF_NONE) / (len(PACES) - 1))
+        shares[0] = SHARE_OF_NONE
+        self._offsets = np.zeros((len(PACES), n_outputs))
+        self._log_weights = np.log(shares) + self._offsets
+        self._keep = 1.0 - 1.0 / EVIDENCE_MEMORY
+        self._mix()
+
+    def pace(self) -> Array:
+        """(n,) the mean pace of each output; its inverse is the memory [samples]."""
+        weights = np.exp(self._log_weights)
+        return np.asarray((weights * PACES).sum(axis=0) / weights.sum(axis=0))
+
+    def learn(self, residual: Array, std: Array) -> None:
+        """Follow what the model left of a sample, (n,), whose predictive standard deviation was ``std`` (n,)."""
+        standardised = (residual - self._offsets) / std
+        log_weights = self._keep * self._log_weights
+        log_weights -= 0.5 * (DEGREES + 1.0) * np.log1p(standardised * standardised / DEGREES)
+        log_weights -= log_weights.max(axis=0)
+        self._log_weights = np.maximum(log_weights, LEAST_LOG_WEIGHT)
+        step = std * np.minimum(np.maximum(standardised, -LARGEST_STEP), LARGEST_STEP)
+        self._offsets = DECAY * (self._offsets + PACES * step)
+        self._mix()
+
+    def rest(self) -> None:
+        """A sample went by that is not learnt."""
+        self._offsets = DECAY * self._offsets
+        self._mix()
+
+    def state(self) -> dict[str, Array]:
+        """Copies; :meth:`restore` takes them back bit for bit."""
+        return {'offsets': self._offsets.copy(), 'log_weights': self._log_weights.copy()}
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
+        offsets, log_weights = (_like(self._offsets, state, name) for name in ('offsets', 'log_weights'))
+        self._offsets, self._log_weights = offsets, log_weights
+        self._mix()
+
+    def _mix(self) -> None:
+        weights = np.exp(self._log_weights)
+        self.parts: Array = weights / weights.sum(axis=0) * self._offsets
+        """(K, n) what each pace adds to the next prediction."""
+        self.offset: Array = self.parts.sum(axis=0)
+        """(n,) all of them together."""
+
+
+def _like(mine: Array, state: Mapping[str, Array], name: str) -> Array:
+    values = np.array(state.get(name, np.nan), dtype=float)
+    if values.shape != mine.shape or not np.isfinite(values).all():
+        raise SemiparamError(f"the saved '{name}' of the wandering offset has shape {values.shape}; expected finite "
+                             f'values of shape {mine.shape}.')
+    return values
