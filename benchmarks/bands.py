@@ -1,4 +1,4 @@
-"""Bands and pace on recordings: what the published mean and standard deviation are worth beside those of the model alone.
+"""Bands and pace on recordings: the published mean and standard deviation beside those of the model alone.
 
     python benchmarks/bands.py --data FOLDER             bundled recordings, and the measured ones where FOLDER has them
     python benchmarks/bands.py --stationary 5            simulated recordings in which nothing changes, five seeds

@@ -1,14 +1,15 @@
 """How wide the bands must be: the innovations as they are, against what the model thinks they are.
 
-The model's standard deviation knows the noise of the initial window and what an unknown model of its class would do. It
-does not know that another motion shows effects of another size. So every output has a scale c^2, the recent mean of
-innovation^2 / variance, and the published standard deviation is c times the model's:
+The model's standard deviation knows the noise of the initial window and what an unknown model of its class would do.
+It does not know that another motion shows effects of another size. So every output has a scale c^2, the recent mean
+of innovation^2 / variance, and the published standard deviation is c times the model's:
 
     c_m^2 <- c_m^2 + (q - c_m^2) / m,      q = innovation^2 / variance
 
-for a few memories m; m without end is the model's own scale, c = 1. They are mixed by their evidence, which is forgotten
-fast: a short memory takes over within a few samples of a change, a long one when all is calm. With a memory of m samples
-the prediction is Student's t with 2 m - 1 degrees of freedom, whose variance is wider than c^2; that factor is included.
+for a few memories m; m without end is the model's own scale, c = 1. They are mixed by their evidence, which is
+forgotten fast: a short memory takes over within a few samples of a change, a long one when all is calm. With a memory
+of m samples the prediction is Student's t with 2 m - 1 degrees of freedom, whose variance is wider than c^2; that
+factor is included.
 """
 
 from __future__ import annotations

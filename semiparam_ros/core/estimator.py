@@ -221,7 +221,8 @@ class Estimator:
         scale = self.model.output_scale
         model_mean, model_std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
         mean = model_mean if self.wandering is None else model_mean + self.wandering.offset
-        return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None, sample, prior, learnt, fixed, scale, memory)
+        return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None, sample,
+                          prior, learnt, fixed, scale, memory)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.

@@ -6,9 +6,9 @@ followed beside it by a few filters, one for each pace g, of every output by its
 
     b_{t+1} = a (b_t + g (r_t - b_t)),      a = 1 - g / 50
 
-the steady state of the Kalman filter of an offset that wanders and slowly returns to zero (exponential smoothing). g = 0
-is the model alone. The filters are mixed by their evidence, which is forgotten slowly (dynamic model averaging; Raftery,
-Karny and Ettler 2010), with Student's t for the densities, so that a spike decides nothing.
+the steady state of the Kalman filter of an offset that wanders and slowly returns to zero (exponential smoothing).
+g = 0 is the model alone. The filters are mixed by their evidence, which is forgotten slowly (dynamic model averaging;
+Raftery, Karny and Ettler 2010), with Student's t for the densities, so that a spike decides nothing.
 
 Only samples that are learnt are followed. While others go by, as in a contact or at rest, the offsets return to zero.
 """

@@ -14,8 +14,8 @@ from semiparam_ros.core.variants import VARIANTS
 
 Value: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
-KINDS = {'bool': 'bool', 'int': 'integer', 'float': 'double', 'float | str': 'double', 'str': 'string', 'tuple[str, ...]': 'string_array',
-         'tuple[float, ...]': 'double_array'}
+KINDS = {'bool': 'bool', 'int': 'integer', 'float': 'double', 'float | str': 'double', 'str': 'string',
+         'tuple[str, ...]': 'string_array', 'tuple[float, ...]': 'double_array'}
 """ROS parameter type of each annotation in the table."""
 
 EXPECTED = {'bool': 'true or false', 'integer': 'an integer', 'double': 'a number', 'string': 'a text',
@@ -187,9 +187,9 @@ class Table:
         'a diagnosis writes them. Empty: those of the robot description.', live=True)
     learning: bool = declare('learning', True, 'Learn from every sample; false: predict only.', live=True)
     forgetting: float | str = declare(
-        'forgetting', 'auto', 'auto: the model forgets nothing, and what it leaves is followed by an offset that wanders '
-        'at the pace that is seen. Or a forgetting factor for each sample: 1.0 forgets nothing, 0.999 has a memory of '
-        'about 1000 samples.', minimum=0.5, maximum=1.0, words=('auto',), live=True)
+        'forgetting', 'auto', 'auto: the model forgets nothing, and what it leaves is followed by an offset that '
+        'wanders at the pace that is seen. Or a forgetting factor for each sample: 1.0 forgets nothing, 0.999 has a '
+        'memory of about 1000 samples.', minimum=0.5, maximum=1.0, words=('auto',), live=True)
     noise: str = declare(
         'noise', 'output', 'One standard deviation of the noise for all outputs, or one for each output.',
         choices=('one', 'output'), live=True)

@@ -90,7 +90,8 @@ def same(one, other):
 SCRATCH = {
     'body',  # built from the description, not from the file; with pinocchio's own work space
     '_left', '_right',  # columns of changes that wait no longer
-    '_gains', '_innovations', '_theta', '_squared_error', '_outputs', '_origins', '_parts',  # rows of horizons that are over
+    '_gains', '_innovations', '_theta', '_squared_error', '_outputs', '_origins',  # rows of horizons that are over
+    '_parts',  # rows of horizons that are over
     'revision',  # another one with every change, so that predictions made before are refused
     'options', 'hyperparameters',  # estimated the first time, given the second
 }
