@@ -164,13 +164,13 @@ class ContactGate:
         self._newest = stamp
         moving, speed_band = self._follow_speed(prediction, seconds)
         at = max(speed_band, self._closed_at)
-        innovation = prediction.sample.outputs - prediction.mean
+        innovation = prediction.sample.outputs - prediction.model_mean
         size = np.abs(innovation - self._mean if at == 0 else innovation)
         usual = self._usual(at)
         tail = self._tails[at > 0]
         thresholds, levels = tail.thresholds(settings.gate_false_alarms_per_hour)
         ratio = np.zeros(self._n_outputs) if usual is None else size / np.maximum(
-            usual, SMALLEST_SCALE * prediction.std)
+            usual, SMALLEST_SCALE * prediction.model_std)
         self.level = ratio / thresholds
         if self.closed:
             self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
