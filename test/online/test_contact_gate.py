@@ -31,8 +31,8 @@ class Stand:
     def _one(self, innovation, speed, std):
         self.stamp += 10**9 // RATE_HZ
         sample = Sample(self.stamp, np.zeros(2), np.array([0.0, -speed]), np.zeros(2), innovation)
-        prediction = Prediction(np.zeros(3), std * SCALES, True, None, sample, NO_PRIOR, np.zeros((3, 0)), np.zeros(3),
-                                np.ones(3), None)
+        prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, True, None, sample, NO_PRIOR,
+                                np.zeros((3, 0)), np.zeros(3), np.ones(3), None)
         return self.gate.judge(prediction, self.settings)
 
 
