@@ -29,8 +29,10 @@ class DiagnosisConfig:
     """Leaves out so many working samples at either end of a smoothed recording: it sees them from one side."""
     least_working_samples: int = 50
     """Refuses recordings with fewer working samples in use: these cannot tell one cause from another (chosen)."""
-    rest_speed_share: float = 1e-3
+    rest_speed_share: float = 0.01
     """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
+    rest_s: float = 0.2
+    """Asks of a rest that it lasts so long [s]: a joint that turns back is faster before and after (chosen)."""
 
     # --- data: splits, and whether an effect carries over ---
 
@@ -207,6 +209,10 @@ class DiagnosisConfig:
     least_evidence: float = 12.0
     """Accepts an effect from this log evidence on [nat], odds of 160 000 to 1, because a hundred candidates are tried;
     with nothing hidden the best of 48 recordings reached 2.1 (measured)."""
+    most_tries: int = 8
+    """Tries so many candidates of a round on unseen blocks, the most credible first, before it gives up (chosen)."""
+    tries_at_joint: int = 3
+    """Tries so many candidates of each further joint in the same round (chosen)."""
     kept_share: float = 0.5
     """Adds a further joint's effect in the same round if it keeps this share of its evidence beside the first."""
     refined_candidates: int = 8
@@ -240,6 +246,13 @@ class DiagnosisConfig:
     """Settles the offsets of all joints together if before that they reach this share of the best evidence."""
     delay_rounds: int = 2
     """Searches the shapes of all frictions beside a delay so many times, until they fit each other (chosen)."""
+    plain_gain: float = 0.005
+    """Takes friction and offset of all joints at once where the log of the unseen error falls by this much (chosen)."""
+    needless_score: float = 0.0015
+    """Leaves an effect out again only where the log of the unseen error rises by less (half of ``least_gain``)."""
+    clear_factor: float = 80.0
+    """Does not even fit without an effect whose coefficients over their covariance are worth this many times the least
+    evidence: that estimate is too large for large effects (chosen)."""
     undoubted_factor: float = 20.0
     """Asks no further about an effect that is worth this many times the least evidence, all else left as it is."""
 

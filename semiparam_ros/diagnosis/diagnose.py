@@ -14,8 +14,9 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.identifiability import unidentifiable
 from semiparam_ros.diagnosis.data.outliers import excluded
-from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, resting, working_factor
+from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
+from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings
@@ -159,14 +160,15 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     inputs = best_inputs(body, samples, effects, clean & may_fit, config)
     chosen, valid = inputs.prepare(samples), inputs.mask(clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
-    if body.outputs == 'effort':
-        fitting &= ~resting(chosen, config)
+    counted = counted_outputs(body, chosen, config)
+    fitting, held_out = fitting & counted.any(axis=1), held_out & counted.any(axis=1)
     require_enough(config, *([fitting, held_out] if other is None else [fitting]))
-    first = _calibrated(starting_fit(body, chosen, effects, fitting, config))
+    first = _calibrated(starting_fit(body, chosen, effects, fitting, config, counted))
     steps, setup = _searched(first, considered(body, only), suspected, progress)
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
-    structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config)
+    structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config,
+                                                           counted)
     if other is None:
         recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
     else:

@@ -12,6 +12,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.regression import Fit
 
@@ -29,10 +30,11 @@ class EvaluationFigures(TypedDict):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Errors of one model on held-out samples. ``residual`` and ``outputs``: (N, n) of those samples alone."""
+    """Errors of one model on held-out samples. ``residual``, ``outputs`` and ``counted``: (N, n) of those alone."""
 
     outputs: Array
     residual: Array
+    counted: Mask  # outputs that tell something
     parts: tuple[tuple[int, int], ...]  # contiguous runs of the held-out samples
     wrench: bool
     config: DiagnosisConfig = DEFAULTS
@@ -40,30 +42,44 @@ class Evaluation:
     @property
     def rmse(self) -> Array:
         """(n,) root mean square error, in the outputs' units."""
-        return np.asarray(np.sqrt(np.mean(self.residual**2, axis=0)))
+        return np.asarray(np.sqrt(np.mean(self._squares, axis=0)))
 
     @property
     def nmse(self) -> Array:
         """(n,) mean square error over the variance of the channel."""
-        return np.asarray(np.mean(self.residual**2, axis=0) / np.maximum(self.outputs.var(axis=0), 1e-300))
+        return np.asarray(np.mean(self._squares, axis=0) / self._variance)
 
     @property
     def eps(self) -> Array:
         """(n,) relative squared error over ``config.horizon`` samples, mean over all such horizons inside the parts."""
-        shares = [_horizon_shares(self.residual[start:end], self.outputs[start:end], self.config.horizon)
+        residual, outputs = self.residual * self.counted, self.outputs * self.counted
+        shares = [_horizon_shares(residual[start:end], outputs[start:end], self.config.horizon)
                   for start, end in self.parts]
         stacked = np.concatenate([share for share in shares if len(share)] or [np.zeros((1, self.outputs.shape[1]))])
-        return np.asarray(stacked.mean(axis=0))
+        known = np.isfinite(stacked)
+        return np.asarray(np.where(known, stacked, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
 
     def interval(self) -> tuple[float, float]:
         """95 % confidence interval of the mean normalised error, from a bootstrap of contiguous blocks."""
-        share = (self.residual**2 / np.maximum(self.outputs.var(axis=0), 1e-300)).mean(axis=1)
+        share = (self._squares / self._variance).mean(axis=1)
         low, high = self._mean_interval(share)
         return float(low), float(high)
 
     def square_intervals(self) -> Array:
         """(n, 2) the same of each output's mean squared error, in the output's units squared."""
-        return self._mean_interval(self.residual**2).T
+        return self._mean_interval(self._squares).T
+
+    @property
+    def _squares(self) -> Array:
+        """(N, n) squared errors, zero where an output does not count and more elsewhere: means are right."""
+        counted = self.counted / np.maximum(self.counted.mean(axis=0), 1e-300)
+        return np.asarray(self.residual**2 * counted)
+
+    @property
+    def _variance(self) -> Array:
+        """(n,) of the outputs that count."""
+        return np.maximum([values[use].var() if use.any() else 0.0
+                           for values, use in zip(self.outputs.T, self.counted.T, strict=True)], 1e-300)
 
     def _mean_interval(self, values: Array) -> Array:
         """(2, ...) confidence interval of the mean of values (N, ...)."""
@@ -83,22 +99,23 @@ class Evaluation:
 def _horizon_shares(residual: Array, outputs: Array, horizon: int) -> Array:
     sums = [np.lib.stride_tricks.sliding_window_view(values**2, horizon, axis=0).sum(axis=-1)
             if len(values) >= horizon else np.zeros((0, values.shape[1])) for values in (residual, outputs)]
-    return np.asarray(sums[0] / np.maximum(sums[1], 1e-300))
+    return np.asarray(np.divide(sums[0], sums[1], out=np.full_like(sums[0], np.nan), where=sums[1] > 0.0))
 
 
 def evaluation_of(body: RigidBody, outputs: Array, residual: Array, valid: Mask,
-                  config: DiagnosisConfig = DEFAULTS) -> Evaluation:
-    """The errors (N, n) of the samples that count."""
+                  config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Evaluation:
+    """The errors (N, n) of the samples ``valid`` (N,), of these the outputs ``counted`` (N, n); all unless given."""
+    counted = np.ones(outputs.shape, dtype=bool) if counted is None else counted
     parts, start = [], 0
     for low, high in ranges(valid):
         parts.append((start, start + high - low))
         start += high - low
-    return Evaluation(outputs[valid], residual[valid], tuple(parts), body.outputs == 'wrench', config)
+    return Evaluation(outputs[valid], residual[valid], counted[valid], tuple(parts), body.outputs == 'wrench', config)
 
 
 def evaluate_here(fit: Fit, held_out: Mask) -> Evaluation:
     """The model on held-out samples of its own recording."""
-    return evaluation_of(fit.body, fit.samples.outputs, fit.residual, held_out, fit.config)
+    return evaluation_of(fit.body, fit.samples.outputs, fit.residual, held_out, fit.config, fit.counted)
 
 
 def evaluate_there(fit: Fit, samples: Samples, valid: Mask) -> Evaluation:
@@ -113,5 +130,6 @@ def evaluate_there(fit: Fit, samples: Samples, valid: Mask) -> Evaluation:
         if effect.of_one_recording or fit.effects[index].start.end_s is not None:
             theta[assembly.blocks[str(index)]] = 0.0
     columns, _ = assembly.batch(samples)
-    there = replace(fit, samples=samples, residual=samples.outputs - columns @ theta)
+    there = replace(fit, samples=samples, residual=samples.outputs - columns @ theta,
+                    counted=counted_outputs(fit.body, samples, fit.config))
     return evaluate_here(there, valid)

@@ -29,18 +29,20 @@ class Explained(NamedTuple):
     residual: Array  # (N, n) left afterwards, in the outputs' units
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """The declared model fitted to the samples where ``train_mask`` is true.
 
-    :param train_mask: (N,) samples that fit. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
-    :param columns: C (N, n, p). :param theta: (p,). :param residual: (N, n) of all samples, in the outputs' units.
+    :param train_mask: (N,) samples that fit. :param counted: (N, n) outputs that tell something, in use or not.
+    :param scale: (n,) weight of channel k is 1 / scale[k]^2. :param columns: C (N, n, p). :param theta: (p,).
+    :param residual: (N, n) of all samples, in the outputs' units.
     """
 
     body: RigidBody
     samples: Samples
     effects: tuple[Effect, ...]
     train_mask: Mask
+    counted: Mask
     scale: Array
     columns: Array
     theta: Array
@@ -48,9 +50,21 @@ class Fit:
     config: DiagnosisConfig = DEFAULTS
 
     @cached_property
+    def corrected(self) -> tuple[RigidBody, Samples]:
+        """The body and the inputs as the declared effects correct them."""
+        body, inputs, _ = CoupledColumns(self.body, self.effects).corrected(self.samples)
+        return body, inputs
+
+    @cached_property
     def scaled(self) -> Array:
         """(M n, p) columns of the samples in use, each channel divided by its scale."""
-        return np.asarray((self.columns[self.train_mask] / self.scale[:, None]).reshape(-1, self.columns.shape[2]))
+        return self.weighed(self.columns).reshape(-1, self.columns.shape[2])
+
+    @cached_property
+    def by_channel(self) -> Array:
+        """(n, M, p) the same, channel after channel."""
+        rows = self.scaled.reshape(-1, *self.columns.shape[1:])
+        return np.ascontiguousarray(np.moveaxis(rows, 1, 0))
 
     @cached_property
     def factor(self) -> tuple[Array, bool]:
@@ -65,23 +79,64 @@ class Fit:
     @cached_property
     def correlation(self) -> Array:
         """(n,) correlation time [samples] of each channel of the residual of the samples in use."""
-        return correlation_times(self.residual[self.train_mask], self.config)
+        return correlation_times(self.used(self.residual), self.config)
 
-    @property
+    @cached_property
     def squares(self) -> Array:
         """(n,) sum of squared residuals of the samples in use."""
-        return np.asarray((self.residual[self.train_mask] ** 2).sum(axis=0))
+        return np.asarray((self.used(self.residual) ** 2).sum(axis=0))
+
+    @cached_property
+    def loss(self) -> float:
+        """Sum of squared residuals of the samples in use, in scaled units."""
+        return float((self.squares / self.scale**2).sum())
+
+    @cached_property
+    def counts(self) -> Array:
+        """(n,) number of outputs in use of each channel."""
+        return np.asarray(self.counted[self.train_mask].sum(axis=0), dtype=float)
+
+    def used(self, values: Array) -> Array:
+        """(M, n, ...) of values (N, n, ...) those of the samples in use, zero where an output does not count."""
+        counted = self.counted[self.train_mask]
+        return np.asarray(values[self.train_mask] * counted.reshape(*counted.shape, *[1] * (values.ndim - 2)))
+
+    def weighed(self, values: Array) -> Array:
+        """(M, n, ...) the same, each channel divided by its scale."""
+        return np.asarray(self.used(values) / self.scale.reshape(-1, *[1] * (values.ndim - 2)))
+
+    def scale_of(self, residual: Array) -> Array:
+        """(n,) root mean square of a residual (N, n) over the outputs in use."""
+        grow = np.sqrt(self.train_mask.sum() / self.counts)
+        return residual_scale(self.used(residual) * grow, self.used(self.samples.outputs) * grow)
 
     def explain(self, columns: Array) -> Explained:
         """Regress the residual on columns (N, n, c), the declared ones refitted along."""
-        used = (columns[self.train_mask] / self.scale[:, None]).reshape(-1, columns.shape[2])
-        left = (self.residual[self.train_mask] / self.scale).ravel()
-        cross = cho_solve(self.factor, self.scaled.T @ used)
-        inner = used.T @ used - (used.T @ self.scaled) @ cross
-        coefficients, covariance, rank = _solve(inner, used.T @ left, np.einsum('ij,ij->j', used, used),
-                                                self.config.absorbed_share)
+        coefficients, covariance, rank, cross, _ = self._regressed(columns)
         contribution = columns @ coefficients - self.columns @ (cross @ coefficients)
         return Explained(coefficients, covariance, rank, self.residual - contribution)
+
+    def loss_with(self, columns: Array) -> tuple[float, Array]:
+        """What :meth:`explain` would leave of the loss, and the coefficients (c,); much faster."""
+        coefficients, _, _, _, right = self._regressed(columns)
+        return self.loss - float(right @ coefficients), coefficients
+
+    def _regressed(self, columns: Array) -> tuple[Array, Array, int, Array, Array]:
+        """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
+        count = columns.shape[2]
+        inner, right = np.zeros((count, count)), np.zeros(count)
+        shared = np.zeros((self.columns.shape[2], count))
+        counted = self.counted[self.train_mask]
+        for channel in np.flatnonzero(columns.any(axis=(0, 2))):
+            weight = counted[:, channel] / self.scale[channel]
+            used = columns[self.train_mask, channel] * weight[:, None]
+            inner += used.T @ used
+            right += used.T @ (self.residual[self.train_mask, channel] * weight)
+            shared += self.by_channel[channel].T @ used
+        cross = cho_solve(self.factor, shared)
+        power = np.diag(inner).copy()
+        solved = _solve(inner - shared.T @ cross, right, power, self.config.absorbed_share)
+        return *solved, cross, right
 
     def theta_covariance(self) -> Array:
         """(p, p) of theta over the noise's variance in scaled units."""
@@ -92,18 +147,22 @@ class Fit:
 
 
 def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask, scale: Array,
-              config: DiagnosisConfig = DEFAULTS) -> Fit:
-    """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description."""
+              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Fit:
+    """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description.
+
+    :param counted: (N, n) outputs that tell something; all unless given.
+    """
+    counted = np.ones(samples.outputs.shape, dtype=bool) if counted is None else counted
     assembly = CoupledColumns(body, effects)
     columns, _ = assembly.batch(samples)
     start = assembly.prior_mean
-    return _least_squares(Fit(body, samples, tuple(effects), train_mask, scale, columns, start,
+    return _least_squares(Fit(body, samples, tuple(effects), train_mask, counted, scale, columns, start,
                               samples.outputs - columns @ start, config))
 
 
 def with_effects(fit: Fit, effects: Sequence[Effect]) -> Fit:
     """The same samples and weights fitted with these effects in place of those declared."""
-    return fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale, fit.config)
+    return fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale, fit.config, fit.counted)
 
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
@@ -115,12 +174,12 @@ def reweighted(fit: Fit, scale: Array) -> Fit:
 
 def refit_weights(first: Fit) -> Fit:
     """The same fit with each channel weighed by its own residual."""
-    return reweighted(first, residual_scale(first.residual[first.train_mask], first.samples.outputs[first.train_mask]))
+    return reweighted(first, first.scale_of(first.residual))
 
 
 def _least_squares(start: Fit) -> Fit:
     """The fit from a start at the prior mean."""
-    right = start.scaled.T @ (start.residual[start.train_mask] / start.scale).ravel()
+    right = start.scaled.T @ start.weighed(start.residual).ravel()
     change = cho_solve(start.factor, right)
     fitted = replace(start, theta=start.theta + change, residual=start.residual - start.columns @ change)
     fitted.__dict__.update(scaled=start.scaled, factor=start.factor)  # they depend on columns and weights alone

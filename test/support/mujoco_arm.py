@@ -40,7 +40,7 @@ def recording(robot: Robot, seed: int = 0, prepare: Callable[[mujoco.MjSpec], No
     :param prepare: changes the robot before it is built. :param act: called before every step, for outside forces.
     :param zeros: [rad] what the encoders read where the joints are at zero.
     """
-    model = _model(robot, prepare)
+    model = built(robot, prepare)
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     dofs = [model.joint(name).dofadr[0] for name in robot.joints]
     wanted = _path(len(robot.joints), rng) + np.array(robot.home)
@@ -66,7 +66,8 @@ def recording(robot: Robot, seed: int = 0, prepare: Callable[[mujoco.MjSpec], No
     return Samples(stamps, position, velocity, np.zeros_like(velocity), outputs, 0)
 
 
-def _model(robot: Robot, prepare: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
+def built(robot: Robot, prepare: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
+    """The model in MuJoCo: the description without shapes, limits and friction, and what ``prepare`` changes."""
     tree = ElementTree.fromstring(robot.urdf)
     for link in tree.findall('link'):
         for part in [*link.findall('visual'), *link.findall('collision')]:

@@ -201,8 +201,8 @@ class RigidBody:
         return np.asarray(self.full_regressor(position, velocity, acceleration) @ self._from_base)
 
     def regressors(self, samples: Samples) -> Array:
-        """(N, n, p) one regressor for each sample."""
-        return np.asarray(self.full_regressors(samples) @ self._from_base)
+        """(N, n, p) one regressor for each sample, to read alone: the latest few are remembered."""
+        return _regressors(self, samples)
 
     def full_regressors(self, samples: Samples) -> Array:
         """(N, n, 10 n_bodies) before the reduction to base parameters; the latest few are remembered."""
@@ -279,6 +279,13 @@ def _canonical(basis: Array) -> Array:
         if np.linalg.norm(rest) > INDEPENDENT:
             chosen = np.column_stack([chosen, rest / np.linalg.norm(rest)])
     return np.ascontiguousarray(chosen if chosen.shape == basis.shape else basis)
+
+
+@lru_cache(maxsize=4)
+def _regressors(body: RigidBody, samples: Samples) -> Array:
+    reduced = np.asarray(body.full_regressors(samples) @ body._from_base)
+    reduced.flags.writeable = False
+    return reduced
 
 
 @lru_cache(maxsize=4)

@@ -9,6 +9,7 @@ the smoother fewer steps to reach over.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import fold_losses
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
 from semiparam_ros.effects import Effect
@@ -37,7 +39,7 @@ class Inputs(NamedTuple):
 
     def prepare(self, samples: Samples) -> Samples:
         """Another recording of the same robot, prepared alike."""
-        return moved(averaged(samples, self.factor), self.motion)
+        return _prepared(self, samples)
 
     def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true.
@@ -49,6 +51,11 @@ class Inputs(NamedTuple):
         if self.motion != 'recorded':
             whole[:self.ends] = whole[len(whole) - self.ends:] = False
         return whole
+
+
+@lru_cache(maxsize=4)
+def _prepared(inputs: Inputs, samples: Samples) -> Samples:
+    return moved(averaged(samples, inputs.factor), inputs.motion)
 
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
@@ -64,7 +71,9 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
     losses: dict[str, float] = {}
     for name, inputs in options.items():
-        fit = fit_model(body, inputs.prepare(samples), effects, inputs.mask(train_mask), scale, config)
+        prepared = inputs.prepare(samples)
+        fit = fit_model(body, prepared, effects, inputs.mask(train_mask), scale, config,
+                        counted_outputs(body, prepared, config))
         if not losses:
             scale = refit_weights(fit).scale
         losses[name] = float(fold_losses(fit, scale).sum())
@@ -104,9 +113,3 @@ def averaged(samples: Samples, factor: int) -> Samples:
     middle = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
     return Samples(middle, mean(samples.position), mean(samples.velocity), mean(samples.acceleration),
                    mean(samples.outputs), samples.origin, samples.breaks)
-
-
-def resting(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
-    """(N,) true where no joint moves: static friction then holds any effort, so efforts there tell nothing."""
-    speed = np.abs(samples.velocity)
-    return np.asarray((speed < config.rest_speed_share * speed.max(axis=0)).all(axis=1))

@@ -4,6 +4,8 @@ effect helps on blocks that did not fit it.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from semiparam_ros.core.types import Array, Mask, Stamps
@@ -36,26 +38,40 @@ def ranges(mask: Mask) -> list[tuple[int, int]]:
     return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
 
 
-def fold_losses(fit: Fit, scale: Array) -> Array:
-    """(folds,) squared error of each block in use, predicted by a fit of the other blocks, over ``scale``^2."""
+def fold_errors(fit: Fit, scale: Array) -> Array:
+    """(folds, n) squared error of each block in use, predicted by a fit of the other blocks with weights 1 / scale^2,
+    in the outputs' units."""
     labels = folds(fit.train_mask, fit.config)
     ridge = 1e-9 * np.eye(fit.columns.shape[2])
-    grams, rights, powers = [], [], []
+    blocks = []
     for fold in range(fit.config.folds):
         rows = labels == fold
-        columns = (fit.columns[rows] / scale[:, None]).reshape(-1, fit.columns.shape[2])
-        left = (fit.residual[rows] / scale).ravel()
-        grams.append(columns.T @ columns)
-        rights.append(columns.T @ left)
-        powers.append(left @ left)
-    total, right = sum(grams), sum(rights)
+        weight = fit.counted[rows] / scale
+        columns = (fit.columns[rows] * weight[:, :, None]).reshape(-1, fit.columns.shape[2])
+        left = (fit.residual[rows] * weight).ravel()
+        blocks.append((columns, left, columns.T @ columns, columns.T @ left))
+    total, right = sum(gram for _, _, gram, _ in blocks), sum(moment for *_, moment in blocks)
     size = 1.0 / np.sqrt(np.diag(total) + 1e-300)
-    losses = []
-    for gram, moment, power in zip(grams, rights, powers, strict=True):
+    errors = []
+    for columns, left, gram, moment in blocks:
         rest = (total - gram) * np.outer(size, size) + ridge
         change = np.linalg.lstsq(rest, (right - moment) * size, rcond=1e-10)[0] * size
-        losses.append(power - 2.0 * change @ moment + change @ gram @ change)
-    return np.array(losses)
+        errors.append(((left - columns @ change).reshape(-1, len(scale)) ** 2).sum(axis=0) * scale**2)
+    return np.array(errors)
+
+
+def fold_losses(fit: Fit, scale: Array) -> Array:
+    """(folds,) the same over ``scale``^2, all channels together."""
+    return np.asarray((fold_errors(fit, scale) / scale**2).sum(axis=1))
+
+
+@lru_cache(maxsize=16)
+def unseen_score(fit: Fit) -> float:
+    """Mean over the channels of half the log of the mean squared error on folds that did not fit: lower is better.
+
+    Errors of models with different effects compare, for neither weights nor numbers of parameters enter.
+    """
+    return float(0.5 * np.mean(np.log(fold_errors(fit, fit.scale).sum(axis=0) / fit.counts + 1e-300)))
 
 
 def carries_over(before: Fit, after: Fit) -> bool:
@@ -66,3 +82,9 @@ def carries_over(before: Fit, after: Fit) -> bool:
     config = after.config
     return bool(helped - harmed > config.least_gain * losses.sum()
                 and helped > config.least_helped_over_harmed * harmed)
+
+
+def improves(before: Fit, after: Fit) -> bool:
+    """Whether a round may take one model for another: what it changes carries over, and the score that all rounds
+    share improves, so that no sequence of rounds leads back."""
+    return unseen_score(after) < unseen_score(before) and carries_over(before, after)

@@ -58,16 +58,19 @@ class Structure:
 
 
 def remaining_structure(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask, scale: Array,
-                        config: DiagnosisConfig = DEFAULTS) -> Structure:
+                        config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Structure:
     """Look for structure in the residual (N, n) of a fitted model.
 
     :param train_mask: (N,) samples to look at. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
+    :param counted: (N, n) outputs that tell something; all unless given.
     """
+    counted = np.ones(residual.shape, dtype=bool) if counted is None else counted
+    residual = residual * counted
     rows = _thinned(train_mask, config.structure_samples)
     if len(rows) < config.structure_least_samples:
         return Structure(share=0.0, channel_shares=np.zeros(body.n_outputs), significant=False)
     motion = Motion(body.joints, samples[rows], config)
-    guarded = without_input_errors(body, samples, residual, train_mask, scale, config)[rows] / scale
+    guarded = (without_input_errors(body, samples, residual, train_mask, scale, config) * counted)[rows] / scale
     found, families = explained(motion, guarded)
     gains = block_sums(guarded**2 - (guarded - found) ** 2, config.structure_blocks)
     power = np.sum(guarded**2, axis=0) + 1e-300

@@ -40,7 +40,7 @@ def tolerance(fit: Fit, chosen: Trial, same_form: bool = False) -> float:
     does, trials of the ``same_form`` (one is a special case of the other) may differ by chance alone.
     """
     config = fit.config
-    correlation = float(correlation_times(chosen.residual[fit.train_mask], config).mean()) - (1.0 if same_form else 0.0)
+    correlation = float(correlation_times(fit.used(chosen.residual), config).mean()) - (1.0 if same_form else 0.0)
     return max(config.rival_nats,
                min(config.rival_share * correlation, config.most_rival_share) * chosen.evidence)
 

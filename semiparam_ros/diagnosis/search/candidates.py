@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ from semiparam_ros.effects.base import Values
 
 DERIVATIVE_STEP = 1e-5
 START_RIDGE = 1e-6
+Place = tuple[str, str | None]
+"""Kind and place of an effect."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Candidate:
 def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
     """Every kind at every place of the robot, without those that are declared already and cannot come twice."""
     body, samples = fit.body, fit.samples
-    declared = {(effect.kind, effect.where) for effect in fit.effects if not effect.must_start}
+    declared = held(fit.effects)
     for name, kind in kinds.items():
         for where in kind.places(body):
             if (name, where) not in declared:
@@ -40,12 +42,17 @@ def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
                 yield Candidate(kind, where, tuple(dict(values) for values in searches))
 
 
+def held(effects: Sequence[Effect]) -> set[Place]:
+    """What a model with these effects holds already, as such or as a part of another one, and cannot hold twice."""
+    return {(part.kind, part.where) for effect in effects if not effect.must_start
+            for part in (effect, *effect.plainer())}
+
+
 def added_columns(fit: Fit, effect: Effect) -> Array:
     """(N, n, c) columns that the effect adds to the declared model: its own, or the derivatives of the prediction."""
     if effect.is_calibration:
         return _derivatives(fit, effect)
-    body, inputs, _ = CoupledColumns(fit.body, fit.effects).corrected(fit.samples)
-    return effect.columns(body, inputs, None)[0]
+    return effect.columns(*fit.corrected, None)[0]
 
 
 def _derivatives(fit: Fit, effect: Effect) -> Array:
@@ -95,9 +102,8 @@ def best_start(fit: Fit, columns: Array) -> tuple[int, float, float]:
     Sums over time make every start cheap; explained squares are in scaled units. Between two samples that fit nothing
     tells one start from another: halfway errs least.
     """
-    used = columns[fit.train_mask] / fit.scale[:, None]
-    declared = fit.columns[fit.train_mask] / fit.scale[:, None]
-    left = (fit.residual[fit.train_mask] / fit.scale)
+    used, left = fit.weighed(columns), fit.weighed(fit.residual)
+    declared = fit.scaled.reshape(-1, *fit.columns.shape[1:])
     gram = _suffix(np.einsum('tni,tnj->tij', used, used))
     cross = _suffix(np.einsum('tni,tnj->tij', declared, used))
     right = _suffix(np.einsum('tni,tn->ti', used, left))

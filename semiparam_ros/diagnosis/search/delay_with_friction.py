@@ -7,19 +7,21 @@ anew.
 
 from __future__ import annotations
 
-from semiparam_ros.diagnosis.data.splits import carries_over
+from collections.abc import Collection
+
+from semiparam_ros.diagnosis.data.splits import improves
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, others
+from semiparam_ros.diagnosis.search.candidates import Candidate, Place, others
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, nonlinear, refined, score
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.geometry import TimeDelay
 
 KIND = TimeDelay.kind
-Place = tuple[str, str | None]
 
 
-def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]], declared: set[Place]) -> tuple[Trial, Fit] | None:
+def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]],
+                        declared: Collection[Place]) -> tuple[Trial, Fit] | None:
     """A delay and the model with it; None where friction's shape is not at stake, or the delay carries nothing over.
 
     :param declared: kinds and places that were in the model before the search and stay as they are.
@@ -32,10 +34,10 @@ def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]], declared: set[
         after = reshaped(after, declared)
     delay = next(effect for effect in after.effects if effect.kind == KIND)
     trial = score(fit, Trial(delay, after.residual, 1), after.correlation)
-    return (trial, after) if delay.is_noticeable(fit.samples) and carries_over(fit, after) else None
+    return (trial, after) if delay.is_noticeable(fit.samples) and improves(fit, after) else None
 
 
-def reshaped(fit: Fit, declared: set[Place]) -> Fit:
+def reshaped(fit: Fit, declared: Collection[Place]) -> Fit:
     """The model with the shape of each friction that was found searched anew beside all the others."""
     for effect in _at_stake(fit, declared):
         without = with_effects(fit, others(fit, effect))
@@ -49,7 +51,7 @@ def reshaped(fit: Fit, declared: set[Place]) -> Fit:
     return fit
 
 
-def _at_stake(fit: Fit, declared: set[Place]) -> list[Effect]:
+def _at_stake(fit: Fit, declared: Collection[Place]) -> list[Effect]:
     """Of efforts, effects at single joints whose shape the search has chosen."""
     if fit.body.outputs != 'effort':
         return []

@@ -42,8 +42,5 @@ def _explained(fit: Fit, effect: Effect, columns: Array) -> float:
 
     A load in all recordings but the first explains what one of negative mass in the first does.
     """
-    explained = fit.explain(columns)
-    if not effect.physical(explained.coefficients):
-        return 0.0
-    left = (explained.residual[fit.train_mask] / fit.scale) ** 2
-    return float(((fit.residual[fit.train_mask] / fit.scale) ** 2).sum() - left.sum())
+    left, coefficients = fit.loss_with(columns)
+    return fit.loss - left if effect.physical(coefficients) else 0.0

@@ -29,7 +29,7 @@ def joint_offsets(fit: Fit, kinds: dict[str, type[Effect]], ranking: list[Trial]
         return None
     zeros = [kinds[KIND](joint, {'offset': 0.0}) for joint in fit.body.joints if (KIND, joint) not in declared]
     columns = [added_columns(fit, zero) for zero in zeros]
-    felt = [np.abs(column[fit.train_mask] / fit.scale[:, None]).max() > fit.config.offset_felt for column in columns]
+    felt = [np.abs(fit.weighed(column)).max() > fit.config.offset_felt for column in columns]
     zeros, columns = list(compress(zeros, felt)), list(compress(columns, felt))
     if len(zeros) < 2:
         return None
@@ -42,4 +42,4 @@ def joint_offsets(fit: Fit, kinds: dict[str, type[Effect]], ranking: list[Trial]
 
 
 def _together(fit: Fit, zero: Effect, residual: Array, n_parameters: int) -> Trial:
-    return score(fit, Trial(zero, residual, n_parameters), correlation_times(residual[fit.train_mask], fit.config))
+    return score(fit, Trial(zero, residual, n_parameters), correlation_times(fit.used(residual), fit.config))

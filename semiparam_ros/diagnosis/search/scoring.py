@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, reweighted
@@ -42,25 +41,35 @@ class Trial:
 
 def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
     """The candidate at the best of its coarse values and starts; None when none is physical."""
-    best: tuple[float, Trial] | None = None
+    best: tuple[float, Effect, Array] | None = None
     reference = next((known.reference for known in fit.effects if known.reference), tuple(fit.rigid_part.tolist()))
     for values in candidate.searches:
-        trial = _linear_trial(fit, candidate.kind.from_values(candidate.where, values, reference))
-        explained = _explained_share(fit, trial)
-        if trial.physical and (best is None or explained > best[0]):
-            best = (explained, trial)
-    return None if best is None else best[1]
+        effect, columns = _started(fit, candidate.kind.from_values(candidate.where, values, reference))
+        loss, coefficients = fit.loss_with(columns)
+        if (effect.is_calibration or effect.physical(coefficients)) and (best is None or loss < best[0]):
+            best = (loss, effect, columns)
+    return None if best is None else _fitted(fit, *best[1:])
+
+
+def _started(fit: Fit, effect: Effect) -> tuple[Effect, Array]:
+    """The effect starting when it explains most, if it can start, and its columns."""
+    columns = always = added_columns(fit, effect)
+    if effect.is_calibration:
+        return effect, columns
+    if effect.must_start or effect.may_start:
+        start, late, throughout = best_start(fit, columns)
+        if effect.must_start or late > fit.config.start_worth * throughout:
+            effect = replace(effect, start=Start(float(fit.samples.time[start])))
+            columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
+    return in_some_recordings(fit, effect, columns, always)
 
 
 def _linear_trial(fit: Fit, effect: Effect) -> Trial:
     """The effect with its coefficients fitted, starting when it explains most if it can start."""
-    columns = always = added_columns(fit, effect)
-    if not effect.is_calibration:
-        start, late, throughout = best_start(fit, columns) if effect.must_start or effect.may_start else (0, 0.0, 1.0)
-        if effect.must_start or (effect.may_start and late > fit.config.start_worth * throughout):
-            effect = replace(effect, start=Start(float(fit.samples.time[start])))
-            columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
-        effect, columns = in_some_recordings(fit, effect, columns, always)
+    return _fitted(fit, *_started(fit, effect))
+
+
+def _fitted(fit: Fit, effect: Effect, columns: Array) -> Trial:
     explained = fit.explain(columns)
     if effect.is_calibration:
         names = [coefficient.name for coefficient in effect.calibrations]
@@ -74,15 +83,15 @@ def nonlinear(effect: Effect) -> int:
     return len(effect.searched) + (effect.start != ALWAYS)
 
 
-def _explained_share(fit: Fit, trial: Trial) -> float:
-    left = trial.residual[fit.train_mask] / fit.scale
-    return -float(np.sum(left**2))
+def squared_loss(fit: Fit, trial: Trial) -> float:
+    """Sum of squares, in scaled units, that the trial leaves of the samples in use."""
+    return float(np.sum(fit.weighed(trial.residual) ** 2))
 
 
 def score(fit: Fit, trial: Trial, correlation: Array) -> Trial:
     """The trial with its evidence over the declared model; channel k is correlated over correlation[k] samples."""
-    counts = fit.train_mask.sum() / correlation
-    after = (trial.residual[fit.train_mask] ** 2).sum(axis=0)
+    counts = fit.counts / correlation
+    after = (fit.used(trial.residual) ** 2).sum(axis=0)
     gain = 0.5 * float(counts @ np.log(fit.squares / after))
     return replace(trial, evidence=gain - 0.5 * trial.n_parameters * float(np.log(counts.sum())))
 
@@ -101,7 +110,7 @@ def refined(fit: Fit, trial: Trial) -> Trial:
 
 def _weighed(fit: Fit, trial: Trial) -> Fit:
     """The declared model with the weights of what the trial leaves."""
-    return reweighted(fit, residual_scale(trial.residual[fit.train_mask], fit.samples.outputs[fit.train_mask]))
+    return reweighted(fit, fit.scale_of(trial.residual))
 
 
 def _at_best_link(fit: Fit, trial: Trial) -> Trial:
@@ -110,7 +119,7 @@ def _at_best_link(fit: Fit, trial: Trial) -> Trial:
     if where is None or where in fit.body.joints or not trial.effect.refine_link:
         return trial
     moved = [_linear_trial(fit, replace(trial.effect, where=link)) for link in links_beside(fit.body, where)[1:]]
-    return max([trial, *moved], key=lambda tried: _explained_share(fit, tried))
+    return min([trial, *moved], key=lambda tried: squared_loss(fit, tried))
 
 
 def _at_best_point(fit: Fit, trial: Trial) -> Trial:
@@ -121,7 +130,7 @@ def _at_best_point(fit: Fit, trial: Trial) -> Trial:
     for _ in range(fit.config.point_steps):
         near = _weighed(fit, best)
         moved = _linear_trial(near, _towards_best_point(near, best.effect))
-        if not moved.physical or _explained_share(near, moved) <= _explained_share(near, best):
+        if not moved.physical or squared_loss(near, moved) >= squared_loss(near, best):
             break
         best = moved
     correlation = correlation_of(fit, [best])
@@ -153,7 +162,7 @@ def _line_search(fit: Fit, effect: Effect, name: str) -> Effect:
 
     def cost(value: float) -> float:
         moved = effect.with_values(**{name: value})
-        return -_explained_share(fit, Trial(moved, fit.explain(added_columns(fit, moved)).residual, 0))
+        return fit.loss_with(added_columns(fit, moved))[0]
 
     best = minimize_scalar(cost, bounds=(low, high), method='bounded',
                            options={'maxiter': fit.config.refine_evaluations})
@@ -169,12 +178,12 @@ def _calibrated(fit: Fit, trial: Trial) -> Trial:
 
 def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:
     """(n,) correlation time [samples] of each channel in what the trial that explains it best leaves of it."""
-    left = np.array([(trial.residual[fit.train_mask] ** 2).sum(axis=0) for trial in trials])
-    best = [trials[index].residual[fit.train_mask][:, channel] for channel, index in enumerate(left.argmin(axis=0))]
+    left = np.array([(fit.used(trial.residual) ** 2).sum(axis=0) for trial in trials])
+    best = [fit.used(trials[index].residual)[:, channel] for channel, index in enumerate(left.argmin(axis=0))]
     return correlation_times(np.column_stack(best), fit.config)
 
 
 def overlap(fit: Fit, one: Trial, other: Trial) -> float:
     """Cosine between what two trials explain: 1 when they explain the same, 0 when different things."""
-    first, second = (((fit.residual - trial.residual)[fit.train_mask] / fit.scale).ravel() for trial in (one, other))
+    first, second = (fit.weighed(fit.residual - trial.residual).ravel() for trial in (one, other))
     return float(first @ second / (np.linalg.norm(first) * np.linalg.norm(second) + 1e-300))

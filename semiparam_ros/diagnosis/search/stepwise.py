@@ -10,13 +10,14 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.splits import carries_over
+from semiparam_ros.diagnosis.data.splits import improves, unseen_score
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.ambiguity import Rival, rivals_of, simplest, tolerance
-from semiparam_ros.diagnosis.search.candidates import candidates, others
+from semiparam_ros.diagnosis.search.candidates import Place, candidates, others
 from semiparam_ros.diagnosis.search.delay_with_friction import KIND as DELAY
-from semiparam_ros.diagnosis.search.delay_with_friction import Place, delay_with_friction, reshaped
-from semiparam_ros.diagnosis.search.elimination import without_needless
+from semiparam_ros.diagnosis.search.delay_with_friction import delay_with_friction, reshaped
+from semiparam_ros.diagnosis.search.elimination import without_needless, worth_at_once
+from semiparam_ros.diagnosis.search.friction_everywhere import friction_of_all, friction_where_it_helps
 from semiparam_ros.diagnosis.search.joint_offsets import joint_offsets
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, refined, retried, score
@@ -39,11 +40,11 @@ class Step:
 
 
 def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
-                 config: DiagnosisConfig = DEFAULTS) -> Fit:
-    """The declared model, each channel weighed by its own residual."""
+                 config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Fit:
+    """The declared model, each channel weighed by its own residual; ``counted`` as in :func:`fit_model`."""
     outputs = samples.outputs[train_mask]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
-    fit = fit_model(body, samples, effects, train_mask, scale, config)
+    fit = fit_model(body, samples, effects, train_mask, scale, config, counted)
     return refit_weights(refit_weights(fit))
 
 
@@ -54,15 +55,26 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     :param hopeless: of a model with one more effect, whether to stop there.
     """
     declared = {(effect.kind, effect.where) for effect in fit.effects}
+    stays = set(declared)
     steps: list[Step] = []
     while len(steps) < fit.config.most_rounds:
         report = _in_round(progress, len(steps) + 1)
-        step = next_step(fit, kinds, report)
+        step = None
+        if not steps:
+            report('friction of all joints', 0.0)
+            step = _friction_step(fit, friction_of_all(fit, kinds, declared))
+            stays |= {(trial.effect.kind, trial.effect.where) for trial in step.added} if step else set()
+        elif len(steps) == 1 and stays != declared:  # late efforts bend what was just found of every joint
+            step = _delay_step(fit, kinds, declared)
+        step = step or next_step(fit, kinds, report)
         if step is None:
             report('delay beside friction', 1.0)
             step = _delay_step(fit, kinds, declared)
         elif any(trial.effect.kind == DELAY for trial in step.added):
             step = replace(step, after=reshaped(step.after, declared))
+        if step is None and stays == declared:
+            report('friction where it helps', 1.0)
+            step = _friction_step(fit, friction_where_it_helps(fit, kinds, declared))
         if step is None:
             break
         steps.append(step)
@@ -71,7 +83,7 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
         if hopeless(fit):
             break
     if steps:
-        after, dropped = without_needless(fit, declared)
+        after, dropped = without_needless(fit, stays)
         steps[-1] = replace(steps[-1], after=after, dropped=dropped)
     return steps
 
@@ -82,6 +94,20 @@ def _delay_step(fit: Fit, kinds: dict[str, type[Effect]], declared: set[Place]) 
         return None
     trial, after = found
     return Step(added=(trial,), rivals=((),), ranking=(trial,), before=fit, after=after)
+
+
+def _friction_step(fit: Fit, after: Fit | None) -> Step | None:
+    """The step to a model with friction of many joints, if there is one."""
+    if after is None:
+        return None
+    known = {(effect.kind, effect.where) for effect in fit.effects}
+    added = [effect for effect in after.effects if (effect.kind, effect.where) not in known]
+    kept = {(effect.kind, effect.where) for effect in after.effects}
+    gone = tuple(effect for effect in fit.effects if (effect.kind, effect.where) not in kept)
+    worth = worth_at_once(after)
+    trials = tuple(Trial(effect, after.residual, len(added), evidence=float(worth[after.effects.index(effect)]))
+                   for effect in added)
+    return Step(added=trials, rivals=((),) * len(trials), ranking=trials, before=fit, after=after, dropped=gone)
 
 
 def _in_round(progress: Progress, number: int) -> Progress:
@@ -132,35 +158,50 @@ def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:
 
 def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> Step | None:
     """The most credible effect (of efforts: the most credible of each joint), or None when nothing is left."""
-    ranking = ranked(fit, kinds, progress)
-    if not ranking or ranking[0].evidence < fit.config.least_evidence:
+    ranking = [trial for trial in ranked(fit, kinds, progress) if trial.evidence > fit.config.least_evidence]
+    if not ranking:
         return None
     found, after = joint_offsets(fit, kinds, ranking) or ([], fit)
-    if len(found) > 1 and carries_over(fit, after) \
+    if len(found) > 1 and improves(fit, after) \
             and found[0].evidence > ranking[0].evidence + tolerance(fit, found[0]):
         return Step(added=tuple(found), rivals=((),) * len(found), ranking=tuple(ranking), before=fit, after=after)
-    chosen = [simplest(fit, ranking, list(kinds))]
-    first_tried = list(chosen)
-    after = declare(fit, [chosen[0].effect])
-    if not carries_over(fit, after):
+    first, after, ranking = _first_that_helps(fit, ranking, list(kinds))
+    if first is None:
         return None
-    for trial in _other_joints(fit, chosen[0], ranking):
-        again = retried(after, trial)
-        if again.physical and again.evidence > max(fit.config.least_evidence,
-                                                   fit.config.kept_share * trial.evidence):
-            further = declare(after, [again.effect])
-            if carries_over(after, further):
-                chosen, after = [*chosen, again], further
-                first_tried.append(trial)
+    chosen, first_tried = [first], [first]
+    for at_joint in _other_joints(fit, first, ranking):
+        for trial in at_joint[:fit.config.tries_at_joint]:
+            again = retried(after, trial)
+            if again.physical and again.evidence > max(fit.config.least_evidence,
+                                                       fit.config.kept_share * trial.evidence):
+                further = declare(after, [again.effect])
+                if improves(after, further):
+                    chosen, after = [*chosen, again], further
+                    first_tried.append(trial)
+                    break
     rivals = [rivals_of(fit, trial, ranking) for trial in first_tried]
     for trial, those in list(zip(chosen, rivals, strict=True)):
         parts, simpler = in_parts(after, trial)
-        if parts:
+        if parts and unseen_score(simpler) < unseen_score(fit):
             at = chosen.index(trial)
             names = {(part.effect.kind, part.effect.where) for part in parts}
             those = tuple(rival for rival in those if (rival.kind, rival.where) not in names)
             chosen[at:at + 1], rivals[at:at + 1], after = parts, [those] * len(parts), simpler
     return Step(added=tuple(chosen), rivals=tuple(rivals), ranking=tuple(ranking), before=fit, after=after)
+
+
+def _first_that_helps(fit: Fit, ranking: list[Trial], order: Sequence[str]) -> tuple[Trial | None, Fit, list[Trial]]:
+    """The most credible trial whose model helps on unseen blocks, that model, and the ranking without those before it.
+
+    One that does not carry over says nothing of the next.
+    """
+    for _ in range(min(len(ranking), fit.config.most_tries)):
+        first = simplest(fit, ranking, order)
+        after = declare(fit, [first.effect])
+        if improves(fit, after):
+            return first, after, ranking
+        ranking = [trial for trial in ranking if trial is not first]
+    return None, fit, ranking
 
 
 def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
@@ -179,8 +220,8 @@ def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
     return [replace(trial, effect=part, residual=simpler.residual) for part in plainer], simpler
 
 
-def _other_joints(fit: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]:
-    """The best trial of every joint but the first one's, where all act on the efforts of single joints.
+def _other_joints(fit: Fit, first: Trial, ranking: list[Trial]) -> list[list[Trial]]:
+    """The trials of every joint but the first one's, best first, where all act on the efforts of single joints.
 
     Each has a channel of its own, so one round can take them all; but what one joint lacks also bends the rigid
     body's fit of the others, so each must show again what it is worth once the first is declared.
@@ -188,8 +229,8 @@ def _other_joints(fit: Fit, first: Trial, ranking: list[Trial]) -> list[Trial]:
     joints = fit.body.joints
     if fit.body.outputs != 'effort' or first.effect.where not in joints:
         return []
-    best: dict[str | None, Trial] = {}
+    at: dict[str | None, list[Trial]] = {}
     for trial in ranking:
-        best.setdefault(trial.effect.where, trial)
-    return [trial for where, trial in best.items() if where in joints and where != first.effect.where
-            and not trial.effect.is_calibration]
+        at.setdefault(trial.effect.where, []).append(trial)
+    return [trials for where, trials in at.items() if where in joints and where != first.effect.where
+            and not trials[0].effect.is_calibration]

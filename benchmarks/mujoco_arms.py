@@ -1,0 +1,226 @@
+"""Diagnoses of simulated arms that resemble measured ones, beside the plain least-squares model.
+
+``python benchmarks/mujoco_arms.py ROBOTS``: ROBOTS is the folder ``robots`` of example-robot-data (on PyPI, package
+example-robot-data). MuJoCo moves the arms: true masses that differ from the description's, friction and rotors at
+every joint, motion with rests and stops, velocities filtered as drivers do, coloured noise, and in some settings a
+further cause.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from scipy.signal import butter, lfilter
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from measured_arms import Case, compared, report
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array
+from support.mujoco_arm import STEP_S, Robot, built
+
+STIFFNESS, DAMPING = 100.0, 20.0
+ENCODER = 2e-5
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One simulated robot and how it is moved and recorded. ``friction``: dry [N m] at each joint; viscous follows."""
+
+    name: str
+    urdf: str
+    joints: tuple[str, ...]
+    home: tuple[float, ...]
+    friction: tuple[float, ...]
+    motion: str = 'sines'
+    rate_hz: int = 200
+    seconds: float = 60.0
+    viscous_share: float = 0.5
+    armature: float = 0.05
+    velocity_filter_hz: float = 0.0
+    noise: float = 0.01
+    noise_colour: float = 0.0
+    late_s: float = 0.0
+    asymmetry: float = 0.0
+    payload_kg: float = 0.0
+    zeros: tuple[float, ...] = ()
+    sensor: tuple[str, str] | None = None
+    seed: int = 0
+
+
+UR = tuple(f'{name}_joint' for name in ('shoulder_pan', 'shoulder_lift', 'elbow', 'wrist_1', 'wrist_2', 'wrist_3'))
+UR_HOME = (0.0, -1.3, 1.2, -0.8, -1.2, 0.3)
+XARM = tuple(f'joint{number}' for number in range(1, 8))
+XARM_HOME = (0.0, -0.4, 0.2, 0.9, 0.1, 1.2, 0.3)
+PANDA = tuple(f'panda_joint{number}' for number in range(1, 8))
+PANDA_HOME = (0.0, -0.3, 0.0, -1.8, 0.0, 1.8, 0.6)
+KINOVA = tuple(f'j2s6s200_joint_{number}' for number in range(1, 7))
+TALOS = tuple(f'arm_left_{number}_joint' for number in range(2, 8))
+UR5, UR10 = 'ur_description/urdf/ur5_robot.urdf', 'ur_description/urdf/ur10_robot.urdf'
+XARM7, TALOS_URDF = 'xarm_description/urdf/xarm7.urdf', 'talos_data/robots/talos_left_arm.urdf'
+PANDA_URDF = 'panda_description/urdf/panda.urdf'
+SETTINGS = (
+    Setting('xArm7, sines', XARM7, XARM, XARM_HOME, (3.0, 3.0, 2.0, 2.0, 1.0, 0.8, 0.5)),
+    Setting('xArm7, the same motion twice, rests', XARM7, XARM, XARM_HOME, (3.0, 3.0, 2.0, 2.0, 1.0, 0.8, 0.5), 'twice',
+            250, velocity_filter_hz=8.0, noise_colour=0.9, noise=0.02, seed=1),
+    Setting('UR5 at 125 Hz, from point to point', UR5, UR, UR_HOME, (8.0, 8.0, 6.0, 2.0, 2.0, 1.5), 'points', 125,
+            velocity_filter_hz=20.0, seed=2),
+    Setting('UR10 at 500 Hz, a joint at a time', UR10, UR, UR_HOME, (12.0, 12.0, 8.0, 3.0, 3.0, 2.0), 'in turn', 500,
+            seed=3),
+    Setting('Panda, efforts late', PANDA_URDF, PANDA, PANDA_HOME, (0.5, 0.6, 0.4, 0.5, 0.3, 0.3, 0.2), 'sines', 200,
+            late_s=0.02, noise_colour=0.5, seed=4),
+    Setting('Panda, stops and load from half time on', PANDA_URDF, PANDA, PANDA_HOME,
+            (0.5, 0.6, 0.4, 0.5, 0.3, 0.3, 0.2), 'points', 100, payload_kg=1.0, seed=5),
+    Setting('Kinova, filtered velocities', 'kinova_description/robots/kinova.urdf', KINOVA,
+            (0.0, 2.6, 1.3, 0.5, 1.0, 0.2), (2.0, 3.0, 2.0, 0.7, 0.7, 0.5), 'points', 100, velocity_filter_hz=3.0,
+            noise=0.03, seed=6),
+    Setting('Talos arm, filtered velocities, rests', TALOS_URDF, TALOS, (0.3, -0.4, -1.2, 0.2, 0.1, 0.1),
+            (2.0, 1.5, 1.5, 0.5, 0.5, 0.5), 'in turn', 100, velocity_filter_hz=2.0, noise=0.02, noise_colour=0.9,
+            seed=7),
+    Setting('UR5, friction differs between directions', UR5, UR, UR_HOME, (8.0, 8.0, 6.0, 2.0, 2.0, 1.5), 'sines', 125,
+            asymmetry=0.3, seed=8),
+    Setting('Panda, sensor at the wrist, two zeros off', PANDA_URDF, PANDA, PANDA_HOME,
+            (0.5, 0.6, 0.4, 0.5, 0.3, 0.3, 0.2), 'points', 200, zeros=(0.0, 0.04, 0.0, -0.03, 0.0, 0.0, 0.0),
+            sensor=('panda_joint8', 'panda_link8'), noise_colour=0.8, seed=9),
+)
+
+
+def case(setting: Setting, robots: Path) -> Case:
+    """The setting's recording with the package's model of the described robot."""
+    robot = Robot((robots / setting.urdf).read_text(), setting.joints, setting.home, *(setting.sensor or (None, None)))
+    return Case(setting.name, robot.body, recorded(setting, robot))
+
+
+def recorded(setting: Setting, robot: Robot) -> Samples:
+    """What the robot's driver reports."""
+    rng = np.random.default_rng(setting.seed)
+    model = built(robot, lambda spec: _as_it_is(spec, setting, rng))
+    data = mujoco.MjData(model)
+    dofs = [model.joint(name).dofadr[0] for name in setting.joints]
+    wanted = MOTIONS[setting.motion](setting, rng) + np.array(setting.home)
+    speed = np.gradient(wanted, STEP_S, axis=0)
+    change = np.gradient(speed, STEP_S, axis=0)
+    data.qpos[dofs], data.qvel[dofs] = wanted[0], speed[0]
+    mujoco.mj_forward(model, data)
+    inertia, rows = np.zeros((model.nv, model.nv)), []
+    dry, friction = setting.asymmetry, np.array(setting.friction)
+    for number, (q, dq, ddq) in enumerate(zip(wanted, speed, change, strict=True)):
+        if setting.payload_kg and number == len(wanted) // 2:
+            model.body('load').mass, model.body('load').inertia = setting.payload_kg, [2e-3] * 3
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+        mujoco.mj_step1(model, data)
+        mujoco.mj_fullM(model, data, inertia)
+        aim = ddq + STIFFNESS * (q - data.qpos[dofs]) + DAMPING * (dq - data.qvel[dofs])
+        sliding = friction * np.tanh(data.qvel[dofs] / 0.01)
+        torque = inertia[np.ix_(dofs, dofs)] @ aim + data.qfrc_bias[dofs] + sliding
+        data.qfrc_applied[dofs] = torque - dry * friction * np.maximum(np.tanh(data.qvel[dofs] / 0.01), 0.0)
+        seen = data.qpos[dofs].copy(), data.qvel[dofs].copy()
+        mujoco.mj_step2(model, data)
+        rows.append((*seen, data.sensordata.copy() if setting.sensor else torque))
+    return _reported(setting, *(np.array(part) for part in zip(*rows, strict=True)), rng)
+
+
+def _as_it_is(spec: mujoco.MjSpec, setting: Setting, rng: np.random.Generator) -> None:
+    """Masses other than the description's; friction, rotors, and a load that weighs nothing yet."""
+    for body in spec.bodies:
+        if body.mass > 1e-6:
+            body.mass *= rng.uniform(0.8, 1.25)
+            body.ipos = np.array(body.ipos) + rng.uniform(-0.01, 0.01, 3)
+    for name, dry in zip(setting.joints, setting.friction, strict=True):
+        joint = spec.joint(name)
+        joint.frictionloss, joint.damping = dry, [dry * setting.viscous_share, 0.0, 0.0]
+        joint.armature = setting.armature
+    if setting.payload_kg:
+        load = spec.body('panda_hand').add_body(name='load', pos=[0.0, 0.02, 0.1])
+        load.mass, load.inertia, load.explicitinertial = 1e-6, [1e-9] * 3, True
+
+
+def _reported(setting: Setting, position: Array, velocity: Array, outputs: Array, rng: np.random.Generator) -> Samples:
+    """Sampled at the driver's rate with its filters and noise."""
+    if setting.velocity_filter_hz:
+        below = butter(2, setting.velocity_filter_hz, fs=1.0 / STEP_S)
+        velocity = lfilter(*below, velocity, axis=0)
+    late = round(setting.late_s / STEP_S)
+    outputs = np.concatenate([outputs[:1].repeat(late, axis=0), outputs[:len(outputs) - late]])
+    every = round(1.0 / STEP_S / setting.rate_hz)
+    position, velocity, outputs = position[::every], velocity[::every], outputs[::every]
+    noise = rng.standard_normal(outputs.shape)
+    colour = setting.noise_colour
+    noise = lfilter([np.sqrt(1.0 - colour**2)], [1.0, -colour], noise, axis=0)
+    outputs = outputs + setting.noise * outputs.std(axis=0) * noise
+    position = position + ENCODER * rng.standard_normal(position.shape)
+    if setting.zeros:
+        position = position - np.array(setting.zeros)
+    velocity = velocity + 1e-3 * rng.standard_normal(velocity.shape)
+    stamps = np.arange(len(position)) * (10**9 // setting.rate_hz)
+    return Samples(stamps, position, velocity, np.zeros_like(velocity), outputs, 0)
+
+
+def _sines(setting: Setting, rng: np.random.Generator) -> Array:
+    count = len(setting.joints)
+    time = np.arange(round(setting.seconds / STEP_S))[:, None] * STEP_S
+    path = sum(rng.uniform(0.07, 0.25, count) * np.sin(2 * np.pi * rng.uniform(0.04, 0.4, count) * time
+                                                        + rng.uniform(0, 2 * np.pi, count)) for _ in range(4))
+    return np.asarray(path)
+
+
+def _twice(setting: Setting, rng: np.random.Generator) -> Array:
+    """The same sines twice, faded in and out, at rest for two seconds before, between and after."""
+    rest = round(2.0 / STEP_S)
+    once = _sines(setting, rng)[:(round(setting.seconds / STEP_S) - 3 * rest) // 2]
+    ends = np.minimum(np.arange(len(once)), np.arange(len(once))[::-1]) * STEP_S
+    once = once * (0.5 - 0.5 * np.cos(np.pi * np.clip(ends / 3.0, 0.0, 1.0)))[:, None]
+    still = np.zeros((rest, once.shape[1]))
+    return np.concatenate([still, once, still, once, still])
+
+
+def _points(setting: Setting, rng: np.random.Generator) -> Array:
+    """All joints from point to point, some of them resting on some ways, with stops of up to a second."""
+    return _moves(setting, rng, lambda count: rng.random(count) < 0.7)
+
+
+def _in_turn(setting: Setting, rng: np.random.Generator) -> Array:
+    """One or two joints at a time while the others rest."""
+    def moving(count: int) -> Array:
+        chosen = np.zeros(count, dtype=bool)
+        chosen[rng.choice(count, rng.integers(1, 3), replace=False)] = True
+        return chosen
+    return _moves(setting, rng, moving)
+
+
+def _moves(setting: Setting, rng: np.random.Generator, moving: Callable[[int], Array]) -> Array:
+    count, place, parts, total = len(setting.joints), np.zeros(len(setting.joints)), [], 0
+    length = round(setting.seconds / STEP_S)
+    while total < length:
+        aim = np.where(moving(count), rng.uniform(-0.6, 0.6, count), place)
+        steps = round(rng.uniform(1.0, 3.0) / STEP_S)
+        s = np.linspace(0.0, 1.0, steps)[:, None]
+        parts += [place + (aim - place) * (10 * s**3 - 15 * s**4 + 6 * s**5),
+                  np.repeat(aim[None], round(rng.uniform(0.1, 1.0) / STEP_S), axis=0)]
+        total += len(parts[-1]) + len(parts[-2])
+        place = aim
+    return np.concatenate(parts)[:length]
+
+
+MOTIONS = {'sines': _sines, 'twice': _twice, 'points': _points, 'in turn': _in_turn}
+
+
+def cases(robots: Path) -> Iterator[Case]:
+    """All settings."""
+    return (case(setting, robots) for setting in SETTINGS)
+
+
+if __name__ == '__main__':
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('robots', type=Path)
+    parser.add_argument('--only', default='', help='settings whose names hold this')
+    arguments = parser.parse_args()
+    chosen = [setting for setting in SETTINGS if arguments.only in setting.name]
+    report((setting.name, compared(case(setting, arguments.robots))) for setting in chosen)

@@ -1,0 +1,165 @@
+"""The rounds of a search: each helps on unseen blocks, none leads back, and joints at rest tell nothing of friction."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conftest import SHARED_DATA
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.data.rest import counted_outputs, resting
+from semiparam_ros.diagnosis.data.splits import improves, unseen_score
+from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.search.candidates import candidates, held
+from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.scoring import Trial
+from semiparam_ros.diagnosis.search.stepwise import _first_that_helps, starting_fit
+from semiparam_ros.effects import kinds
+from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.plain_model import nmse, plain_model
+
+BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+COUNT = 1500
+
+
+def moving(seed=0):
+    """An odd arm in motion; its efforts with 1 % of noise."""
+    motion = smooth_motion(4, COUNT, seed=seed, speed=0.5)
+    exact = BODY.regressors(motion) @ BODY.base_parameters
+    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(seed).standard_normal(exact.shape)
+    return replace(motion, outputs=exact + noise)
+
+
+def rubbing(samples, coulomb, viscous, turn_speed=0.01):
+    friction = coulomb * np.tanh(samples.velocity / turn_speed) + viscous * samples.velocity
+    return replace(samples, outputs=samples.outputs + friction)
+
+
+def with_rests(joint=1):
+    """One joint in moves of a second and rests of two, while static friction holds any effort at it."""
+    samples, rng = moving(), np.random.default_rng(3)
+    time = samples.time % 3.0
+    number = (samples.time // 3.0).astype(int)
+    aims = np.cumsum(rng.uniform(-1.0, 1.0, number.max() + 2)) * 0.4
+    s = np.clip(time, 0.0, 1.0)
+    step = (aims[1:] - aims[:-1])[number]
+    position, velocity, acceleration = (getattr(samples, role).copy()
+                                        for role in ('position', 'velocity', 'acceleration'))
+    position[:, joint] = aims[number] + step * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    velocity[:, joint] = step * (30 * s**2 - 60 * s**3 + 30 * s**4)
+    acceleration[:, joint] = step * (60 * s - 180 * s**2 + 120 * s**3)
+    samples = replace(samples, position=position, velocity=velocity, acceleration=acceleration)
+    exact = BODY.regressors(samples) @ BODY.base_parameters
+    friction = 3.5 * np.sign(velocity[:, joint]) + 2.8 * velocity[:, joint]
+    still = time >= 1.0
+    held_by = rng.uniform(-8.0, 8.0, number.max() + 1)[number]
+    exact[:, joint] += np.where(still, held_by, friction)
+    return replace(samples, outputs=exact + 0.02 * rng.standard_normal(exact.shape)), still
+
+
+def test_a_joint_at_rest_tells_nothing_while_others_move():
+    samples, still = with_rests()
+    counted = counted_outputs(BODY, samples)
+    assert counted[:, [0, 2, 3]].mean() > 0.98
+    assert not counted[still, 1].any()
+    assert counted[~still, 1].mean() > 0.5
+    assert counted_outputs(RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft'),
+                           replace(samples, outputs=np.zeros((COUNT, 6)))).all()
+
+
+def test_a_joint_that_never_moves_still_counts_and_one_that_turns_back_does_not_rest():
+    samples = moving()
+    position = samples.position.copy()
+    position[:, 2] = 0.3
+    assert counted_outputs(BODY, replace(samples, position=position))[:, 2].all()
+    assert resting(samples).mean() < 0.03
+
+
+def test_static_friction_is_neither_fitted_nor_judged():
+    """What holds the joint at rest would pass for dry friction twice as large, and hide the viscous one."""
+    samples, _ = with_rests()
+    found = diagnose(BODY, samples, only=['viscous_friction', 'coulomb_friction', 'effort_offset'])
+    values = {(finding.effect.kind, finding.effect.where): next(iter(finding.parameters.values())).value
+              for finding in found.findings}
+    assert set(values) == {('coulomb_friction', 'turn'), ('viscous_friction', 'turn')}
+    assert values['coulomb_friction', 'turn'] == pytest.approx(3.5, rel=0.1)
+    assert values['viscous_friction', 'turn'] == pytest.approx(2.8, rel=0.15)
+    assert found.after.nmse[1] < 1e-3
+
+
+def test_the_next_candidate_is_tried_where_the_best_does_not_carry_over():
+    samples = rubbing(moving(), np.zeros(4), np.array([0.0, 2.0, 0.0, 0.0]))
+    fit = starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool))
+    nothing, right = kinds()['joint_spring']('grip', {}), kinds()['viscous_friction']('turn', {})
+    trials = [Trial(effect, declare(fit, [effect]).residual, 1, evidence=evidence)
+              for effect, evidence in ((nothing, 900.0), (right, 300.0))]
+    first, after, ranking = _first_that_helps(fit, trials, list(kinds()))
+    assert first is trials[1] and ranking == [trials[1]]
+    assert [effect.kind for effect in after.effects] == ['viscous_friction']
+    none, same, _ = _first_that_helps(fit, trials[:1], list(kinds()))
+    assert none is None and same is fit
+
+
+def test_no_two_models_improve_on_each_other():
+    """Friction that differs between the directions, and dry beside viscous friction, took turns."""
+    samples = rubbing(moving(), np.array([0.0, 2.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0, 0.0]))
+    fit = starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool))
+    one = declare(fit, [kinds()['asymmetric_friction']('turn', {'turn_speed': 0.01})])
+    other = declare(fit, [kinds()['coulomb_friction']('turn', {'turn_speed': 0.01}),
+                          kinds()['viscous_friction']('turn', {})])
+    assert improves(fit, one) and improves(fit, other)
+    assert not (improves(one, other) and improves(other, one))
+
+
+def test_what_a_model_holds_as_a_part_is_no_candidate():
+    samples = moving()
+    use, scale = np.ones(COUNT, dtype=bool), np.ones(4)
+    asymmetric = kinds()['asymmetric_friction']('turn', {'turn_speed': 0.01})
+    assert held([asymmetric]) == {(kind, 'turn') for kind in (
+        'asymmetric_friction', 'coulomb_friction', 'viscous_friction')}
+    tried = {(candidate.kind.kind, candidate.where)
+             for candidate in candidates(fit_model(BODY, samples, [asymmetric], use, scale), kinds('effort'))}
+    assert not tried & held([asymmetric]) and ('coulomb_friction', 'grip') in tried
+
+
+def test_friction_of_all_joints_is_found_in_one_round_and_every_round_improves_the_same_score():
+    dry, viscous = np.array([1.0, 2.0, 0.5, 0.1]), np.array([2.0, 1.0, 0.3, 0.05])
+    found = diagnose(BODY, rubbing(moving(1), dry, viscous, 0.02))
+    expected = {(kind, joint) for kind in ('coulomb_friction', 'viscous_friction') for joint in ODD_JOINTS}
+    assert {(trial.effect.kind, trial.effect.where) for trial in found.steps[0].added} == expected
+    assert {(finding.effect.kind, finding.effect.where) for finding in found.findings} == expected
+    for finding in found.findings:
+        size = (dry if finding.effect.kind == 'coulomb_friction' else viscous)[ODD_JOINTS.index(finding.effect.where)]
+        assert next(iter(finding.parameters.values())).value == pytest.approx(size, rel=0.1)
+    scores = [unseen_score(found.first), *(unseen_score(step.after) for step in found.steps)]
+    assert scores == sorted(scores, reverse=True) and len(set(scores)) == len(scores) > 1
+
+
+def test_friction_of_one_joint_is_not_taken_for_friction_of_all():
+    found = diagnose(BODY, rubbing(moving(2), np.zeros(4), np.array([0.0, 1.0, 0.0, 0.0])))
+    assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [('viscous_friction', 'turn')]
+
+
+@pytest.mark.slow
+def test_a_measured_franka_is_explained_as_well_as_by_a_plain_model(shared_data):
+    """All base parameters, and offset, viscous and dry friction of each joint, its cut-off chosen on the fit."""
+    from semiparam_ros.bags.reader import open_bag
+    from semiparam_ros.core.samples import Samples
+
+    with open_bag(SHARED_DATA / 'panda_arm' / 'panda_exciting_trajectory.db3') as bag:
+        messages = list(bag.messages(['/joint_states']))
+    order = [messages[0].data.name.index(f'fer_joint{number}') for number in range(1, 8)]
+    stamps = np.array([message.data.header.stamp.sec * 10**9 + message.data.header.stamp.nanosec
+                       for message in messages])
+    position, velocity, effort = (np.array([np.array(getattr(message.data, role))[order] for message in messages])
+                                  for role in ('position', 'velocity', 'effort'))
+    samples = Samples(stamps, position, velocity, np.zeros_like(velocity), effort, int(stamps[0]))
+    body = RigidBody.from_urdf((shared_data / 'panda_arm' / 'panda.urdf').read_text(),
+                               [f'panda_joint{number}' for number in range(1, 8)], 'effort')
+    found = diagnose(body, samples)
+    first, counted = found.first, found.first.counted
+    plain = plain_model(body, first.samples, first.train_mask[:, None] & counted)
+    judged = found.held_out[:, None] & counted
+    assert found.after.nmse == pytest.approx(nmse(found.final.residual, first.samples.outputs, judged))
+    assert found.after.nmse.mean() < 1.05 * plain.nmse(first.samples, judged).mean()
