@@ -148,6 +148,8 @@ class DesiredOutputs(NamedTuple):
 
     shown: Array  # by the sensor
     needed: Array  # by the arm: without the sensor's offset and effects
+    covariance: Array  # (n, n) of what is shown, noise included
+    variance_ratio: float  # largest variance of the model itself over that of the noise, over the outputs
 
 
 class Remembered(NamedTuple):
@@ -169,6 +171,7 @@ class EstimatorState(NamedTuple):
     origin: int | None  # [ns]
     newest: int | None  # [ns] stamp of the last sample
     memory: Memories
+    inputs_learnt: Array  # (2, m) lowest and highest inputs learnt, (0, m) before the first
 
 
 class Estimator:
@@ -195,6 +198,8 @@ class Estimator:
         self.origin = origin
         self._newest: int | None = None
         self._memory: Memories = None
+        self.inputs_learnt: Array = np.zeros((0, 3 * body.n_joints))
+        """(2, m) lowest and highest inputs learnt; (0, m) before the first."""
         given = self.options.hyperparameters
         self.ready = given is not None
         self.model = self._provisional() if given is None else self._given(given)
@@ -242,8 +247,11 @@ class Estimator:
         if self.wandering is not None:
             outputs = outputs + self.wandering.offset
             of_sensor = of_sensor + self.wandering.offset * self.columns.has_offset
-        require_finite('predicted outputs of a desired state', outputs)
-        return DesiredOutputs(outputs, outputs - of_sensor)
+        scale = self.calibration.factor * model.output_scale
+        covariance = prior.covariance * np.outer(scale, scale)
+        require_finite('predicted outputs of a desired state', np.concatenate([outputs, covariance.diagonal()]))
+        ratio = float(prior.covariance.diagonal().max()) / model.hyperparameters.sigma**2 - 1.0
+        return DesiredOutputs(outputs, outputs - of_sensor, covariance, ratio)
 
     def observe(self, prediction: Prediction, learn: bool = True) -> HorizonErrors | None:
         """Charge a predicted sample to the horizon index, and learn it; the horizon it completed.
@@ -258,6 +266,10 @@ class Estimator:
         self._memory = prediction.memory
         outputs = sample.outputs / self.model.output_scale
         complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)
+        if learn:
+            x = sample.inputs
+            known = self.inputs_learnt
+            self.inputs_learnt = np.array([np.minimum(known[0], x), np.maximum(known[1], x)] if len(known) else [x, x])
         correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None
         if not learn:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
@@ -304,7 +316,8 @@ class Estimator:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
         wandering = {} if self.wandering is None else self.wandering.state()
         return EstimatorState(self.model.recursion.state(), self.horizon.state(), self.calibration.state(), wandering,
-                              self._window_left, tuple(self.window), self.origin, self._newest, self._memory)
+                              self._window_left, tuple(self.window), self.origin, self._newest, self._memory,
+                              self.inputs_learnt)
 
     def restore(self, state: EstimatorState) -> None:
         """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
@@ -319,6 +332,7 @@ class Estimator:
         self._window_left = state.window_left
         self.window, self._memory = list(state.window), state.memory
         self.origin, self._newest = state.origin, state.newest
+        self.inputs_learnt = state.inputs_learnt
 
     def hyperparameters(self) -> Hyperparameters:
         """Those in use, with pi as it stands."""

@@ -81,7 +81,8 @@ def snapshot(state: SavedState) -> Snapshot:
         'history': arrays_of(state.batch), 'recursion': learnt.recursion, 'horizon': learnt.horizon,
         'calibration': learnt.calibration, 'wandering': learnt.wandering,
         'memory': memory, 'gate': gate, 'window': _stacked(learnt.window)}
-    return {'meta': np.array(json.dumps(meta)), 'bias': state.bias, 'probe': probe(state.estimator.body),
+    return {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
+            'inputs_learnt': learnt.inputs_learnt, 'probe': probe(state.estimator.body),
             **{f'{group}.{name}': values for group, arrays in groups.items() for name, values in arrays.items()}}
 
 
@@ -236,7 +237,8 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
                                      int(meta['window_left']),
                                      _unstacked(_group(arrays, 'window'), body.n_joints, estimator.columns.n_columns),
                                      meta['origin'], meta['newest'],
-                                     cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory')))))
+                                     cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
+                                     arrays['inputs_learnt']))
     return estimator
 
 

@@ -258,6 +258,11 @@ class Table:
         'gate.timeout', 5.0, 'A gate closed for longer opens: the robot has changed, it is not touched. 0: never.',
         unit='s', minimum=0.0, live=True)
 
+    # Feedforward
+    feedforward_before_ready: str = declare(
+        'feedforward.before_ready', 'withhold', 'What answers desired_trajectory until the initial window is over: '
+        'nothing but a refusal, or the robot description alone.', choices=('withhold', 'description'), live=True)
+
     # Node
     queue_depth: int = declare(
         'queue_depth', 0, 'Messages kept for each input topic while the node is busy; 0 keeps all.', minimum=0,

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.model_switcher import State, same_model
 from semiparam_ros.online.state_file import load, save
@@ -39,7 +40,7 @@ class Lives(RuleBasedStateMachine):
         self.background = DelayedBackground()
         self.offered, self.answers, self.given, self.saved = [], [], [], []
         self.stamp, self.place = MOTION[0].stamp, 0
-        self.learner = None
+        self.learner, self.feedforward = None, Feedforward()
 
     @initialize()
     def begin(self):
@@ -128,6 +129,18 @@ class Lives(RuleBasedStateMachine):
     @rule(learning=st.booleans(), gate=st.booleans())
     def pauses(self, learning, gate):
         self.change(learning=learning, gate_enabled=gate, gate_timeout=0.3)
+
+    @rule(values=st.lists(st.floats(-1e9, 1e9), min_size=6, max_size=6),
+          before=st.sampled_from(['withhold', 'description']))
+    def asks_for_feedforward(self, values, before):
+        self.change(feedforward_before_ready=before)
+        try:
+            found = self.feedforward.answer(self.learner, *np.reshape(values, (3, 2)))
+        except SemiparamError as error:
+            assert 'withheld' in str(error) and before == 'withhold' and not self.learner.estimator.ready, error
+        else:
+            assert np.isfinite([*found.outputs, *found.outputs_std, *found.efforts_std]).all()
+            assert (np.abs(found.efforts) <= BODY.effort_limits).all()
 
     @rule(ago=st.integers(0, 60))
     def applies_a_diagnosis(self, ago):

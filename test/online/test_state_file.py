@@ -104,7 +104,7 @@ LAYOUT = {
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
                     'horizon.length initial.samples noise outputs variant',
-        'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)',
+        'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)', 'inputs_learnt': 'f8 (2, 6)',
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
         'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'b1 (70,)',
         'history.origin': 'i8 ()',

@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.core.robot.feedforward import Desired
+from semiparam_ros.core.robot import feedforward
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.parameter_table import PARAMETERS
@@ -293,7 +293,7 @@ def test_feedforward_answers_a_desired_trajectory(client):
     client.outputs['desired_trajectory'].publish(JointTrajectory(joint_names=['a']))
     client.outputs['desired_trajectory'].publish(wish)
     client.wait(lambda: client.heard['feedforward_trajectory'], 'the answer')
-    desired = [Desired(estimator, *sample[1:4]) for sample in samples[:3]]
+    desired = [feedforward.desired(estimator, *sample[1:4]) for sample in samples[:3]]
     np.testing.assert_allclose(client.values('feedforward'), [each.outputs for each in desired], rtol=0, atol=1e-9)
     efforts = [list(point.effort)[::-1] for point in client.heard['feedforward_trajectory'][0].points]
     np.testing.assert_allclose(efforts, [each.efforts for each in desired], rtol=0, atol=1e-9)

@@ -10,7 +10,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator, ModelOptions
-from semiparam_ros.core.robot.feedforward import Desired, joint_torques
+from semiparam_ros.core.robot import feedforward
+from semiparam_ros.core.robot.feedforward import joint_torques
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import effect_from_text
@@ -59,10 +60,10 @@ def test_torques_follow_from_the_wrench_of_a_heavier_hand(settings, convention):
     for _ in range(20):
         row = rng.uniform(-2.0, 2.0, (3, body.n_joints))
         wrench = heavy.regressor(*row) @ heavy.base_parameters
-        np.testing.assert_allclose(joint_torques(body, *row, wrench)[proximal], rnea(heavier, *row)[proximal],
+        np.testing.assert_allclose(joint_torques(body, *row, wrench)[0][proximal], rnea(heavier, *row)[proximal],
                                    atol=1e-9)
         described = body.regressor(*row) @ body.base_parameters
-        np.testing.assert_allclose(joint_torques(body, *row, described), rnea(settings, *row), atol=1e-9)
+        np.testing.assert_allclose(joint_torques(body, *row, described)[0], rnea(settings, *row), atol=1e-9)
 
 
 def test_a_learnt_model_gives_the_torques_of_the_robot_as_it_is_without_the_sensors_offset():
@@ -74,7 +75,7 @@ def test_a_learnt_model_gives_the_torques_of_the_robot_as_it_is_without_the_sens
         outputs = heavy.regressor(*sample[1:4]) @ heavy.base_parameters + offset
         estimator.step(sample._replace(outputs=outputs + 1e-4 * rng.standard_normal(6)))
     sample = motion(620)[-1]
-    desired = Desired(estimator, *sample[1:4])
+    desired = feedforward.desired(estimator, *sample[1:4])
     np.testing.assert_allclose(desired.efforts, rnea(heavier, *sample[1:4]), atol=0.01)
     np.testing.assert_allclose(desired.outputs, heavy.regressor(*sample[1:4]) @ heavy.base_parameters + offset,
                                atol=0.01)
@@ -83,7 +84,7 @@ def test_a_learnt_model_gives_the_torques_of_the_robot_as_it_is_without_the_sens
 def test_an_effort_model_predicts_them_and_a_purely_nonparametric_one_knows_no_offset():
     settings = replace(SETTINGS, outputs='effort', sensor_frame='', variant='P')
     estimator, sample = build_estimator(settings), motion(2)[1]
-    desired = Desired(estimator, *sample[1:4])
+    desired = feedforward.desired(estimator, *sample[1:4])
     np.testing.assert_allclose(desired.efforts, rnea(settings, *sample[1:4]), atol=1e-9)
     estimator = build_estimator(replace(SETTINGS, variant='NP-ML'))
     for each in motion(80):
@@ -121,7 +122,7 @@ def test_no_kind_of_effect_makes_efforts_that_the_motion_does_not_take(outputs, 
     plain = learnt(body, [])
     rng = np.random.default_rng(1)
     for row in rng.uniform(-1.0, 1.0, (5, 3, body.n_joints)):
-        desired, usual = Desired(estimator, *row), Desired(plain, *row)
+        desired, usual = feedforward.desired(estimator, *row), feedforward.desired(plain, *row)
         assert np.isfinite(desired.outputs).all()
         described = np.abs(usual.efforts).max()
         assert np.abs(desired.efforts - usual.efforts).max() < 0.5 * described
@@ -165,18 +166,18 @@ def test_a_payload_that_was_picked_up_is_in_the_efforts_whatever_the_stamps():
     for estimator, there in ((before, False), (after, True)):
         theta = estimator.model.recursion.theta
         theta[estimator.columns.blocks['0']][0] = 2.0
-        heavier = Desired(estimator, *row).efforts
+        heavier = feedforward.desired(estimator, *row).efforts
         theta[estimator.columns.blocks['0']][0] = 0.0
-        assert (np.abs(heavier - Desired(estimator, *row).efforts).max() > 1.0) == there
+        assert (np.abs(heavier - feedforward.desired(estimator, *row).efforts).max() > 1.0) == there
 
 
 def test_a_sensors_drift_moves_the_wrench_that_it_will_show_and_no_motor():
     body, effect = BODIES['wrench'], effect_from_text('sensor_drift')
     row = np.random.default_rng(2).uniform(-1.0, 1.0, (3, body.n_joints))
     estimator = learnt(body, [effect])
-    before = Desired(estimator, *row)
+    before = feedforward.desired(estimator, *row)
     estimator.model.recursion.theta[estimator.columns.blocks['0']] += 1.0
-    after = Desired(estimator, *row)
+    after = feedforward.desired(estimator, *row)
     span = (MOTION.stamps[-1] - MOTION.stamps[0]) * 1e-9
     np.testing.assert_allclose(after.outputs - before.outputs, span, rtol=1e-9)
     np.testing.assert_allclose(after.efforts, before.efforts, atol=1e-9)
@@ -191,7 +192,7 @@ def test_every_variant_answers_desired_states_with_effects(variant):
         estimator.step(sample)
     assert estimator.ready
     measured = estimator.predict(samples[-1]).mean
-    desired = Desired(estimator, *samples[-1][1:4])
+    desired = feedforward.desired(estimator, *samples[-1][1:4])
     np.testing.assert_allclose(desired.outputs, measured, atol=1e-9)
     assert np.isfinite(desired.efforts).all()
     np.testing.assert_allclose(desired.efforts, rnea(settings, *samples[-1][1:4]), atol=5.0)

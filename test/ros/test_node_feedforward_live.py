@@ -7,6 +7,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from semiparam_ros.online.feedforward import STATUS
 from semiparam_ros.ros.estimator.desired_trajectory import MOST_POINTS
 from support.node_helpers import BODY, JOINTS, SETTINGS, motion
 
@@ -56,16 +57,33 @@ def test_whatever_its_stamp_a_desired_state_is_one_of_now(start_node):
     """Torques of 3e50 N m came of a stamp of zero and a delay of 4.7 ms."""
     _, client = start_node(replace(SETTINGS, variant='P', acceleration_source='measured', effects=EFFECTS))
     listen(client, 'wrench')
+    client.listen(JointState, 'feedforward_status')
+    client.listen(WrenchStamped, 'feedforward_std')
+    client.listen(JointTrajectory, 'feedforward_trajectory_std')
     client.offer('joint_states', 'joint_accelerations', 'wrench', 'desired_trajectory')
+    client.outputs['desired_trajectory'].publish(wish())
+    client.wait_report('inputs', lambda level, message, values: 'feedforward is withheld' in values['last refusal'])
+    assert not client.heard['feedforward'] and not client.heard['feedforward_trajectory']
+    assert client.set(feedforward__before_ready='description')[0].successful
+    described = BODY.regressor(*map(np.array, ROW)) @ BODY.base_parameters
+    np.testing.assert_allclose(answer(client, wish())[0], described, atol=1e-12)
+    client.wait(lambda: client.heard['feedforward_status'], 'its marks')
+    assert dict(zip(STATUS, client.heard['feedforward_status'][0].position, strict=True))['described'] == 1.0
+    client.wait_report('feedforward', lambda level, message, values: values['withheld'] == '1')
     samples = samples_of_this_year(150)
     client.play(samples, JOINTS)
     now = samples[-1].stamp // 10**9
     answers = [answer(client, wish(seconds)) for seconds in (now, 0, now - 5, now - 1, now + 3600)]
-    described = BODY.regressor(*map(np.array, ROW)) @ BODY.base_parameters
     for outputs, efforts in answers:
         assert (outputs, efforts) == answers[0]
         assert np.abs(outputs).max() < 3.0 * np.abs(described).max()
         assert np.abs(efforts).max() < 3.0 * np.abs(described).max()
+    client.wait(lambda: len(client.heard['feedforward_std']) == len(client.heard['feedforward_status']) == 6, 'marks')
+    assert client.heard['feedforward_status'][-1].name == list(STATUS)
+    assert client.heard['feedforward_status'][-1].header.stamp == client.heard['feedforward'][-1].header.stamp
+    assert min(client.values('feedforward_std')[-1]) > 0.0
+    deviations = client.heard['feedforward_trajectory_std'][-1]
+    assert deviations.joint_names == ['b', 'a'] and min(deviations.points[0].effort) > 0.0
 
     client.forget()
     client.outputs['desired_trajectory'].publish(wish(points=MOST_POINTS + 1, gripper=False))

@@ -14,38 +14,96 @@ Joints distal of the sensor have no column in J: their torques stay those of the
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.estimator import PROVISIONAL_GAMMA, DesiredOutputs, Estimator, require_finite
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 
+RANGE_MARGIN = 0.05
+"""How far beyond the inputs learnt still counts as within them, as a share of their range."""
 
-class Desired:
+
+class Desired(NamedTuple):
     """What one desired state takes, as of now: ``outputs`` (n,), and ``efforts`` (n_joints,) [N m] for the motors.
 
-    A wrench is what the sensor will show, but for a bias that a tare took off. Efforts are what has to be commanded;
-    the outputs of an effort model are these.
+    A wrench is what the sensor will show, but for a bias that a tare took off. Efforts are what has to be commanded,
+    cut to the limits of the URDF; the outputs of an effort model are these. Standard deviations hold the noise; those
+    of efforts from a wrench also the uncertainty of the sensor's offset, and nothing of joints distal of the sensor.
     """
 
-    def __init__(self, estimator: Estimator, position: Array, velocity: Array, acceleration: Array) -> None:
-        """Raises SemiparamError when a value is not finite. Nothing is learnt."""
-        body = estimator.body
-        predicted = estimator.predict_desired(position, velocity, acceleration)
-        if body.outputs == 'effort':
-            self.outputs = self.efforts = predicted.needed
-        else:
-            self.outputs = predicted.shown
-            self.efforts = joint_torques(body, position, velocity, acceleration, predicted.needed)
+    outputs: Array
+    outputs_std: Array
+    efforts: Array
+    efforts_std: Array
+    limited: Array  # (n_joints,) where the effort was cut
+    outside: tuple[str, ...]  # inputs outside of those learnt
+    variance_ratio: float  # see DesiredOutputs
+    described: bool  # by the robot description alone
 
 
-def joint_torques(body: RigidBody, position: Array, velocity: Array, acceleration: Array, wrench: Array) -> Array:
-    """(n_joints,) torques [N m] of a motion in which the sensor, free of offset, shows ``wrench`` (6,)."""
+def desired(estimator: Estimator, position: Array, velocity: Array, acceleration: Array) -> Desired:
+    """What the model says of a desired state (n_joints,) each. Nothing is learnt.
+
+    Raises SemiparamError when a value, or what follows from it, is not finite.
+    """
+    row = position, velocity, acceleration
+    return _answer(estimator, row, estimator.predict_desired(*row), described=False)
+
+
+def described(estimator: Estimator, position: Array, velocity: Array, acceleration: Array) -> Desired:
+    """What the robot description alone says; its inertial parameters are taken for known to ``PROVISIONAL_GAMMA``.
+
+    Raises SemiparamError when a value, or what follows from it, is not finite.
+    """
+    body, row = estimator.body, (position, velocity, acceleration)
+    require_finite('desired positions, velocities and accelerations', np.concatenate(row))
+    regressor = body.regressor(*row)
+    outputs = regressor @ body.base_parameters
+    uncertain = PROVISIONAL_GAMMA * regressor
+    covariance = uncertain @ uncertain.T
+    require_finite('described outputs of a desired state', np.concatenate([outputs, covariance.diagonal()]))
+    return _answer(estimator, row, DesiredOutputs(outputs, outputs, covariance, 0.0), described=True)
+
+
+def outside_of_the_learnt(estimator: Estimator, row: tuple[Array, Array, Array]) -> tuple[str, ...]:
+    """Names of the inputs that lie outside of those learnt, such as ``velocity of elbow``."""
+    names = [f'{kind} of {joint}' for kind in ('position', 'velocity', 'acceleration')
+             for joint in estimator.body.joints]
+    if not len(estimator.inputs_learnt):
+        return tuple(names)
+    lowest, highest = estimator.inputs_learnt
+    margin, x = RANGE_MARGIN * (highest - lowest), np.concatenate(row)
+    return tuple(names[index] for index in np.flatnonzero((x < lowest - margin) | (x > highest + margin)))
+
+
+def _answer(estimator: Estimator, row: tuple[Array, Array, Array], found: DesiredOutputs, described: bool) -> Desired:
+    body, outside = estimator.body, outside_of_the_learnt(estimator, row)
+    std = np.sqrt(found.covariance.diagonal())
+    if body.outputs == 'effort':
+        wanted, wanted_std = found.needed, std
+    else:
+        wanted, jacobian = joint_torques(body, *row, found.needed)
+        wanted_std = np.sqrt(np.einsum('ij,ik,kj->j', jacobian, found.covariance, jacobian).clip(0.0))
+        require_finite('efforts of a desired state', np.concatenate([wanted, wanted_std]))
+    efforts = wanted.clip(-body.effort_limits, body.effort_limits)
+    outputs = efforts if body.outputs == 'effort' else found.shown
+    return Desired(outputs, std, efforts, wanted_std, efforts != wanted, outside, found.variance_ratio, described)
+
+
+def joint_torques(body: RigidBody, position: Array, velocity: Array, acceleration: Array,
+                  wrench: Array) -> tuple[Array, Array]:
+    """Torques [N m] of a motion in which the sensor, free of offset, shows ``wrench`` (6,), and d torque / d wrench.
+
+    Shapes (n_joints,) and (6, n_joints).
+    """
     data = body.arm.createData()
     q, dq, ddq = (body.arm_vector(values) for values in (position, velocity, acceleration))
     described = np.array(pin.rnea(body.arm, data, q, dq, ddq))
-    jacobian = pin.computeFrameJacobian(body.arm, data, q, body.sensor_index, pin.LOCAL)
+    jacobian = body.sign * pin.computeFrameJacobian(body.arm, data, q, body.sensor_index, pin.LOCAL)
     expected = body.full_regressor(position, velocity, acceleration) @ body.inertial_parameters
-    difference = body.sign * (wrench - expected)
-    return np.asarray((described + jacobian.T @ difference)[body.arm_columns])
+    torques = described + jacobian.T @ (wrench - expected)
+    return np.asarray(torques[body.arm_columns]), np.asarray(jacobian[:, body.arm_columns])

@@ -186,6 +186,12 @@ class RigidBody:
         return tuple(names) if self.distal is None else (str(self.sensor_frame), *names[1:])
 
     @cached_property
+    def effort_limits(self) -> Array:
+        """(n_joints,) largest efforts [N m] that the URDF allows; infinite where it names none above 0."""
+        limits = np.asarray(self.arm.effortLimit)[self.arm_columns]
+        return np.where(limits < float(urdf_tree.NO_LIMIT), limits, np.inf)
+
+    @cached_property
     def inertial_parameters(self) -> Array:
         """(10 n_bodies,) m, m c, and inertia about the body's origin, as the URDF gives them."""
         model = self.arm if self.distal is None else self.distal

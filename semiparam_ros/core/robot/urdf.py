@@ -20,6 +20,8 @@ IGNORED = ('visual', 'collision')
 MOST_CHARACTERS = 2_000_000
 """Of a description: ten times the longest of a humanoid."""
 
+NO_LIMIT = '1e9'
+
 
 def parse(urdf: str) -> ElementTree.Element:
     """The robot element, without meshes and limits, and with unlimited joints written as revolute ones.
@@ -216,7 +218,12 @@ def _fault(sentence: str) -> SemiparamError:
 
 
 def _widen_limit(joint: ElementTree.Element) -> None:
-    """A limit that never binds: the reader demands one, the dynamics do not."""
+    """Limits of position and speed that never bind: the reader demands them, the dynamics do not. That of the effort
+    stays where it is one: feedforward keeps to it."""
+    effort = NO_LIMIT
     for limit in joint.findall('limit'):
         joint.remove(limit)
-    ElementTree.SubElement(joint, 'limit', lower='-1e9', upper='1e9', effort='1e9', velocity='1e9')
+        text = limit.get('effort', '')
+        if _is_finite(text, 1) and 0.0 < float(text) < float(NO_LIMIT):
+            effort = text
+    ElementTree.SubElement(joint, 'limit', lower=f'-{NO_LIMIT}', upper=NO_LIMIT, effort=effort, velocity=NO_LIMIT)

@@ -21,13 +21,13 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from semiparam_ros.bags.alignment import LARGEST
-from semiparam_ros.core.robot.feedforward import Desired
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
+from semiparam_ros.online.feedforward import STATUS, Feedforward, status
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.worker import Later
-from semiparam_ros.ros.cdr import ENCAPSULATION, Layout
+from semiparam_ros.ros.cdr import ENCAPSULATION, Layout, joint_state_layout
 from semiparam_ros.ros.estimator.publishers import ValueMessage
 
 TOPIC = 'desired_trajectory'
@@ -41,7 +41,7 @@ SEQUENCES = ('positions', 'velocities', 'accelerations', 'effort')
 DEPTH = 100
 MOST_WAITING = 100
 """Trajectories that may wait for one that is being answered."""
-SLICE_S = 0.002
+SLICE_S = 0.0005
 """How long the points of a trajectory are worked on before samples get their turn."""
 
 
@@ -169,6 +169,8 @@ class DesiredTrajectory:
     """Answers every point on ``~/feedforward``, and the trajectory as a whole, efforts filled in, on
     ``~/feedforward_trajectory``; a long one in slices, between which samples are answered and learnt.
 
+    Standard deviations stand beside both, and the marks of each point on ``~/feedforward_status``.
+
     :param failed: receives the topic and what went wrong with a trajectory.
     :param later: see :data:`Later`; what has come meanwhile goes first.
     """
@@ -178,8 +180,14 @@ class DesiredTrajectory:
         self._learner, self._frame_id, self._failed, self._later = learner, frame_id, failed, later
         self._work: deque[Iterator[None]] = deque()
         kind = WrenchStamped if outputs == 'wrench' else JointState
+        self.feedforward = Feedforward()
+        self._warn = node.get_logger().warning
         self._points = node.create_publisher(kind, '~/feedforward', MOST_POINTS)
+        self._std = node.create_publisher(kind, '~/feedforward_std', MOST_POINTS)
+        self._status = node.create_publisher(JointState, '~/feedforward_status', MOST_POINTS)
+        self._marks = joint_state_layout('', STATUS, len(STATUS), 0, 0)
         self._trajectory = node.create_publisher(JointTrajectory, '~/feedforward_trajectory', DEPTH)
+        self._trajectory_std = node.create_publisher(JointTrajectory, '~/feedforward_trajectory_std', DEPTH)
         node.create_subscription(JointTrajectory, TOPIC, self._receive, DEPTH, raw=True)
 
     def _receive(self, raw: bytes) -> None:
@@ -223,15 +231,26 @@ class DesiredTrajectory:
         joints, is_wrench = learner.body.joints, learner.body.outputs == 'wrench'
         value = ValueMessage(None if is_wrench else joints)
         columns = np.argsort(order)  # our joints as the message orders them
-        answer = TrajectoryWriter(trajectory.stamp, trajectory.frame_id, [joints[column] for column in columns])
+        answer, answer_std = (TrajectoryWriter(trajectory.stamp, trajectory.frame_id,
+                                               [joints[column] for column in columns]) for _ in range(2))
+        before = self.feedforward.counts()
         for stamp, state, point in points:
             learner = self._learner()
-            desired = Desired(learner.estimator, *state)
-            outputs = desired.outputs + learner.tare.bias if is_wrench else desired.outputs
+            found = self.feedforward.answer(learner, *state)
+            outputs = found.outputs + learner.tare.bias if is_wrench else found.outputs
             self._points.publish(value.filled(stamp, self._frame_id(), outputs))
-            answer.add([part[columns].tolist() for part in (*state, desired.efforts)], point.from_start)
+            if self._std.get_subscription_count():
+                self._std.publish(value.filled(stamp, self._frame_id(), found.outputs_std))
+            if self._status.get_subscription_count():
+                self._status.publish(self._marks.write(stamp, status(found)))
+            for writer, efforts in ((answer, found.efforts), (answer_std, found.efforts_std)):
+                writer.add([part[columns].tolist() for part in (*state, efforts)], point.from_start)
             yield
         self._trajectory.publish(answer.message())
+        self._trajectory_std.publish(answer_std.message())
+        marked = self.feedforward.sentence(before)
+        if marked:
+            self._warn(marked, throttle_duration_sec=1.0)
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:

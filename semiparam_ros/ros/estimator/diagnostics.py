@@ -17,6 +17,7 @@ from rclpy.node import Node
 
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.errors import shortened
+from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
@@ -237,6 +238,15 @@ def model_report(learner: Learner, tally: Tally) -> Report:
     return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction yet.', values)
 
 
+def feedforward_report(feedforward: Feedforward) -> Report:
+    """How many desired states were answered, and what had to be said of them."""
+    counts = feedforward.counts()
+    values = {'answered': counts.answered, 'answered by the robot description': counts.described,
+              'cut to the effort limits': counts.limited, 'outside of what was learnt': counts.doubtful,
+              'withheld': counts.withheld, 'last mark': feedforward.last}
+    return Report(OK, f'{counts.answered} desired states answered, {counts.withheld} withheld.', values)
+
+
 def errors_report(errors: InternalErrors) -> Report:
     """What went wrong in the node itself, by its place."""
     values: dict[str, object] = {f'internal errors: {place}': count for place, count in sorted(errors.counts.items())}
@@ -265,7 +275,7 @@ class Reports:
     """
 
     def __init__(self, node: Node, inputs: Inputs, rejections: Rejections, errors: InternalErrors,
-                 learner: Callable[[], Learner | None]) -> None:
+                 learner: Callable[[], Learner | None], feedforward: Feedforward) -> None:
         self.tally = Tally(())
         self._news = self._robot_name = ''
         self._errors = errors
@@ -276,6 +286,7 @@ class Reports:
         turns = {'inputs': InputReport(inputs, rejections).make,
                  'timing': lambda: timing_report(inputs), 'learning': self._learning,
                  'model': self._model, 'parameters': self._parameters,
+                 'feedforward': lambda: feedforward_report(feedforward),
                  'errors': lambda: errors_report(errors)}
         turn = cycle(turns.items())
         # By the machine's own clock: with a simulated one the reports would follow the recording's speed.

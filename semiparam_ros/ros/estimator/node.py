@@ -60,12 +60,13 @@ class EstimatorNode(Node):
         self._background = ProcessBackground(guarded)
         self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
         self._inputs = Inputs(self, settings, self)
-        self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner)
+        trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
+                                         self.message_failed, guarded)
+        self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
+                                trajectories.feedforward)
         self._held_replies = HeldReplies(self, self._announcement)
         Services(self, self._live, self._the_learner, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
-        DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
-                          self.message_failed, guarded)
         self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
         self._watch_clock()

@@ -1,0 +1,86 @@
+"""Feedforward that can be trusted with an arm: withheld until there is a model, within limits, and marked."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from semiparam_ros.core.robot.feedforward import Desired, described, desired
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError, listed
+from semiparam_ros.online.learner import Learner
+
+LARGEST_VARIANCE_RATIO = 1.0
+"""Where the model's own variance exceeds that of the noise so many times, it has not learnt enough about the state."""
+
+
+class Counts(NamedTuple):
+    """Of desired states."""
+
+    answered: int
+    described: int
+    limited: int
+    doubtful: int
+    withheld: int
+
+
+class Feedforward:
+    """Answers desired states by a learner's model, and counts what it had to say of them."""
+
+    def __init__(self) -> None:
+        self._counts = [0] * len(Counts._fields)
+        self.last = ''
+        """What was last to be said of an answer."""
+
+    def counts(self) -> Counts:
+        """Since the start."""
+        return Counts(*self._counts)
+
+    def answer(self, learner: Learner, position: Array, velocity: Array, acceleration: Array) -> Desired:
+        """One desired state (n_joints,) each.
+
+        Raises SemiparamError when it is withheld, for there is no model yet, and for values that are not finite.
+        """
+        row, ready = (position, velocity, acceleration), learner.estimator.ready
+        if not ready and learner.settings.feedforward_before_ready == 'withhold':
+            self._count(withheld=1)
+            raise SemiparamError('feedforward is withheld until the initial window is over; with '
+                                 'feedforward.before_ready description the robot description answers meanwhile.')
+        found = desired(learner.estimator, *row) if ready else described(learner.estimator, *row)
+        doubtful = ready and is_doubtful(found)
+        self._count(answered=1, described=found.described, limited=bool(found.limited.any()), doubtful=doubtful)
+        if doubtful:
+            self.last = listed(found.outside) if found.outside else 'the model is uncertain there'
+        if found.limited.any():
+            self.last = listed([f'effort of {joint} cut' for joint, cut in
+                                zip(learner.body.joints, found.limited, strict=True) if cut])
+        return found
+
+    def sentence(self, before: Counts) -> str:
+        """What to say of the states since some counts; '' for nothing."""
+        new = Counts(*(now - then for now, then in zip(self._counts, before, strict=True)))
+        parts = [f'{count} {what}' for count, what in (
+            (new.described, 'answered by the robot description alone'),
+            (new.limited, 'cut to the effort limits of the robot description'),
+            (new.doubtful, 'outside of what was learnt')) if count]
+        return f'of {new.answered} desired states {", ".join(parts)} ({self.last or "no model yet"}).' if parts else ''
+
+    def _count(self, **more: int) -> None:
+        self._counts = [count + int(more.get(name, 0))
+                        for name, count in zip(Counts._fields, self._counts, strict=True)]
+
+
+def is_doubtful(found: Desired) -> bool:
+    """Whether the model has learnt too little about the state to be followed without a check."""
+    return bool(found.outside) or found.variance_ratio > LARGEST_VARIANCE_RATIO
+
+
+STATUS = ('valid', 'described', 'limited', 'outside', 'variance_ratio')
+"""Names of :func:`status`."""
+
+
+def status(found: Desired) -> list[float]:
+    """Numbers that mark an answer: valid (1: by the model, within what it learnt, not cut), by the description (1),
+    how many efforts were cut, how many inputs lie outside of those learnt, model's over noise's variance."""
+    cut = float(found.limited.sum())
+    valid = not (found.described or cut or is_doubtful(found))
+    return [float(valid), float(found.described), cut, float(len(found.outside)), found.variance_ratio]

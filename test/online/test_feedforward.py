@@ -1,0 +1,132 @@
+"""Whatever is asked of the feedforward: it is refused in a sentence, or finite, within the limits, and marked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.robot.feedforward import described, desired, joint_torques
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.feedforward import STATUS, Feedforward, status
+from support.effect_cases import BODIES, CASES, MOTION, NAMES
+from support.learner_stage import Stage
+from support.node_helpers import BODY, SETTINGS, URDF, motion
+
+WILD = st.one_of(st.floats(-1.0, 1.0), st.floats(-1e9, 1e9), st.sampled_from([0.0, 1e9, -1e9, 1e-300, np.pi]))
+NAN_OR_WILD = st.one_of(WILD, st.sampled_from([np.nan, np.inf]))
+
+
+def assert_safe(body, found):
+    """Finite, within the limits, and marked where it was cut."""
+    for values in (found.outputs, found.outputs_std, found.efforts, found.efforts_std, [found.variance_ratio]):
+        assert np.isfinite(values).all()
+    assert (found.outputs_std >= 0.0).all() and (found.efforts_std >= 0.0).all()
+    assert (np.abs(found.efforts) <= body.effort_limits).all()
+    assert (np.abs(found.efforts[found.limited]) == body.effort_limits[found.limited]).all()
+    if body.outputs == 'effort':
+        assert found.outputs is found.efforts
+    marks = dict(zip(STATUS, status(found), strict=True))
+    assert bool(marks['valid']) == (not found.described and not found.limited.any() and not found.outside
+                                    and found.variance_ratio <= 1.0)
+
+
+LEARNT = {}
+
+
+def learnt(outputs, effect):
+    """P with an effect after a short motion; built once."""
+    place = outputs, NAMES[CASES.index((outputs, effect))]
+    if place not in LEARNT:
+        body = BODIES[outputs]
+        estimator = Estimator(body, ModelOptions(variant='P', initial_samples=1000), [effect])
+        for sample in list(MOTION)[:20]:
+            row = [values[:body.n_joints] for values in sample[1:4]]
+            estimator.step(Sample(sample.stamp, *row, body.regressor(*row) @ body.base_parameters + 0.1))
+        LEARNT[place] = estimator
+    return LEARNT[place]
+
+
+@pytest.mark.filterwarnings('ignore:.*encountered in.*:RuntimeWarning')
+@given(st.sampled_from(CASES), st.lists(NAN_OR_WILD, min_size=12, max_size=12))
+def test_every_effect_and_every_state(case, values):
+    outputs, effect = case
+    body, estimator = BODIES[outputs], learnt(outputs, effect)
+    row = np.reshape(values[:3 * body.n_joints], (3, body.n_joints))
+    for answer in (desired, described):
+        try:
+            found = answer(estimator, *row)
+        except SemiparamError as error:
+            assert 'expected finite values' in str(error)
+        else:
+            assert np.isfinite(row).all()
+            assert_safe(body, found)
+
+
+def test_the_cases_are_of_every_effect():
+    assert len(CASES) == len(NAMES) and {outputs for outputs, _ in CASES} == {'wrench', 'effort'}
+
+
+ROW = [np.array([0.1, -0.2]), np.array([0.3, 0.1]), np.array([0.0, 0.5])]
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_it_is_withheld_until_there_is_a_model_or_answered_by_the_description(outputs):
+    settings = replace(SETTINGS, outputs=outputs)
+    body = BODY if outputs == 'wrench' else RigidBody.from_urdf(URDF, settings.joints, 'effort')
+    stage, feedforward = Stage(settings, body=body), Feedforward()
+    samples = motion(100, body=body)
+    for count in (0, 30, 60):  # nothing yet, gathering, and while the hyperparameters are estimated
+        stage.offer(samples[stage.learner.answered:count])
+        with pytest.raises(SemiparamError, match='withheld until the initial window is over'):
+            feedforward.answer(stage.learner, *ROW)
+    stage.learner.change(replace(settings, feedforward_before_ready='description'))
+    found = feedforward.answer(stage.learner, *ROW)
+    expected = body.regressor(*ROW) @ body.base_parameters
+    assert found.described and status(found)[0] == 0.0
+    np.testing.assert_allclose(found.outputs, expected, atol=1e-12)
+    assert found.outputs_std.min() > 0.1, 'inertias known to 30 % are not known well'
+    assert_safe(body, found)
+    stage.background.run()
+    found = feedforward.answer(stage.learner, *samples[50][1:4])
+    assert not found.described and not found.outside
+    assert_safe(body, found)
+    assert feedforward.counts()[:2] == (2, 1) and feedforward.counts().withheld == 3
+    stage.learner.change(replace(settings, feedforward_before_ready='withhold'))
+    stage.learner.reset()
+    with pytest.raises(SemiparamError, match='withheld'):
+        feedforward.answer(stage.learner, *ROW)
+
+
+def test_efforts_are_cut_to_the_limits_of_the_description_and_said_so():
+    settings = replace(SETTINGS, outputs='effort', variant='P')
+    stage, feedforward = Stage(settings, body=RigidBody.from_urdf(URDF, settings.joints, 'effort')), Feedforward()
+    stage.offer(motion(60, body=stage.learner.body))
+    stage.background.run()
+    before = feedforward.counts()
+    found = feedforward.answer(stage.learner, ROW[0], ROW[1], np.array([0.0, 4000.0]))
+    assert found.efforts[1] == 10.0 and found.limited[1], 'the limit of joint b'
+    assert 'acceleration of b' in found.outside
+    assert feedforward.sentence(before).startswith('of 1 desired states 1 cut to the effort limits')
+    assert status(found)[:1] == [0.0]
+
+
+@pytest.mark.parametrize('text', ['effort="0"', 'effort="-3"', 'effort="inf"', 'effort="much"', ''])
+def test_what_is_no_limit_limits_nothing(text):
+    text = URDF.replace('effort="10"', text, 1)
+    assert RigidBody.from_urdf(text, ('a', 'b'), 'effort').effort_limits.tolist() == [np.inf, 10.0]
+
+
+def test_the_deviation_of_torques_is_that_of_the_wrench_carried_to_the_joints():
+    stage = Stage(replace(SETTINGS, variant='P'))
+    stage.offer(motion(60))
+    stage.background.run()
+    found, step = desired(stage.learner.estimator, *ROW), 1e-6
+    wrench, covariance = found.outputs, stage.learner.estimator.predict_desired(*ROW).covariance
+    base = joint_torques(BODY, *ROW, wrench)[0]
+    jacobian = np.array([(joint_torques(BODY, *ROW, wrench + step * unit)[0] - base) / step for unit in np.eye(6)])
+    np.testing.assert_allclose(found.efforts_std**2, np.diag(jacobian.T @ covariance @ jacobian), rtol=1e-4)
