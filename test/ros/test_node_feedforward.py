@@ -86,7 +86,7 @@ def test_an_effort_model_predicts_them_and_a_purely_nonparametric_one_knows_no_o
     estimator, sample = build_estimator(settings), motion(2)[1]
     desired = feedforward.desired(estimator, *sample[1:4])
     np.testing.assert_allclose(desired.efforts, rnea(settings, *sample[1:4]), atol=1e-9)
-    estimator = build_estimator(replace(SETTINGS, variant='NP-ML'))
+    estimator = build_estimator(replace(SETTINGS, variant='NP-ML', forgetting=1.0))
     for each in motion(80):
         estimator.step(each)
     predicted = estimator.predict_desired(*sample[1:4])
