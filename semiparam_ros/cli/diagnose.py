@@ -141,7 +141,7 @@ def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> No
     from semiparam_ros.settings import dump_params
 
     standing = {effect_to_text(effect.without_start()): effect.without_start()
-                for effect in diagnosis.final.effects  # two loads picked up one after the other are one now
+                for effect in diagnosis.everything.effects  # two loads picked up one after the other are one now
                 if diagnosis.lasts(effect)}
     effects, reference = effects_to_parameters(list(standing.values()))
     dump_params(replace(settings, effects=effects, effects_reference=reference), path,

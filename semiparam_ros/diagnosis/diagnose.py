@@ -19,10 +19,11 @@ from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_eac
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
-from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings
+from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.regression import Fit, refit_weights
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
+from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
 from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
@@ -55,7 +56,8 @@ class Diagnosis:
     """What was found, and everything needed to show it.
 
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
-    recording, or on the recording ``elsewhere``.
+    recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
+    what is told of the effects and declared comes from it.
     """
 
     config: DiagnosisConfig
@@ -64,6 +66,7 @@ class Diagnosis:
     steps: list[Step]
     first: Fit
     final: Fit
+    everything: Fit
     held_out: Mask
     before: Evaluation
     after: Evaluation
@@ -84,7 +87,8 @@ class Diagnosis:
     def declared(self) -> list[Finding]:
         """The effects that were declared beforehand, with their fitted values."""
         offsets = own_offsets(self.first.body, self.recorded.samples)
-        return [finding for finding in declared_findings(self.final, self.findings) if finding.effect not in offsets]
+        return [finding for finding in declared_findings(self.everything, self.findings)
+                if finding.effect not in offsets]
 
     @property
     def gain_and_mass_are_one(self) -> bool:
@@ -106,6 +110,11 @@ class Diagnosis:
         return np.asarray(np.sqrt((floors**2 * (weights / weights.sum())[:, None]).sum(axis=0)))
 
     @property
+    def on_all_samples(self) -> Evaluation:
+        """What the model that is told and declared leaves of the samples that fitted it."""
+        return evaluate_here(self.everything, self.everything.train_mask)
+
+    @property
     def patched(self) -> bool:
         """Whether effect was added after effect, and still much of what is left is more than noise."""
         return patched(self.steps, self.structure, self.config)
@@ -119,6 +128,7 @@ class Diagnosis:
                 'recordings': list(self.names),
                 'before': self.before.as_dict(), 'after': self.after.as_dict(),
                 'by_step': [evaluation.as_dict() for evaluation in self.by_step],
+                'all_samples': self.on_all_samples.as_dict(),
                 'noise_floor_rmse': self.noise_floor_rmse.tolist(), 'held_out': self._held_out(),
                 'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion,
                 'samples_averaged': self.inputs.factor,
@@ -177,9 +187,13 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     before, *by_step = [evaluate_here(fit, held_out) if elsewhere is None
                         else evaluate_there(fit, elsewhere.samples, elsewhere.valid)
                         for fit in (first, *(step.after for step in steps))]
+    everything = final
+    if steps and other is None:
+        everything = fitted_to_all(final, fitting | held_out, [index for index, _, _ in places_in(final, steps)])
     return Diagnosis(
-        config=config, verdict=verdict(first, final, steps, structure, setup), findings=findings(final, steps),
-        steps=steps, first=first, final=final, held_out=held_out, before=before,
+        config=config, verdict=verdict(first, final, steps, structure, setup),
+        findings=findings(final, steps, everything), steps=steps, first=first, final=final, everything=everything,
+        held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *unidentifiable(body, samples, config), *_left_out(clean)],

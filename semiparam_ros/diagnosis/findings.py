@@ -47,16 +47,25 @@ class Finding:
                      'separated_by': kinds()[rival.kind].separated_by} for rival in self.rivals]}
 
 
-def findings(fit: Fit, steps: list[Step]) -> list[Finding]:
-    """Every effect that a step added and the final model still holds, in that order, with its final values."""
-    deviations = coefficient_deviations(fit)
-    found: list[Finding] = []
+def findings(fit: Fit, steps: list[Step], everything: Fit) -> list[Finding]:
+    """Every effect that a step added and the final model still holds, in that order.
+
+    :param everything: the final model fitted to all samples, its effects in the same order; the values are its own.
+    """
+    deviations = coefficient_deviations(everything)
+    return [Finding(everything.effects[index], number, steps[number - 1].added[place].evidence,
+                    _parameters(everything, index, deviations), steps[number - 1].rivals[place])
+            for index, number, place in places_in(fit, steps)]
+
+
+def places_in(fit: Fit, steps: list[Step]) -> list[tuple[int, int, int]]:
+    """Of every effect that a step added and the model still holds: its number there, its round, its number in that."""
+    found: list[tuple[int, int, int]] = []
     for number, step in enumerate(steps, start=1):
-        for trial, rivals in zip(step.added, step.rivals, strict=True):
-            index = _index_in(fit, trial.effect, [finding.effect for finding in found])
+        for place, trial in enumerate(step.added):
+            index = _index_in(fit, trial.effect, [taken for taken, _, _ in found])
             if index is not None:
-                found.append(Finding(fit.effects[index], number, trial.evidence,
-                                     _parameters(fit, index, deviations), rivals))
+                found.append((index, number, place))
     return found
 
 
@@ -67,9 +76,9 @@ def declared_findings(fit: Fit, found: list[Finding]) -> list[Finding]:
             for index, effect in enumerate(fit.effects) if effect not in [finding.effect for finding in found]]
 
 
-def _index_in(fit: Fit, effect: Effect, taken: list[Effect]) -> int | None:
+def _index_in(fit: Fit, effect: Effect, taken: list[int]) -> int | None:
     """Where the model holds the effect now: at its place, or, as a load moves to the nearest link, with its start."""
-    same = [index for index, known in enumerate(fit.effects) if known.kind == effect.kind and known not in taken
+    same = [index for index, known in enumerate(fit.effects) if known.kind == effect.kind and index not in taken
             and (known.where == effect.where or known.start_s == effect.start_s is not None)]
     return same[0] if same else None
 

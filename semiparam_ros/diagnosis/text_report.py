@@ -160,4 +160,11 @@ def _gain(diagnosis: Diagnosis) -> str:
     before, after = diagnosis.before, diagnosis.after
     low, high = after.interval()
     return (f'On held-out data the normalised error falls from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
-            f'(95 % interval {low:.4f} to {high:.4f}).')
+            f'(95 % interval {low:.4f} to {high:.4f}).{_everything(diagnosis)}')
+
+
+def _everything(diagnosis: Diagnosis) -> str:
+    if diagnosis.everything is diagnosis.final:
+        return ''
+    fitted = diagnosis.on_all_samples.nmse.mean()
+    return f' Times and values come from a last fit to all samples, which leaves {fitted:.4f} of them.'

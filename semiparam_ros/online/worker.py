@@ -311,7 +311,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> Ou
 def declared(found: Diagnosis) -> tuple[Effect, ...]:
     """The effects of the final model, starts as stamps: a node counts time from its own start, which a reset moves."""
     origin = found.recorded.samples.origin
-    return tuple(effect.at_stamp(origin) for effect in found.final.effects)
+    return tuple(effect.at_stamp(origin) for effect in found.everything.effects)
 
 
 def thinned(samples: Samples) -> Samples:

@@ -162,7 +162,7 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantFigures],
         formulas=_formulas(structure, diagnosis.config.declared_share) if structure else [],
         spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
         variants=variant_rows(variants), open=SHOWN_OPEN, facts=_facts(diagnosis),
-        effects=[effect_to_text(effect) for effect in diagnosis.final.effects])
+        effects=[effect_to_text(effect) for effect in diagnosis.everything.effects])
 
 
 def _headline(diagnosis: Diagnosis) -> dict[str, float]:
@@ -185,7 +185,7 @@ def _outputs(diagnosis: Diagnosis) -> Picture:
 def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     """Of the recording that was diagnosed, and of the one that judged, where that is another."""
     first, final, added = diagnosis.first, diagnosis.final, bool(diagnosis.steps)
-    starts = [(place(effect.kind, effect.where), effect.start_s) for effect in final.effects
+    starts = [(place(effect.kind, effect.where), effect.start_s) for effect in diagnosis.everything.effects
               if effect.start_s is not None]
     held_out = diagnosis.held_out if diagnosis.elsewhere is None else np.zeros(len(first.samples), dtype=bool)
     caption = 'What the model does not explain of each output'

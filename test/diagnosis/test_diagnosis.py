@@ -175,8 +175,8 @@ def test_a_payload_is_named_with_its_start_and_mass(payload):
 
 
 def test_what_was_found_late_is_there_for_whoever_loads_the_file(payload, tmp_path):
-    twice = replace(payload, final=replace(payload.final, effects=(
-        *payload.final.effects, payload.final.effects[0].with_values(start_s=45.0))))
+    twice = replace(payload, everything=replace(payload.everything, effects=(
+        *payload.everything.effects, payload.everything.effects[0].with_values(start_s=45.0))))
     for number, diagnosis in enumerate((payload, twice)):
         write_parameters(tmp_path / f'{number}.yaml', Settings(sensor_frame='r_arm_ft_sensor'), diagnosis)
         effects = [effect_from_text(text) for text in load_params(tmp_path / f'{number}.yaml').effects]
@@ -221,7 +221,7 @@ def test_effects_of_one_diagnosis_share_one_reference_model():
 
 def test_a_node_is_told_the_stamp_of_the_start_and_understands_it_again(payload):
     effects = worker.declared(payload)
-    stamp = payload.recorded.samples.origin + payload.final.effects[0].start_s * 1e9
+    stamp = payload.recorded.samples.origin + payload.everything.effects[0].start_s * 1e9
     assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
     assert effects[0].start_stamp == pytest.approx(stamp, abs=1000)
     again = found_in(PAYLOAD, effects=effects)
@@ -235,6 +235,24 @@ def test_a_joint_offset_is_named_with_its_joint_and_angle(joint_offset):
     angle = first.parameters['offset']
     assert (angle.unit, angle.value) == ('rad', pytest.approx(truth_of(OFFSET)['offset'], rel=0.15))
     assert abs(angle.value - truth_of(OFFSET)['offset']) < 5.0 * angle.std
+
+
+@pytest.mark.parametrize(('kind', 'start_s'), [('payload', 37.4), ('sensor_offset', 21.4)])
+def test_a_start_inside_a_held_out_block_is_found_to_the_sample(kind, start_s):
+    """After the judgement: no sample of that block may fit before."""
+    recording = hidden(kind, start_s=start_s)
+    found = found_in(recording, only=[kind])
+    at = np.searchsorted(found.first.samples.time, start_s)
+    assert found.held_out[at - 10:at + 10].all() and not found.final.train_mask[at - 10:at + 10].any()
+    assert [finding.effect.kind for finding in found.findings] == [kind]
+    assert found.findings[0].effect.start_s == pytest.approx(start_s, abs=0.1)
+    assert worker.declared(found)[0].start_stamp == pytest.approx(
+        found.recorded.samples.origin + found.findings[0].effect.start_s * 1e9, abs=1000)
+    assert found.everything.train_mask.sum() == found.final.train_mask.sum() + found.held_out.sum()
+    assert found.on_all_samples.nmse.mean() < found.after.nmse.mean()
+    told = found.as_dict()
+    assert told['all_samples']['nmse_mean'] == pytest.approx(found.on_all_samples.nmse.mean())
+    assert 'a last fit to all samples' in ' '.join(text_report(found))
 
 
 def test_friction_is_named_with_its_joint_and_coefficient(friction):
@@ -259,7 +277,7 @@ def test_few_effects_are_added_beside_the_true_one(payload, joint_offset, fricti
 
 
 def test_what_is_declared_is_not_missing_any_more(payload):
-    again = found_in(PAYLOAD, effects=payload.final.effects)
+    again = found_in(PAYLOAD, effects=payload.everything.effects)
     assert again.verdict == 'nothing_missing'
     assert again.before.nmse.mean() == pytest.approx(payload.after.nmse.mean(), rel=0.05)
 

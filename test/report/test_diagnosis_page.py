@@ -365,7 +365,7 @@ def test_intervals_of_independent_errors_are_those_of_the_mean(clean):
     """For white errors of deviation s the mean square has a relative error of sqrt(2 / N)."""
     rng = np.random.default_rng(4)
     evaluation = replace(clean.after, residual=3.0 * rng.standard_normal((20_000, 6)),
-                         outputs=rng.standard_normal((20_000, 6)))
+                         outputs=rng.standard_normal((20_000, 6)), counted=np.ones((20_000, 6), dtype=bool))
     bounds = evaluation.square_intervals()
     assert bounds.shape == (6, 2)
     width = 9.0 * np.sqrt(2.0 / 20_000) * 2 * 1.96

@@ -96,11 +96,13 @@ def _carried(fit: Fit, body: RigidBody, inputs: Samples) -> Array:
     return carried[:, :, None]
 
 
-def best_start(fit: Fit, columns: Array) -> tuple[int, float, float]:
+def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[int, float, float]:
     """Sample number where columns (N, n, c) should begin, and what they explain from there and from the beginning.
 
     Sums over time make every start cheap; explained squares are in scaled units. Between two samples that fit nothing
     tells one start from another: halfway errs least.
+
+    :param near_s: looks within the length of a block around this time [s] alone.
     """
     used, left = fit.weighed(columns), fit.weighed(fit.residual)
     declared = fit.scaled.reshape(-1, *fit.columns.shape[1:])
@@ -116,13 +118,18 @@ def best_start(fit: Fit, columns: Array) -> tuple[int, float, float]:
         return float(right[start] * size @ np.linalg.solve(scaled, right[start] * size))
 
     margin = max(int(fit.config.start_margin * count), 1)
-    coarse = np.unique(np.linspace(margin, count - margin, fit.config.start_grid).astype(int))
+    low, high = margin, count - margin
+    fitting = np.flatnonzero(fit.train_mask)
+    if near_s is not None:
+        times = fit.samples.time[fitting]
+        reach = float(times[-1] - times[0]) / fit.config.split_blocks
+        low, high = np.clip(np.searchsorted(times, (near_s - reach, near_s + reach)), 1, count - 1).tolist()
+    coarse = np.unique(np.linspace(low, high, fit.config.start_grid).astype(int))
     rough = max(coarse, key=gain)
     step = int(coarse[1] - coarse[0]) if len(coarse) > 1 else 1
     for finer in (max(step // 8, 1), 1):
         near = range(max(rough - step, 1), min(rough + step + 1, count), finer)
         rough, step = max(near, key=gain), 2 * finer
-    fitting = np.flatnonzero(fit.train_mask)
     return int(fitting[rough - 1] + fitting[rough] + 1) // 2, gain(rough), gain(0)
 
 

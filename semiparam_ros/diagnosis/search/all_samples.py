@@ -1,0 +1,39 @@
+"""After the judgement: the model found, fitted once more to all samples, its starts searched to the sample.
+
+What judges must not fit. But a start inside a block that was held out is known to that block only, and what is declared
+from then on should rest on everything that was recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+from semiparam_ros.core.types import Mask
+from semiparam_ros.diagnosis.regression import Fit, with_effects
+from semiparam_ros.diagnosis.search.candidates import added_columns, best_start
+from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.effects import Effect
+
+
+def fitted_to_all(fit: Fit, usable: Mask, found: Collection[int]) -> Fit:
+    """The same effects in the same order, fitted to all usable samples (N,).
+
+    :param found: numbers of the effects that were found, whose starts are searched again near where they are.
+    """
+    everything = replace(fit, train_mask=usable)
+    effects = list(fit.effects)
+    for number in found:
+        effects[number] = _started_anew(everything, effects, number)
+    return declare(with_effects(everything, effects), [])
+
+
+def _started_anew(fit: Fit, effects: list[Effect], number: int) -> Effect:
+    effect = effects[number]
+    breaks = [(stamp - fit.samples.origin) * 1e-9 for stamp in fit.samples.breaks]
+    if effect.start_s is None or effect.start_s in breaks or effect.is_calibration:
+        return effect
+    rest = with_effects(fit, [*effects[:number], *effects[number + 1:]])
+    columns = added_columns(rest, effect.without_start())
+    start, _, _ = best_start(rest, columns, near_s=effect.start_s)
+    return replace(effect, start=replace(effect.start, seconds=float(fit.samples.time[start])))
