@@ -20,9 +20,11 @@ import numpy as np
 
 from semiparam_ros.bags.loading import LoadedBag, load_samples
 from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.bags.recording_layout import JOINT_STATES, WRENCH
 from semiparam_ros.cli.evaluate import evaluate, print_scores
 from semiparam_ros.cli.options import console, output, progress_bar, write_json
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -36,6 +38,7 @@ INTERRUPTED = 130
 
 RESIDUAL, HORIZON = '/estimator/residual', '/estimator/horizon_error'
 START_S, PLAY_S, DIAGNOSE_S = 60.0, 600.0, 600.0
+SEAM_S = 1e-4
 COMPARED = ('P', 'NP-ML')
 
 
@@ -125,10 +128,11 @@ def demonstrate(args: argparse.Namespace) -> None:
     settings = load_params(args.params)
     bag = load_samples(args.bag, settings)
     live, recording = f'{settings.variant} live', args.output / 'live.mcap'
-    play(args, isolated(args.domain))
+    window = gathered_from(bag.samples, settings.initial_samples).end
+    play(args, isolated(args.domain), seam_s(args.bag, int(bag.samples.stamps[window - 1])))
     scores = {live: live_scores(recording, bag, settings)}
     say_pace(args, bag)
-    results = {live: scores[live].result() | {'update_ms': answer_times(recording, settings.initial_samples)}}
+    results = {live: scores[live].result() | {'update_ms': answer_times(recording, window)}}
     with progress_bar() as progress:
         for variant in COMPARED:
             scores[variant] = evaluate(replace(settings, variant=variant), [], [bag], False, progress)
@@ -137,19 +141,33 @@ def demonstrate(args: argparse.Namespace) -> None:
     diagnose(args)
 
 
-def play(args: argparse.Namespace, environment: dict[str, str]) -> None:
-    """Node, recorder and replay as three processes."""
+def seam_s(path: Path, stamp: int) -> float:
+    """Seconds from the start of a recording to just behind the message of a header stamp [ns]."""
+    with open_bag(path) as bag:
+        times = [message.log_time for message in bag.messages([JOINT_STATES, WRENCH])
+                 if stamp_ns(message.data.header.stamp) <= stamp]
+        return 1e-9 * (max(times) - bag.start_ns) + SEAM_S
+
+
+def play(args: argparse.Namespace, environment: dict[str, str], seam: float) -> None:
+    """Node, recorder and replay as three processes.
+
+    The replay is held at ``seam`` [s], the end of the initial window, until the variant has its hyperparameters: at
+    this pace the rigid body would answer most of the recording meanwhile.
+    """
     folder = args.output
     node = ['run', '--params', args.params]
     record = ['record', folder / 'live.mcap', '--overwrite', '--quiet', '--node', '/estimator',
               '--topics', RESIDUAL, HORIZON]
-    # The node is silent while it estimates hyperparameters, on a busy machine for minutes.
-    replay = ['replay', args.bag, '--as-fast-as-followed', '--answer-timeout', PLAY_S / 2,
-              '--disable-keyboard-controls', '--json', folder / 'replay.json']
+    replay = ['replay', args.bag, '--as-fast-as-followed', '--disable-keyboard-controls', '--json']
     with (Program(node, environment, folder / 'estimator.log') as estimator,
           Program(record, environment, folder / 'record.log') as recorder):
         recorder.wait_for(lambda: recorder.said('recording'), 'the estimator was found', START_S)
-        with Program(replay, environment) as player:
+        with Program([*replay, folder / 'window.json', '--until', seam], environment) as player:
+            player.finish(PLAY_S, beside=(estimator, recorder))
+        estimator.wait_for(lambda: estimator.said('takes over from the provisional model'),
+                           'its hyperparameters were estimated', PLAY_S)
+        with Program([*replay, folder / 'replay.json', '--start-offset', seam], environment) as player:
             player.finish(PLAY_S, beside=(estimator, recorder))
         recorder.stop()
         estimator.stop()
@@ -157,7 +175,7 @@ def play(args: argparse.Namespace, environment: dict[str, str]) -> None:
 
 def say_pace(args: argparse.Namespace, bag: LoadedBag) -> None:
     """How fast it went, by the account of the replay."""
-    seconds = json.loads((args.output / 'replay.json').read_text())['duration_s']
+    seconds = sum(json.loads((args.output / name).read_text())['duration_s'] for name in ('window.json', 'replay.json'))
     recorded = float(bag.samples.time[-1])
     say(f'{recorded:.0f} s of recording in {seconds:.0f} s, {recorded / seconds:.0f} times real time; '
         f'all {len(bag.samples)} samples answered.')
@@ -166,7 +184,7 @@ def say_pace(args: argparse.Namespace, bag: LoadedBag) -> None:
 def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> Scores:
     """What the node published, against the recording; a sample without its answer raises SemiparamError."""
     residuals, horizons = published(path)
-    samples, first = bag.samples, settings.initial_samples
+    samples, first = bag.samples, gathered_from(bag.samples, settings.initial_samples).end
     lost = [stamp for stamp in samples.stamps.tolist() if stamp not in residuals]
     if lost:
         raise SemiparamError(f'{len(lost)} of {len(samples)} samples were lost: no prediction for the one at '

@@ -61,6 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--train', metavar='BAG', type=Path, action='append', default=[],
                         help='learn this recording first, without scoring it; may be repeated')
     parser.add_argument('--frozen', action='store_true', help='predict without learning (needs --train)')
+    parser.add_argument('--takeover-after', metavar='N', type=int, default=0,
+                        help='samples after the initial window that the rigid body still answers, as in the node while '
+                             'it estimates hyperparameters (default 0: none); its diagnostics tell how many they were')
     add_json_option(parser)
     parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
     parser.add_argument('--plot', metavar='FILE', type=Path, help='plot both indices over time (.png, .svg or .pdf)')
@@ -75,11 +78,14 @@ def run(args: argparse.Namespace) -> int:
         picture_format(args.plot)
     settings = load_params(args.params)
     variants = chosen_variants(args.variants, settings)
+    if args.takeover_after < 0:
+        raise SemiparamError(f'--takeover-after is {args.takeover_after}; expected a number of samples, 0 or more.')
     if args.frozen and not args.train:
         raise SemiparamError('--frozen predicts with what was learnt from --train BAG, which is missing.')
     training, bags = load_bags(args.train, settings), load_bags(args.bags, settings)
     with progress_bar() as progress:
-        scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress)
+        scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
+                                    args.takeover_after)
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(output, results)
@@ -112,7 +118,7 @@ def load_bags(paths: Sequence[Path], settings: Settings) -> list[LoadedBag]:
 
 
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
-             progress: Progress) -> Scores:
+             progress: Progress, takeover_after: int = 0) -> Scores:
     """Scores of one variant over ``bags``, from the first sample that it predicts itself.
 
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
@@ -122,7 +128,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
 
     total = sum(len(bag.samples) for bag in [*training, *bags])
     task = progress.add_task(settings.variant, total=total)
-    learner = OfflineLearner(settings, [*bags, *training], lambda: progress.advance(task))
+    learner = OfflineLearner(settings, [*bags, *training], lambda: progress.advance(task), takeover_after)
     for bag in training:
         learner.take(bag, Scores(settings.outputs), learning=True)
     learner.finish(training, frozen)
@@ -134,7 +140,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
                       'gathered.', highlight=False, markup=False)
     if not len(scores):
         raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
-                             '(parameter initial.samples).')
+                             'of a robot that moves (parameter initial.samples).')
     return scores
 
 

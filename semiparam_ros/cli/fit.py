@@ -70,6 +70,7 @@ def estimation_of(args: argparse.Namespace) -> Estimation:
 def run(args: argparse.Namespace) -> int:
     """Fit, write the parameter file, and show what was found."""
     from semiparam_ros.cli.evaluate import chosen_variants, load_bags
+    from semiparam_ros.core.initial_window import gathered_from
     from semiparam_ros.experiments.initial_window import fitted_settings
     from semiparam_ros.settings import dump_params, load_params
 
@@ -78,9 +79,10 @@ def run(args: argparse.Namespace) -> int:
     settings = replace(settings, variant=chosen_variants([args.variant] if args.variant else None, settings)[0])
     estimation = estimation_of(args)
     bag = load_bags([args.bag], settings)[0]
-    window = bag.samples[:settings.initial_samples]
-    if len(window) < settings.initial_samples:
-        console.print(f'{args.bag} holds {len(window)} samples, fewer than initial.samples '
+    gathered = gathered_from(bag.samples, settings.initial_samples)
+    window = bag.samples[gathered.indices]
+    if not gathered.full:
+        console.print(f'{args.bag} holds {len(window)} samples of a robot that moves, fewer than initial.samples '
                       f'({settings.initial_samples}): all of them are used.', highlight=False, markup=False)
     with progress_bar() as bar:
         task = bar.add_task(settings.variant, total=None)

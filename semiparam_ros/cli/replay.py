@@ -58,8 +58,7 @@ def _add_follow(group: argparse._ArgumentGroup) -> None:
                             '--as-fast-as-followed at the pace of the bag')
     group.add_argument('--window', type=int, default=100, metavar='N', help='messages on the way at most (default 100)')
     group.add_argument('--answer-timeout', type=float, default=60.0, metavar='S',
-                       help='silence that counts as the end of the follower (default 300: it may be estimating '
-                            'hyperparameters)')
+                       help='silence that counts as the end of the follower (default 60)')
     group.add_argument('--wait-for-subscribers', nargs='?', type=int, const=1, default=0, metavar='N',
                        help='wait until N nodes subscribe (1 when no number is given)')
     group.add_argument('--wait-timeout', type=float, default=30.0, metavar='S',

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import NamedTuple
@@ -15,10 +16,13 @@ from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
 from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
+from semiparam_ros.core.initial_window import InitialWindow
+from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset
@@ -32,8 +36,6 @@ EFFECT_GAMMA = 1.0
 """Standard deviation of effects over their prior scale, in the variants that have no gamma."""
 
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
-LONGEST_PAUSE_NS = 3600 * 10**9
-"""A stamp further ahead of the last one, or before it, is that of a clock that jumped."""
 
 
 class Model:
@@ -133,6 +135,7 @@ class Prediction(NamedTuple):
     fixed: Array
     output_scale: Array
     memory: Memories
+    motion: Motion
 
     @property
     def log_density(self) -> float:
@@ -152,13 +155,6 @@ class DesiredOutputs(NamedTuple):
     variance_ratio: float  # largest variance of the model itself over that of the noise, over the outputs
 
 
-class Remembered(NamedTuple):
-    """A sample of the initial window with its coupled columns (n, p), in N and N m, as they were at the time."""
-
-    sample: Sample
-    columns: Array
-
-
 class EstimatorState(NamedTuple):
     """What an estimator has learnt and what it remembers, beside its options and hyperparameters."""
 
@@ -167,18 +163,19 @@ class EstimatorState(NamedTuple):
     calibration: dict[str, Array]
     wandering: dict[str, Array]  # empty where the forgetting is a number
     window_left: int  # samples
-    window: tuple[Remembered, ...]
+    window: Mapping[str, Array | Stamps]
     origin: int | None  # [ns]
     newest: int | None  # [ns] stamp of the last sample
     memory: Memories
     inputs_learnt: Array  # (2, m) lowest and highest inputs learnt, (0, m) before the first
+    motion: Motion | None
 
 
 class Estimator:
     """Online semi-parametric model of one robot's outputs.
 
-    The first ``initial_samples`` are answered by the rigid body alone, which starts from the robot description's
-    inertias. They then give the hyperparameters, are learnt by the chosen variant, and it takes over.
+    The first ``initial_samples`` of motion are answered by the rigid body alone, which starts from the robot
+    description's inertias. They then give the hyperparameters, are learnt by the chosen variant, and it takes over.
 
     :param origin: stamp [ns] from which the time of effects counts, such as the start of a recording; that of the first
         sample unless given. It moves along when the clock jumps, so that time goes on from the last sample.
@@ -193,7 +190,8 @@ class Estimator:
         self.variant = variant_named(self.options.variant)
         self.columns = CoupledColumns(body, effects)
         self.body = body
-        self.window: list[Remembered] = []
+        self.window = self.new_window()
+        self.motion: Motion | None = None
         self.input_scaling: tuple[Array, Array] | None = None
         self.origin = origin
         self._newest: int | None = None
@@ -207,9 +205,9 @@ class Estimator:
         self._begin_following()
 
     def step(self, sample: Sample, learn: bool = True) -> Prediction:
-        """Predict the sample, then learn it (unless told not to)."""
+        """Predict the sample, then learn it (unless told not to, or the robot is at rest)."""
         prediction = self.predict(sample)
-        return prediction._replace(horizon=self.observe(prediction, learn))
+        return prediction._replace(horizon=self.observe(prediction, learn and prediction.motion.is_news))
 
     def predict(self, sample: Sample) -> Prediction:
         """Predict the outputs at the sample's inputs; nothing changes. Unknown outputs may be NaN.
@@ -226,8 +224,10 @@ class Estimator:
         scale = self.model.output_scale
         model_mean, model_std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
         mean = model_mean if self.wandering is None else model_mean + self.wandering.offset
+        motion = self.motion.after(sample.stamp, sample.position) if self.motion else \
+            at_start(sample.stamp, sample.position)
         return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None, sample,
-                          prior, learnt, fixed, scale, memory)
+                          prior, learnt, fixed, scale, memory, motion)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -253,8 +253,11 @@ class Estimator:
         ratio = float(prior.covariance.diagonal().max()) / model.hyperparameters.sigma**2 - 1.0
         return DesiredOutputs(outputs, outputs - of_sensor, covariance, ratio)
 
-    def observe(self, prediction: Prediction, learn: bool = True) -> HorizonErrors | None:
+    def observe(self, prediction: Prediction, learn: bool = True, finish: bool = True) -> HorizonErrors | None:
         """Charge a predicted sample to the horizon index, and learn it; the horizon it completed.
+
+        :param finish: end the initial window with the sample that makes it full; else the rigid body goes on, until
+            :meth:`finish_window` is called.
 
         Every other prediction made before is then stale. Raises SemiparamError, with nothing changed, when this one is,
         or when the measured outputs are not finite.
@@ -273,38 +276,64 @@ class Estimator:
         correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None
         if not learn:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
-        self._follow(sample.outputs, prediction.model_mean, prediction.model_std, learn)
+        if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
+            self._follow(sample.outputs, prediction.model_mean, prediction.model_std, learn)
         parts = None if self.wandering is None else self.wandering.parts / prediction.output_scale
         self.horizon.remember(sample.stamp, recursion.theta, correction, parts)
-        if learn and not self.ready:
-            self.window.append(Remembered(sample, prediction.columns))
-            if len(self.window) >= self.options.initial_samples:
-                self.finish_window()
+        self.motion = prediction.motion
+        if learn and not self.ready and not self.window.full:
+            self.window.append(sample, prediction.columns)
+        if finish and self.window_full:
+            self.finish_window()
         return complete
+
+    @property
+    def window_full(self) -> bool:
+        """Whether the initial window holds enough, and :meth:`finish_window` has not been called yet."""
+        return not self.ready and self.window.full
+
+    def new_window(self) -> InitialWindow:
+        """An empty one, as at the start."""
+        return InitialWindow(self.options.initial_samples, 3 * self.body.n_joints, self.body.n_outputs,
+                             self.columns.n_columns)
+
+    def discard_window(self) -> None:
+        """Gather another initial window, as one that gave no hyperparameters is no good; what P has learnt stays."""
+        self.window, self.motion = self.new_window(), None
+
+    def with_window_alone(self) -> Estimator:
+        """A copy without what the rigid body has learnt so far: its window can be finished while this one goes on."""
+        twin = copy(self)
+        twin.model = twin._provisional()
+        twin._begin_following()
+        return twin
 
     def finish_window(self) -> None:
         """End the initial window now: estimate hyperparameters from it, learn it, and let the variant take over.
 
-        Raises SemiparamError when the window holds too little to estimate from.
+        Raises SemiparamError, with nothing changed, when the window holds too little to estimate from.
         """
-        samples = Samples.from_list(sample for sample, _ in self.window)
-        scaling = input_scaling(samples.inputs)
-        hyperparameters = self._estimate(samples, np.array([columns for _, columns in self.window]), scaling)
+        window = self.window
+        if not len(window):
+            raise SemiparamError('the initial window holds no samples yet: none were learnt while the robot moved.')
+        scaling = input_scaling(window.inputs)
+        hyperparameters = self._estimate(window, scaling)
         self.input_scaling = scaling
         self.model = model = self._build(hyperparameters)
         self._begin_following()
         scale = model.output_scale
-        for sample, columns in self.window:
-            prior, _, fixed = model.predict(sample.inputs, columns)
-            self._follow(sample.outputs, scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal()),
+        for inputs, outputs, columns in window:
+            prior, _, fixed = model.predict(inputs, columns)
+            self._follow(outputs, scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal()),
                          learn=True)
-            model.recursion.learn(prior, sample.outputs / scale - fixed)
-        self.window_samples, self.ready, self.window = len(self.window), True, []
+            model.recursion.learn(prior, outputs / scale - fixed)
+        self.window_samples, self.ready, self.window = len(window), True, self.new_window()
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons and what effects remember, as after a jump of the clock; keep the model."""
         self.horizon.clear()
         self._memory = None
+        self.motion = None
         self.model.recursion.revise()
 
     def begin_recording(self, origin: int) -> None:
@@ -316,8 +345,8 @@ class Estimator:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
         wandering = {} if self.wandering is None else self.wandering.state()
         return EstimatorState(self.model.recursion.state(), self.horizon.state(), self.calibration.state(), wandering,
-                              self._window_left, tuple(self.window), self.origin, self._newest, self._memory,
-                              self.inputs_learnt)
+                              self._window_left, self.window.state(), self.origin, self._newest, self._memory,
+                              self.inputs_learnt, self.motion)
 
     def restore(self, state: EstimatorState) -> None:
         """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
@@ -330,7 +359,9 @@ class Estimator:
         if self.wandering is not None:
             self.wandering.restore(state.wandering)
         self._window_left = state.window_left
-        self.window, self._memory = list(state.window), state.memory
+        self.window = self.new_window()
+        self.window.restore(state.window)
+        self._memory, self.motion = state.memory, state.motion
         self.origin, self._newest = state.origin, state.newest
         self.inputs_learnt = state.inputs_learnt
 
@@ -351,11 +382,12 @@ class Estimator:
             return self.origin
         return stamp - LONGEST_PAUSE_NS if self._newest is None else self.origin + since
 
-    def _estimate(self, samples: Samples, columns: Array, scaling: tuple[Array, Array]) -> Hyperparameters:
-        options, inputs = self.options, (samples.inputs - scaling[0]) / scaling[1]
+    def _estimate(self, window: InitialWindow, scaling: tuple[Array, Array]) -> Hyperparameters:
+        options, inputs = self.options, (window.inputs - scaling[0]) / scaling[1]
         omega = spectrum(inputs.shape[1], options.features_count, options.features_seed)
+        columns = window.columns
         known = columns[:, :, self.columns.n_own:] @ self.columns.known
-        return estimate(options.variant, samples.outputs - known, columns, inputs, omega,
+        return estimate(options.variant, window.outputs - known, columns, inputs, omega,
                         length_scales=options.length_scales, noise=options.noise,
                         prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects)
 

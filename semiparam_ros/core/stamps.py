@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 NANOSECONDS = 1_000_000_000
+LONGEST_PAUSE_NS = 3600 * NANOSECONDS
+"""A stamp further ahead of the last one, or before it, is that of a clock that jumped."""
 
 
 class Time(Protocol):

@@ -13,6 +13,7 @@ from scipy.stats import norm
 from semiparam_ros.bags.loading import LoadedBag
 from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.core.variants import VARIANTS
@@ -75,9 +76,10 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     if train_samples is not None and train_samples < 1:
         raise SemiparamError(f'{train_samples} samples of the first recording were asked for; expected at least 1.')
     learnt = train.samples[:train_samples]
-    if len(learnt) <= settings.initial_samples:
+    if gathered_from(learnt, settings.initial_samples).end >= len(learnt):
         raise SemiparamError(f'the first recording has {len(learnt)} samples to learn from; expected more than the '
-                             f'{settings.initial_samples} of the initial window (parameter initial.samples).')
+                             f'{settings.initial_samples} of the initial window (parameter initial.samples), and those '
+                             'of a robot that moves.')
     if not seeds:
         raise SemiparamError('the comparison has no feature seed; expected at least one.')
     split = _split(len(test.samples), test_from, subsets, subset_samples, settings.horizon_length)
@@ -157,10 +159,11 @@ class Followed(NamedTuple):
 
 def learn(scenario: Scenario, variant: str, seed: int) -> Learnt:
     """Hyperparameters from the initial window, then the rest of the first recording, sample by sample."""
-    initial = scenario.settings.initial_samples
+    gathered = gathered_from(scenario.train, scenario.settings.initial_samples)
+    initial = gathered.end
     chosen = replace(scenario.settings, variant=variant, features_seed=seed)
     start = time.perf_counter()
-    settings, hyperparameters = fitted_settings(chosen, scenario.train[:initial], scenario.robot_description,
+    settings, hyperparameters = fitted_settings(chosen, scenario.train[gathered.indices], scenario.robot_description,
                                                 scenario.estimation)
     seconds = time.perf_counter() - start
     estimator = build_estimator(settings, scenario.robot_description, scenario.train.origin)

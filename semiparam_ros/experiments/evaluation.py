@@ -8,14 +8,15 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from semiparam_ros.bags.loading import LoadedBag
-from semiparam_ros.core.estimator import Prediction
+from semiparam_ros.core.estimator import Estimator, Prediction
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online import worker
 from semiparam_ros.online.contact_gate import ContactGate
-from semiparam_ros.online.model_switcher import completes_window, sentence_of
+from semiparam_ros.online.history import batch_of
+from semiparam_ros.online.model_switcher import sentence_of
+from semiparam_ros.online.worker import absorb, finish_window
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator
 
@@ -122,19 +123,25 @@ def _mean(values: Array | list[float]) -> float | None:
 class OfflineLearner:
     """The estimator of the settings behind the contact gate, as in the node.
 
-    An initial window that gives no hyperparameters, as of a robot that stood still, is followed by another one;
-    ``failed_windows`` holds a sentence for each.
+    An initial window that gives no hyperparameters is followed by another one; ``failed_windows`` holds a sentence for
+    each.
 
     :param bags: the first one that carries a robot description gives it, where the settings do not.
     :param tick: called after each sample.
+    :param takeover_after: samples from the end of the initial window until the variant takes over. The node estimates
+        hyperparameters meanwhile, and the provisional model answers; here it need not.
     """
 
-    def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None]) -> None:
+    def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None],
+                 takeover_after: int = 0) -> None:
         description = next((bag.robot_description for bag in bags if bag.robot_description), None)
         self.settings, self._tick = settings, tick
         self.estimator = build_estimator(settings, description)
         self.gate = ContactGate(self.estimator.body.n_outputs)
         self.failed_windows: list[str] = []
+        self._takeover_after = takeover_after
+        self._successor: Estimator | None = None
+        self._waiting: list[tuple[Sample, bool]] = []
 
     def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
@@ -150,27 +157,39 @@ class OfflineLearner:
             scores.add(sample.outputs, prediction.mean, elapsed)
             if prediction.horizon is not None:
                 scores.add_horizon(prediction.horizon)
+        if self._successor is not None:
+            self._take_over()
         self.gate.reset()
         self.estimator.clear_pending()
 
     def step(self, sample: Sample, learning: bool) -> Prediction:
-        """One sample: a contact is predicted but not learnt."""
+        """One sample: a contact, and a robot at rest, are predicted but not learnt."""
         prediction = self.estimator.predict(sample)
         contact = self.gate.judge(prediction, self.settings)
-        learn = learning and not contact
-        if learn and completes_window(self.estimator):
-            return prediction._replace(horizon=self._finish_window(prediction))
-        return prediction._replace(horizon=self.estimator.observe(prediction, learn))
+        learn = learning and not contact and prediction.motion.is_news
+        errors = self.estimator.observe(prediction, learn, finish=False)
+        if self._successor is not None:
+            self._waiting.append((sample, learn))
+        elif self.estimator.window_full:
+            self._successor = self.estimator.with_window_alone()
+        if self._successor is not None and len(self._waiting) == self._takeover_after:
+            self._take_over()
+        return prediction._replace(horizon=errors)
 
-    def _finish_window(self, prediction: Prediction) -> HorizonErrors | None:
-        window = worker.finish_window(self.estimator, prediction)
-        if window.failure is not None:
-            self.failed_windows.append(sentence_of(window.failure))
-        return window.errors
+    def _take_over(self) -> None:
+        """The variant has its hyperparameters, and has learnt what came since."""
+        assert self._successor is not None
+        successor, batch = self._successor, batch_of(self._waiting)
+        self._successor, self._waiting = None, []
+        try:
+            self.estimator = absorb(finish_window(successor), batch)
+        except SemiparamError as error:
+            self.failed_windows.append(sentence_of(error))
+            self.estimator.discard_window()
 
     def finish(self, training: Sequence[LoadedBag], frozen: bool) -> None:
         """After training: a model must stand if nothing more is learnt, from however short a window."""
-        if training and not self.estimator.ready and self.estimator.window:
+        if training and not self.estimator.ready and len(self.estimator.window):
             self.estimator.finish_window()
         if not self.estimator.ready and (frozen or not self.settings.learning):
             raise SemiparamError('with the parameter learning off there is no model to evaluate; expected --train BAG.')

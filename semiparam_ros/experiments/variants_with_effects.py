@@ -90,6 +90,8 @@ def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Seq
     estimator = Estimator(body, replace(options, initial_samples=window), effects, first.origin)
     for sample, learn in zip(recorded.samples, recorded.fitting, strict=True):
         estimator.step(sample, bool(learn))
+    if not estimator.ready:  # the robot stood still in some of them
+        estimator.finish_window()
     estimator.clear_pending()
     if judged is not first:  # it goes on where the first one ends: what began during that one is there
         estimator.begin_recording(int(judged.stamps[0] - (first.stamps[-1] - first.origin)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -9,6 +10,9 @@ import numpy as np
 
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.types import Array, Stamps
+
+KEPT_OF_REST = 20
+"""Samples of rest that are kept, the last before each motion."""
 
 
 class SampleBatch(NamedTuple):
@@ -28,6 +32,9 @@ class SampleBatch(NamedTuple):
 class History:
     """The first ``first`` samples learnt (and what came between them), and the latest ``latest`` of those after them.
 
+    Of a robot at rest only the last samples before it moves are kept, for effects that remember the past: hours of rest
+    must not displace the motion.
+
     Rows are written into arrays made once, so memory stays flat. Time counts from ``origin`` [ns], the very first
     sample unless given.
     """
@@ -37,15 +44,24 @@ class History:
         self._window = _Ring(2 * first, 3 * n_joints + n_outputs)
         self._recent = _Ring(max(latest, 1), 3 * n_joints + n_outputs)
         self._first, self._learnt = first, 0
+        self._at_rest: deque[Sample] = deque(maxlen=KEPT_OF_REST)
         self.origin = origin
 
     def __len__(self) -> int:
         return len(self._window) + len(self._recent)
 
-    def append(self, sample: Sample, learnt: bool) -> None:
+    def append(self, sample: Sample, learnt: bool, is_news: bool = True) -> None:
         """Keep one sample."""
         if self.origin is None:
             self.origin = sample.stamp
+        if not is_news:
+            self._at_rest.append(sample)
+            return
+        while self._at_rest:
+            self._keep(self._at_rest.popleft(), False)
+        self._keep(sample, learnt)
+
+    def _keep(self, sample: Sample, learnt: bool) -> None:
         ring = self._window if self._learnt < self._first and not self._window.full else self._recent
         ring.append(sample, learnt)
         self._learnt += learnt
@@ -61,6 +77,7 @@ class History:
         """Forget all samples, and begin with the first again; time goes on."""
         self._window.clear()
         self._recent.clear()
+        self._at_rest.clear()
         self._learnt = 0
 
     def latest(self) -> Sample | None:
@@ -72,7 +89,7 @@ class History:
 
     def batch(self) -> SampleBatch:
         """Everything that is kept, in order."""
-        parts = [*self._window.rows(), *self._recent.rows()]
+        parts = [*self._window.rows(), *self._recent.rows(), *map(_row, self._at_rest)]
         stamps, rows, learnt = (np.concatenate(column) for column in zip(*parts, strict=True))
         return SampleBatch(_samples(stamps, rows, self._n_joints, self.origin), learnt)
 
@@ -152,6 +169,11 @@ class _Ring:
         slot = self._count % len(self._stamps)
         parts = (slice(slot, None), slice(0, slot)) if self.full else (slice(0, slot),)
         return [(self._stamps[part], self._rows[part], self._learnt[part]) for part in parts]
+
+
+def _row(sample: Sample) -> tuple[Stamps, Array, Array]:
+    """One that is not learnt."""
+    return np.array([sample.stamp]), np.concatenate(sample[1:])[None], np.array([False])
 
 
 def _samples(stamps: Stamps, rows: Array, n: int, origin: int | None) -> Samples | None:

@@ -1,15 +1,14 @@
 """The active estimator and what happens around it: answers in order, learning, gating, and changes of the model.
 
-No ROS here. Work that takes seconds goes to a background; samples that come meanwhile wait and are answered afterwards
-in their order, so nothing is lost and the answers are those of an estimator that did everything at once.
+No ROS here. Work that takes seconds goes to a background, and the model in force answers and learns on meanwhile. What
+the background gives then learns the samples that came, and takes over between two of them: from there on the answers
+are those of an estimator that did everything at once.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from math import isfinite
 from typing import NamedTuple, Protocol
 
@@ -27,17 +26,14 @@ from semiparam_ros.online.history import History, SampleBatch
 from semiparam_ros.online.model_switcher import (
     MODEL_PARAMETERS,
     ModelSwitcher,
-    completes_window,
     same_model,
     sentence_of,
 )
 from semiparam_ros.online.state_file import SavedState
 from semiparam_ros.online.tare import Tare
-from semiparam_ros.online.worker import Background, Job
+from semiparam_ros.online.worker import Background
 from semiparam_ros.settings.snapshot import Settings
 
-DRAIN_AT_ONCE = 20
-WAITING_AT_MOST = 200_000
 FAILURES_AT_MOST = 3
 """So many samples in a row that the active model cannot answer, and it counts as broken."""
 
@@ -90,18 +86,14 @@ class Learner:
         self.settings, self.body = settings, body
         self.gate = ContactGate(body.n_outputs)
         self.tare = Tare(body.n_outputs)
-        self.waiting: deque[Sample] = deque()
         self.learnt = self.answered = self.lost = 0
         self._background, self._listener, self._checkpoint = background, listener, checkpoint
-        self._estimating = False
-        self._window_job: Job | None = None
         self._failures = 0
         self.switcher = ModelSwitcher(body, background, self)
         self._begin(settings, worker.new_estimator(settings, body))
 
     def _begin(self, settings: Settings, estimator: Estimator, past: SampleBatch | None = None) -> None:
         """Go on with an estimator that has seen a past, and with nothing else."""
-        self._drop_window_job()
         self.switcher.retire_all(forget_hyperparameters=True)
         self.gate.forget()
         self.estimator, self.built = estimator, settings
@@ -111,34 +103,21 @@ class Learner:
             self.history.refill(past)
         self._seen = len(self.history)
         self._failures = 0
+        self._window_end: int | None = None
+        self.provisional_answers: int | None = None
         self.switcher.remember(settings, estimator)
-        self.switcher.set_shadows(settings, self.history, retry=True)
+        self._follow_settings(retry=True)
 
     # Samples
 
     @property
-    def busy(self) -> bool:
-        """Whether the initial window is being evaluated: samples wait."""
-        return self._estimating
+    def estimating(self) -> bool:
+        """Whether hyperparameters are estimated from the initial window."""
+        successor = self.switcher.successor
+        return self.estimator.window_full and successor is not None and same_model(successor.settings, self.built)
 
     def offer(self, sample: Sample) -> None:
-        """Answer a sample now, or when those before it are answered."""
-        if not self.busy and not self.waiting:
-            self._take(sample)
-            return
-        self.waiting.append(sample)
-        if len(self.waiting) > WAITING_AT_MOST:
-            self.waiting.popleft()
-            self.lost += 1
-
-    def clear_pending(self) -> None:
-        """Forget half-finished horizons after a jump of the clock; the models stay."""
-        self.gate.reset()
-        self.switcher.clear_pending()
-        if not self.busy:
-            self.estimator.clear_pending()
-
-    def _take(self, sample: Sample) -> None:
+        """Answer a sample, then learn it."""
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
         prediction = self._predict(sample)
@@ -150,14 +129,20 @@ class Learner:
         if self.gate.changes > changes:
             self._listener.told(f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                                 'a change of the robot, and is learnt.')
-        learn = self.settings.learning and not contact
+        learn = self.settings.learning and not contact and prediction.motion.is_news
         answer = Answer(self._as_measured(prediction), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learn, contact, self.gate.level)
         self._emit(answer)  # before learning, which takes as long as predicting
-        if learn and completes_window(self.estimator):
-            self._finish_window(prediction)
-        else:
-            self._observe(prediction, learn)
+        if self._observe(prediction, learn):
+            self.switcher.offer(sample, learn)
+            if self._window_end is None and self.estimator.window_full:
+                self._end_window()
+
+    def clear_pending(self) -> None:
+        """Forget half-finished horizons after a jump of the clock; the models stay."""
+        self.gate.reset()
+        self.switcher.clear_pending()
+        self.estimator.clear_pending()
 
     def _predict(self, sample: Sample) -> Prediction | None:
         """The prediction of a sample; None where the active model fails, but is not yet known to be broken."""
@@ -176,17 +161,19 @@ class Learner:
         self._failures = 0
         return prediction
 
-    def _observe(self, prediction: Prediction, learn: bool) -> None:
+    def _observe(self, prediction: Prediction, learn: bool) -> bool:
+        """Whether the active model has taken it in; it is broken where it has not."""
         try:
-            errors = self.estimator.observe(prediction, learn)
+            errors = self.estimator.observe(prediction, learn, finish=False)
         except SemiparamError:
             raise  # of the sample: the model is as it was
         except Exception as error:  # who knows how much of it was learnt
             self._listener.failed('learning', error)
             self._fall_back(error)
-        else:
-            if errors is not None:
-                self._listener.horizon_completed(errors)
+            return False
+        if errors is not None:
+            self._listener.horizon_completed(errors)
+        return True
 
     def _as_measured(self, prediction: Prediction) -> Prediction:
         """With the bias of the tare, which the sensor still has."""
@@ -199,62 +186,32 @@ class Learner:
         self.learnt += answer.learnt
         self.tare.add(sample.stamp, sample.outputs - answer.prediction.model_mean, answer.prediction.ready)
         self._listener.answered(answer)
-        self.history.append(sample, answer.learnt)
-        self.switcher.offer(sample, answer.learnt)
+        self.history.append(sample, answer.learnt, answer.prediction.motion.is_news)
 
-    def _finish_window(self, prediction: Prediction) -> None:
-        self._estimating, estimator = True, self.estimator
-        self._window_job = self._background.submit(
-            worker.finish_window, estimator, prediction,
-            done=partial(self._window_done, estimator, prediction))
+    def _end_window(self) -> None:
+        """Let the background estimate hyperparameters, unless the settings want another model than this."""
+        self._window_end = self.answered
+        if self.switcher.successor is None:
+            self._listener.told(f'the initial window holds {len(self.estimator.window)} samples of motion: the '
+                                f'hyperparameters of {self.built.variant} are estimated; the rigid body answers on.')
+            self.switcher.finish_window(self.built, self.estimator)
 
-    def _drop_window_job(self) -> None:
-        self._estimating = False
-        if self._window_job is not None:
-            self._window_job.cancel()
-            self._window_job = None
-
-    def _window_done(self, estimator: Estimator, prediction: Prediction, window: worker.Window | None,
-                     error: BaseException | None) -> None:
-        if estimator is not self.estimator:
-            return  # it was reset, or replaced, meanwhile
-        self._estimating = False
-        if window is None:
-            if error is not None and not isinstance(error, SemiparamError):
-                self._listener.failed('the estimate of the hyperparameters', error)
-            self.estimator.window = []
-            self.estimator.observe(prediction)
-            self.estimator.window = []
-            self._discard_window(sentence_of(error))
-        elif window.failure is not None:
-            self.estimator = window.estimator
-            self._discard_window(sentence_of(window.failure))
-        else:
-            self.estimator = window.estimator
-            if window.errors is not None:
-                self._listener.horizon_completed(window.errors)
-            self.switcher.remember(self.built, self.estimator)
-            self._listener.told(f'{self.built.variant} has its hyperparameters from {self.built.initial_samples} '
-                                'samples and takes over from the provisional model.')
-        self._drain()
+    def _window_live(self, estimator: Estimator) -> None:
+        """The model whose window is over takes over from the provisional one, between two samples."""
+        self.estimator = estimator
+        end = self.answered if self._window_end is None else self._window_end
+        self.provisional_answers = self.answered - end
+        self._listener.told(f'{self.built.variant} has its hyperparameters and takes over from the provisional model, '
+                            f'{self.provisional_answers} samples after the end of the initial window.')
 
     def _discard_window(self, reason: str) -> None:
         """Gather another initial window; nothing is built from the one that gave no hyperparameters."""
         self._listener.told(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
+        self.estimator.discard_window()
+        self._window_end = None
         self.history.discard()
         self.switcher.retire_all()
         self._follow_settings(retry=True)
-
-    def _drain(self) -> None:
-        """Answer some of those that waited, then let other callbacks in."""
-        try:
-            for _ in range(DRAIN_AT_ONCE):
-                if self.busy or not self.waiting:
-                    return
-                self._take(self.waiting.popleft())
-        finally:  # a sample that cannot be answered must not keep the others waiting
-            if self.waiting and not self.busy:
-                self._background.later(self._drain)
 
     # Changes of the model
 
@@ -279,9 +236,10 @@ class Learner:
     def _change_model(self, settings: Settings) -> str:
         successor = self.switcher.successor
         if successor is not None and same_model(settings, successor.settings):
-            return f'{settings.variant} is being built already.'
+            return '' if self.estimating else f'{settings.variant} is being built already.'
         self.switcher.retire_successor()
         if same_model(settings, self.built):
+            self._follow_settings()
             return '' if successor is None else f'{settings.variant} goes on.'
         if self.switcher.appoint(settings, self.history):
             return f'{settings.variant} learnt as a shadow and answers from the next sample on.'
@@ -289,33 +247,26 @@ class Learner:
                 'until it takes over, between two samples.')
 
     def reset(self) -> None:
-        """Forget everything learnt; samples that wait are still answered."""
+        """Forget everything learnt."""
         self.tare = Tare(self.body.n_outputs)
         self._begin(self.settings, worker.new_estimator(self.settings, self.body, origin=self.history.origin))
-        self._drain()
 
     def restore(self, saved: SavedState) -> None:
-        """Go on with a state that was saved; what waits is answered by it."""
-        self._restore(saved)
-        self._drain()
-
-    def _restore(self, saved: SavedState) -> None:
+        """Go on with a state that was saved."""
         self.settings = saved.settings
         self.tare = Tare(self.body.n_outputs, saved.bias)
         self._begin(saved.settings, saved.estimator, saved.batch)
         self.gate.restore(saved.gate)
 
     def state(self) -> SavedState:
-        """What :meth:`restore` needs; raises SemiparamError while the initial window is being evaluated."""
-        if self.busy:
-            raise SemiparamError('hyperparameters are being estimated; try again when the variant has taken over.')
+        """What :meth:`restore` needs."""
         return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state())
 
     def _fall_back(self, error: Exception) -> None:
         """The active model is broken: go on with the last checkpoint, else with P and no effects."""
         broken, saved = self.built.variant, self._newest_checkpoint()
         if saved is not None:
-            self._restore(saved)
+            self.restore(saved)
             instead = f'{self.built.variant} of the last checkpoint goes on'
         else:
             self.settings = replace(self.settings, variant='P', effects=(), shadow_variants=())
@@ -336,16 +287,21 @@ class Learner:
 
     def successor_live(self, settings: Settings, estimator: Estimator) -> None:
         """It takes over, between two samples."""
-        before, self.built, self.estimator = self.built, settings, estimator
-        self._drop_window_job()
         self._failures = 0
+        if same_model(settings, self.built):
+            self._window_live(estimator)
+            return
+        before, self.built, self.estimator = self.built, settings, estimator
+        self._window_end = None
         changed = f' from {before.variant}' if before.variant != settings.variant else ', changed,'
         self._listener.model_switched(True, f'{settings.variant} takes over{changed} after {self._seen} samples.')
         self._follow_settings()
-        self._drain()
 
     def successor_failed(self, settings: Settings, sentence: str) -> None:
         """The active model goes on, and so do its settings."""
+        if same_model(settings, self.built):
+            self._discard_window(sentence)
+            return
         self.settings = replace(self.settings, **{name: getattr(self.built, name) for name in MODEL_PARAMETERS})
         self._listener.settings_reverted(self.settings)
         self._listener.model_switched(False, self._not_built(settings, sentence))
@@ -369,6 +325,9 @@ class Learner:
     def _follow_settings(self, retry: bool = False) -> None:
         """Build what the settings ask for and is not there."""
         if same_model(self.settings, self.built):
+            if self.estimator.window_full and self.switcher.successor is None:
+                self._window_end = self.answered if self._window_end is None else self._window_end
+                self.switcher.appoint(self.settings, self.history)
             self.switcher.set_shadows(self.settings, self.history, retry)
         elif self.switcher.successor is None:
             self.switcher.appoint(self.settings, self.history)

@@ -3,7 +3,8 @@
 Each is in one of four states:
 
     building     the background builds it from the samples so far; those that come meanwhile wait
-    catching up  it is built, and the background lets it learn those that waited
+    catching up  it is built, and learns those that waited: in the background while they are many, then beside the
+                 active model; or it has gathered its initial window, and the background ends that
     live         it has seen every sample: a shadow goes on learning, a successor takes over
     retired      nobody needs it any more, or it failed; what the background still returns is dropped
 """
@@ -21,7 +22,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
-from semiparam_ros.online.history import History, SampleBatch, batch_of
+from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.worker import Background, Job
 from semiparam_ros.settings.snapshot import Settings
 
@@ -30,8 +31,12 @@ MODEL_PARAMETERS = ('variant', 'effects', 'effects_reference', 'noise', 'forgett
 
 HYPERPARAMETERS_DEPEND_ON = ('variant', 'effects', 'effects_reference', 'noise')
 
-INLINE_AT_MOST = 50
-"""So many samples are caught up within one callback; more go to the background once again."""
+BESIDE_AT_MOST = 50
+"""So many samples are caught up beside the active model, a few between two of its answers; more go to the background
+once again."""
+
+FOR_EACH_ANSWER = 2
+"""Samples caught up at each answer: one more than come in."""
 
 
 class State(Enum):
@@ -77,17 +82,21 @@ class StandbyModel:
         self._background, self._switcher = background, switcher
         self._waiting: deque[tuple[Sample, bool]] = deque()
         self._job: Job | None = None
+        self._in_background = False
         self._must_clear = False
 
-    def start(self, batch: SampleBatch, known: worker.Known | None) -> None:
+    def start(self, history: History, known: worker.Known | None) -> None:
         """Begin to build it."""
-        self._submit(worker.build, self.settings, self.body, batch, known)
+        self._submit(worker.build, self.settings, self.body, history.batch(), known, history.origin)
+
+    def start_with(self, estimator: Estimator) -> None:
+        """Begin with an estimator whose initial window is full: its hyperparameters are estimated."""
+        self._submit(worker.finish_window, estimator.with_window_alone())
 
     def offer(self, sample: Sample, learnt: bool) -> None:
         """Let it see the sample that the active model has just answered."""
         self._waiting.append((sample, learnt))
-        if self.state is State.LIVE:
-            self._catch_up()
+        self._learn(FOR_EACH_ANSWER)
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons, as after a jump of the clock."""
@@ -102,39 +111,52 @@ class StandbyModel:
             self._job.cancel()
 
     def _submit(self, function: worker.EstimatorJob, *arguments: object) -> None:
+        self._in_background = True
         self._job = self._background.submit(function, *arguments, done=self._done)
 
     def _done(self, estimator: Estimator | None, error: BaseException | None) -> None:
-        self._job = None
+        self._in_background, self._job = False, None
         if self.state is State.RETIRED:
             return
         if estimator is None:
             self._switcher.on_failed(self, error)
             return
-        self.estimator, self.state = estimator, State.LIVE
-        self._clear()
-        self._catch_up()
-        if self.state is State.LIVE:
-            self._switcher.on_live(self)
-
-    def _catch_up(self) -> None:
-        estimator = self.estimator
-        assert estimator is not None
-        if len(self._waiting) > INLINE_AT_MOST or completes_window(estimator, len(self._waiting)):
+        self.estimator, self.state = estimator, State.CATCHING_UP
+        if len(self._waiting) > BESIDE_AT_MOST:
             batch = batch_of(list(self._waiting))
             self._waiting.clear()
-            self.state = State.CATCHING_UP
             self._submit(worker.absorb, estimator, batch)
+        else:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Learn one of those that wait, whenever there is nothing else to do."""
+        self._learn(1)
+        if self._waiting and not self._in_background:
+            self._background.later(self._go_on)
+
+    def _learn(self, count: int) -> None:
+        """Learn up to so many of those that wait; live is who has learnt them all."""
+        estimator = self.estimator
+        if estimator is None or self._in_background or self.state is State.RETIRED:
             return
-        while self._waiting:
+        for _ in range(min(count, len(self._waiting))):
             sample, learnt = self._waiting.popleft()
             try:
-                errors = estimator.step(sample, learnt).horizon
+                errors = estimator.observe(estimator.predict(sample), learnt, finish=False)
             except Exception as error:  # a model that breaks beside the active one must not keep that from answering
                 self._switcher.on_failed(self, error)
                 return
             if errors is not None:
                 self._switcher.on_horizon(self, errors)
+            if estimator.window_full:
+                self.state = State.CATCHING_UP
+                self._submit(worker.finish_window, estimator)
+                return
+        if not self._waiting and self.state is State.CATCHING_UP:
+            self.state = State.LIVE
+            self._clear()
+            self._switcher.on_live(self)
 
     def _clear(self) -> None:
         if self._must_clear and self.state is State.LIVE and self.estimator is not None:
@@ -172,6 +194,11 @@ class ModelSwitcher:
         known = worker.known_of(estimator)
         if known is not None and not settings.hyperparameters_sigma:
             self._known[_key(settings)] = known
+
+    def finish_window(self, settings: Settings, estimator: Estimator) -> None:
+        """Build the successor of a provisional model whose initial window is full."""
+        self.successor = StandbyModel(settings, self._body, self._background, self)
+        self.successor.start_with(estimator)
 
     def appoint(self, settings: Settings, history: History) -> bool:
         """Let a shadow that learns this very model succeed, or build a successor; True when it took over at once."""
@@ -242,12 +269,7 @@ class ModelSwitcher:
             self._listener.shadow_horizon(model.settings.variant, errors)
 
     def _start(self, model: StandbyModel, history: History) -> None:
-        model.start(history.batch(), self._known.get(_key(model.settings)))
-
-
-def completes_window(estimator: Estimator, further: int = 1) -> bool:
-    """Whether so many further samples would end the initial window, which takes seconds."""
-    return not estimator.ready and len(estimator.window) + further >= estimator.options.initial_samples
+        model.start(history, self._known.get(_key(model.settings)))
 
 
 def sentence_of(error: BaseException | None) -> str:

@@ -14,10 +14,10 @@ import numpy as np
 
 from semiparam_ros.atomic_write import remove_leftovers, replacing
 from semiparam_ros.core.columns import Memories, Memory
-from semiparam_ros.core.estimator import Estimator, EstimatorState, Remembered
+from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.motion import Motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate
@@ -80,7 +80,7 @@ def snapshot(state: SavedState) -> Snapshot:
     groups: dict[str, Mapping[str, Array | Stamps]] = {
         'history': arrays_of(state.batch), 'recursion': learnt.recursion, 'horizon': learnt.horizon,
         'calibration': learnt.calibration, 'wandering': learnt.wandering,
-        'memory': memory, 'gate': gate, 'window': _stacked(learnt.window)}
+        'memory': memory, 'gate': gate, 'window': learnt.window, 'motion': _stacked(learnt.motion)}
     return {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
             'inputs_learnt': learnt.inputs_learnt, 'probe': probe(state.estimator.body),
             **{f'{group}.{name}': values for group, arrays in groups.items() for name, values in arrays.items()}}
@@ -234,29 +234,25 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
     estimator = new_estimator(settings, body, known)
     estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
                                      _group(arrays, 'calibration'), _group(arrays, 'wandering'),
-                                     int(meta['window_left']),
-                                     _unstacked(_group(arrays, 'window'), body.n_joints, estimator.columns.n_columns),
-                                     meta['origin'], meta['newest'],
+                                     int(meta['window_left']), _group(arrays, 'window'), meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
-                                     arrays['inputs_learnt']))
+                                     arrays['inputs_learnt'], _unstacked(_group(arrays, 'motion'), body.n_joints)))
     return estimator
 
 
-def _stacked(window: tuple[Remembered, ...]) -> Snapshot:
-    if not window:
+def _stacked(motion: Motion | None) -> Snapshot:
+    if motion is None:
         return {}
-    samples = Samples.from_list(sample for sample, _ in window)
-    return {'stamps': samples.stamps, 'inputs': samples.inputs, 'outputs': samples.outputs,
-            'columns': np.array([columns for _, columns in window])}
+    return {'place': motion.place, 'nearby': motion.nearby,
+            'counts': np.array([motion.since, motion.newest, motion.still]), 'is_news': np.array(motion.is_news)}
 
 
-def _unstacked(arrays: Mapping[str, Array], n_joints: int, n_columns: int) -> tuple[Remembered, ...]:
+def _unstacked(arrays: Mapping[str, Array], n_joints: int) -> Motion | None:
     if not arrays:
-        return ()
-    position, velocity, acceleration = np.split(arrays['inputs'], [n_joints, 2 * n_joints], axis=1)
-    columns = arrays['columns'].reshape(len(arrays['stamps']), -1, n_columns)
-    samples = Samples(arrays['stamps'].astype(np.int64), position, velocity, acceleration, arrays['outputs'], 0)
-    return tuple(Remembered(*pair) for pair in zip(samples, columns, strict=True))
+        return None
+    since, newest, still = arrays['counts'].tolist()
+    place, nearby = (arrays[name].reshape(n_joints) for name in ('place', 'nearby'))
+    return Motion(place, since, newest, nearby, still, bool(arrays['is_news']))
 
 
 def _as_json(memory: Memory, arrays: dict[str, Array]) -> object:

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
-from semiparam_ros.core.estimator import Estimator, Prediction
-from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -243,26 +242,15 @@ class Known(NamedTuple):
     window: int  # samples that they are from
 
 
-class Window(NamedTuple):
-    """An estimator after its initial window: ready, or with ``failure`` to say why it is not, and the window empty."""
-
-    estimator: Estimator
-    errors: HorizonErrors | None = None
-    failure: SemiparamError | None = None
+def finish_window(estimator: Estimator) -> Estimator:
+    """The estimator whose initial window is full, with its hyperparameters estimated and the window learnt."""
+    estimator.finish_window()
+    return estimator
 
 
-def finish_window(estimator: Estimator, prediction: Prediction) -> Window:
-    """Learn the sample that completes the initial window: the hyperparameters are estimated here."""
-    try:
-        return Window(estimator, estimator.observe(prediction))
-    except SemiparamError as error:  # the provisional model has learnt the sample all the same
-        estimator.window = []
-        return Window(estimator, failure=error)
-
-
-def build(settings: Settings, body: RigidBody, batch: SampleBatch, known: Known | None) -> Estimator:
-    """A new estimator that has seen all samples of a batch."""
-    origin = None if batch.samples is None else batch.samples.origin
+def build(settings: Settings, body: RigidBody, batch: SampleBatch, known: Known | None,
+          origin: int | None) -> Estimator:
+    """A new estimator that has seen all samples of a batch; time counts from ``origin`` [ns]."""
     return absorb(new_estimator(settings, body, known, origin), batch)
 
 
@@ -277,7 +265,7 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
     """Predict and learn further samples, as the node did when they came."""
     for sample, learnt in batch.pairs():
-        estimator.step(sample, learnt)
+        estimator.observe(estimator.predict(sample), learnt)
     return estimator
 
 

@@ -26,7 +26,7 @@ class FollowOptions:
 
     answers: Mapping[str, str | None]
     window: int = 100
-    timeout_s: float = 300.0
+    timeout_s: float = 60.0
 
     def __post_init__(self) -> None:
         if self.window < 1:

@@ -194,7 +194,8 @@ class Table:
         'noise', 'output', 'One standard deviation of the noise for all outputs, or one for each output.',
         choices=('one', 'output'), live=True)
     initial_samples: int = declare(
-        'initial.samples', 1000, 'Samples of the initial window, from which the hyperparameters are estimated.',
+        'initial.samples', 1000, 'Samples of motion in the initial window, from which the hyperparameters are '
+        'estimated.',
         minimum=20, maximum=1000000)
 
     # Random features

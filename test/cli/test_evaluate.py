@@ -170,7 +170,7 @@ def test_update_times_in_milliseconds():
     assert update_times([]) is None
 
 
-def test_a_robot_that_stands_still_first_is_evaluated_from_its_first_window_with_motion(tmp_path, capsys):
+def test_a_robot_whose_sensor_says_nothing_first_is_evaluated_from_its_first_window_that_varies(tmp_path, capsys):
     """Two windows in which nothing varies give no hyperparameters; the command goes on, as the node does."""
     still = node_helpers.SETTINGS.initial_samples * 2
     samples = node_helpers.motion(still + 140)

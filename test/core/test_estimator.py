@@ -10,6 +10,8 @@ import pytest
 
 from semiparam_ros.core.estimator import Estimator, ModelOptions, log_density
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.initial_window import gathered_from
+from semiparam_ros.core.motion import STILL_SAMPLES, at_start
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import VARIANTS
@@ -249,7 +251,7 @@ def test_a_prediction_goes_to_another_process_with_its_estimator(trained, record
 
 def test_the_window_may_end_early_but_not_without_samples(arm, recording):
     model = estimator(arm, 'SPK-ML')
-    with pytest.raises(SemiparamError, match='no complete samples'):
+    with pytest.raises(SemiparamError, match='holds no samples yet'):
         model.finish_window()
     run(model, recording[:10])
     with pytest.raises(SemiparamError, match='the initial window holds 10 samples'):
@@ -272,8 +274,78 @@ def test_a_window_of_standstill_says_what_is_missing(arm):
     motion = smooth_motion(4, 60)
     still = Samples(motion.stamps, motion.position[:1].repeat(60, 0), 0 * motion.velocity, 0 * motion.acceleration,
                     np.ones((60, 6)), 0)
+    model = estimator(arm, 'SPK-ML', initial_samples=60)
+    run(model, still)
+    assert not model.ready and len(model.window) == STILL_SAMPLES
+    with pytest.raises(SemiparamError, match='the initial window holds 5 samples; expected at least 20'):
+        model.finish_window()
     with pytest.raises(SemiparamError, match=r'output 0, 1, 2, 3, 4, 5 .* constant'):
-        run(estimator(arm, 'SPK-ML', initial_samples=60), still)
+        for sample in still[:60 - STILL_SAMPLES]:
+            model.observe(model.predict(sample))
+
+
+@pytest.mark.parametrize('rate_hz', [20, 1000])
+def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz):
+    """The first sample held for 20 s, with noise."""
+    recording = measured(arm, 900)
+    rng, period = np.random.default_rng(3), 10**9 // rate_hz
+
+    def rest(first, stamp, count):
+        return [first._replace(stamp=stamp + index * period, position=first.position + 1e-4 * rng.uniform(-1, 1, 4),
+                               velocity=first.velocity + 0.01 * rng.standard_normal(4),
+                               acceleration=first.acceleration + 0.02 * rng.standard_normal(4),
+                               outputs=first.outputs + 0.02 * rng.standard_normal(6)) for index in range(count)]
+
+    start = recording.stamps[0] - 20 * 10**9
+    before = rest(recording[0], int(start), 20 * rate_hz)
+    model, reference = (estimator(arm, 'SPK-ML', initial_samples=400) for _ in range(2))
+    run(model, before)
+    assert len(model.window) == STILL_SAMPLES and not model.ready
+    found, wanted = run(model, recording), run(reference, recording)
+    assert [each.ready for each in wanted] == [False] * 400 + [True] * 500
+    assert [each.ready for each in found] == [False] * (400 - STILL_SAMPLES + 1) + [True] * (499 + STILL_SAMPLES)
+    assert relative_error(found[400:], recording) < 1.1 * relative_error(wanted[400:], recording)
+    kept = model.model.recursion.state()
+    after = run(model, rest(recording[899], int(recording.stamps[-1]) + period, 20 * rate_hz))
+    assert np.isfinite([each.mean for each in after]).all()
+    first = model.model.recursion.state()
+    run(model, rest(recording[899], int(recording.stamps[-1]) + 21 * 10**9, 20 * rate_hz))
+    assert all(np.array_equal(values, model.model.recursion.state()[name]) for name, values in first.items())
+    assert not np.array_equal(kept['theta'], first['theta']), 'the first second of a stop is learnt'
+
+
+@pytest.mark.parametrize(('speed', 'share'), [(0.2, 1.0), (0.03, 0.35), (0.01, 0.05), (0.001, 0.0)])
+def test_slow_motion_counts_as_far_as_it_goes(speed, share):
+    motion, moving = at_start(0, np.zeros(3)), []
+    for index in range(1, 20000):
+        stamp = index * 8_000_000
+        motion = motion.after(stamp, np.array([0.0, speed * stamp * 1e-9, 0.0]))
+        moving.append(motion.is_news)
+    assert share <= np.mean(moving) <= share + 0.15
+
+
+def test_what_of_a_recording_the_initial_window_takes(recording):
+    still = replace(recording, position=recording.position[:1].repeat(COUNT, 0))
+    assert gathered_from(recording, 100).indices.tolist() == list(range(100))
+    assert gathered_from(recording, 100)[1:] == (100, True)
+    assert gathered_from(recording, 10 * COUNT)[1:] == (COUNT, False)
+    assert len(gathered_from(still, 100).indices) == STILL_SAMPLES and not gathered_from(still, 100).full
+
+
+def test_a_twin_finishes_the_window_while_the_rigid_body_goes_on(arm, recording):
+    model, reference = (estimator(arm, 'SPK-ML') for _ in range(2))
+    run(reference, recording[:WINDOW + 20])
+    for sample in recording[:WINDOW]:
+        model.observe(model.predict(sample), finish=False)
+    assert model.window_full and not model.ready
+    twin = model.with_window_alone()
+    for sample in recording[WINDOW:WINDOW + 20]:
+        model.observe(model.predict(sample), finish=False)
+    assert len(model.window) == WINDOW and not model.ready
+    twin.finish_window()
+    run(twin, recording[WINDOW:WINDOW + 20])
+    sample = recording[WINDOW + 20]
+    np.testing.assert_array_equal(twin.predict(sample).mean, reference.predict(sample).mean)
 
 
 def test_without_motion_but_with_noise_every_variant_stays_finite(arm):
@@ -281,8 +353,11 @@ def test_without_motion_but_with_noise_every_variant_stays_finite(arm):
     still = [Sample(i * 50_000_000, np.full(4, 0.5), np.zeros(4), np.zeros(4), 3 + 0.1 * rng.standard_normal(6))
              for i in range(90)]
     for variant in VARIANTS:
-        predictions = run(estimator(arm, variant, initial_samples=60), still)
-        means = np.array([each.mean for each in predictions[60:]])
+        model = estimator(arm, variant, initial_samples=1000)
+        for sample in still[:60]:
+            model.observe(model.predict(sample))
+        model.finish_window()
+        means = np.array([each.mean for each in run(model, still[60:])])
         assert np.abs(means - 3).max() < 0.5, variant
 
 
@@ -295,8 +370,11 @@ def test_a_robot_that_rested_over_the_initial_window_is_predicted_within_reason_
     still = [Sample(i * 50_000_000, place, rest, rest, 3 + 0.1 * rng.standard_normal(body.n_outputs))
              for i in range(70)]
     for variant in VARIANTS:
-        model = estimator(body, variant, initial_samples=60)
-        assert np.abs(run(model, still)[-1].mean - 3).max() < 0.3, variant
+        model = estimator(body, variant, initial_samples=1000)
+        for sample in still[:60]:
+            model.observe(model.predict(sample))
+        model.finish_window()
+        assert np.abs(run(model, still[60:])[-1].mean - 3).max() < 0.3, variant
         moving = Sample(70 * 50_000_000, place + 0.3, rest + 0.5, rest + 0.5, still[0].outputs)
         assert np.abs(model.predict(moving).mean).max() < 100.0, variant
 

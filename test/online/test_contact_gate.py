@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from semiparam_ros.core.estimator import Prediction
+from semiparam_ros.core.motion import at_start
 from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.online.contact_gate import ContactGate
@@ -32,7 +33,7 @@ class Stand:
         self.stamp += 10**9 // RATE_HZ
         sample = Sample(self.stamp, np.zeros(2), np.array([0.0, -speed]), np.zeros(2), innovation)
         prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, True, None, sample, NO_PRIOR,
-                                np.zeros((3, 0)), np.zeros(3), np.ones(3), None)
+                                np.zeros((3, 0)), np.zeros(3), np.ones(3), None, at_start(self.stamp, sample.position))
         return self.gate.judge(prediction, self.settings)
 
 

@@ -12,6 +12,7 @@ import pytest
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import state_file
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
@@ -22,44 +23,120 @@ from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, URDF, motion
+from support.node_helpers import BODY, PERIOD_NS, SETTINGS, URDF, motion
 
 VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML')
 
 
-def offline(samples, settings=SETTINGS, learnt=None):
-    """The estimator alone, and its predictions."""
-    estimator, steps = steps_of(samples, settings, learnt)
+def offline(samples, settings=SETTINGS, learnt=None, takeover_after=0):
+    """The commands' learner, and its predictions."""
+    estimator, steps = steps_of(samples, settings, learnt, takeover_after)
     return estimator, np.array([step.mean for step in steps])
 
 
-def steps_of(samples, settings=SETTINGS, learnt=None):
-    estimator, flags = build_estimator(settings), learnt or [True] * len(samples)
-    return estimator, [estimator.step(sample, flag) for sample, flag in zip(samples, flags, strict=True)]
+def steps_of(samples, settings=SETTINGS, learnt=None, takeover_after=0):
+    learner, flags = OfflineLearner(settings, [], lambda: None, takeover_after), learnt or [True] * len(samples)
+    steps = [learner.step(sample, flag) for sample, flag in zip(samples, flags, strict=True)]
+    return learner.estimator, steps
 
 
-def test_samples_that_come_while_hyperparameters_are_estimated_are_answered_in_order():
-    samples, stage = motion(150), Stage()
-    stage.offer(samples[:100])
-    assert len(stage.answers) == SETTINGS.initial_samples
-    assert len(stage.learner.waiting) == 40 and stage.learner.busy
+@pytest.mark.parametrize(('variant', 'until'), [('SPK-ML', 100), ('SPK-ML', 180), ('NP-ML', 61), ('P', 100)])
+def test_answers_go_on_while_hyperparameters_are_estimated(variant, until):
+    """By the provisional model; the variant then takes over as if it had been there since the end of the window."""
+    settings = replace(SETTINGS, variant=variant)
+    samples, stage = motion(250), Stage(settings)
+    stage.offer(samples[:until])
+    assert len(stage.answers) == until and stage.learner.estimating
     stage.background.run()
-    stage.offer(samples[100:])
+    assert stage.learner.estimator.ready and not stage.learner.estimating
+    stage.offer(samples[until:])
     assert [answer.prediction.sample.stamp for answer in stage.answers] == [sample.stamp for sample in samples]
-    steps = steps_of(samples)[1]
+    assert stage.learner.provisional_answers == until - SETTINGS.initial_samples
+    steps = steps_of(samples, settings, takeover_after=stage.learner.provisional_answers)[1]
     np.testing.assert_array_equal(stage.means, [step.mean for step in steps])
+    np.testing.assert_array_equal(stage.means[until:], offline(samples, settings)[1][until:])
     horizons = [step.horizon for step in steps if step.horizon is not None]
     assert [errors.origin for errors in stage.errors] == [errors.origin for errors in horizons]
     np.testing.assert_array_equal([errors.eps for errors in stage.errors], [errors.eps for errors in horizons])
-    assert stage.learner.estimator.ready
 
 
-def test_a_window_without_motion_keeps_the_provisional_model_and_says_why():
+def test_many_samples_are_caught_up_beside_the_answers():
+    """None of them keeps an answer waiting for more than a few others."""
+    samples, stage = motion(300), Stage()
+    stage.offer(samples[:100])
+    stage.background.later = lambda function: None  # there is never a moment when nothing else is to be done
+    stage.background.run()
+    assert stage.learner.estimating, 'none is learnt within the callback but one'
+    stage.offer(samples[100:138])
+    assert not stage.learner.estimator.ready
+    stage.offer(samples[138:])
+    assert stage.learner.provisional_answers == 79
+    np.testing.assert_array_equal(stage.means, offline(samples, takeover_after=79)[1])
+
+
+def test_settings_change_while_hyperparameters_are_estimated():
+    samples, stage = motion(260), Stage()
+    stage.offer(samples[:80])
+    assert 'is being built' in stage.learner.change(replace(SETTINGS, variant='NP-ML'))
+    assert not stage.learner.estimating
+    stage.offer(samples[80:100])
+    assert stage.learner.change(SETTINGS) == 'SPK-ML goes on.'
+    assert stage.learner.estimating and len([job for job in stage.background.jobs if not job.cancelled]) == 1
+    stage.offer(samples[100:120])
+    assert stage.learner.change(replace(SETTINGS, gate_timeout=7.0)) == ''
+    stage.background.run()
+    stage.offer(samples[120:])
+    assert stage.learner.built.variant == 'SPK-ML'
+    np.testing.assert_allclose(stage.means[120:], offline(samples)[1][120:], atol=1e-8)
+    stage = Stage()
+    stage.offer(samples[:80])
+    stage.learner.change(replace(SETTINGS, variant='NP-ML'))
+    stage.background.run()
+    stage.offer(samples[80:])
+    assert stage.learner.built.variant == 'NP-ML' and stage.learner.estimator.ready
+    expected = offline(samples, replace(SETTINGS, variant='NP-ML'))[1]
+    np.testing.assert_allclose(stage.means[80:], expected[80:], atol=1e-8)
+
+
+def test_a_state_saved_while_hyperparameters_are_estimated_goes_on(tmp_path):
+    samples, stage = motion(260), Stage()
+    stage.offer(samples[:100])
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    again = Stage()
+    again.learner.restore(state_file.load(tmp_path / 's.npz', SETTINGS, BODY))
+    again.offer(samples[100:110])
+    assert again.learner.estimating
+    again.background.run()
+    again.offer(samples[110:])
+    np.testing.assert_array_equal(again.means[:10], offline(samples, takeover_after=50)[1][100:110])
+    np.testing.assert_allclose(again.means[10:], offline(samples)[1][110:], atol=1e-8)
+
+
+def test_a_robot_at_rest_is_answered_and_not_learnt():
+    """An hour of it changes nothing, with and without forgetting; and the window goes on where it was."""
+    rest = [sample._replace(position=motion(1)[0].position) for sample in motion(2000)]
+    for forgetting in (1.0, 0.9):
+        settings = replace(SETTINGS, forgetting=forgetting)
+        stage = Stage(settings, InlineBackground())
+        stage.offer(rest)
+        assert [answer.learnt for answer in stage.answers] == [True] * 5 + [False] * 1995
+        assert len(stage.learner.estimator.window) == 5
+        assert len(stage.learner.history) == 5 and len(stage.learner.history.batch()) == 25
+        moving = later(motion(200), 100.0)
+        stage.offer(moving)
+        assert stage.learner.estimator.ready and all(answer.learnt for answer in stage.answers[2003:])
+        stopped = [moving[-1]._replace(stamp=moving[-1].stamp + (index + 1) * PERIOD_NS, outputs=np.full(6, 50.0))
+                   for index in range(500)]
+        stage.offer(stopped)
+        assert [answer.learnt for answer in stage.answers[-500:]] == [True] * 4 + [False] * 496
+
+
+def test_a_window_without_variation_keeps_the_provisional_model_and_says_why():
     stage = Stage()
     stage.offer(still(90))
     stage.background.run()
     assert len(stage.answers) == 90 and not stage.learner.estimator.ready
-    assert 'gives no hyperparameters' in stage.news[0]
+    assert 'gives no hyperparameters' in stage.news[1]
     stage.offer([sample._replace(stamp=sample.stamp + 10**10) for sample in motion(100)])
     stage.background.run()
     assert stage.learner.estimator.ready
@@ -79,7 +156,7 @@ def test_a_switch_misses_no_sample_and_equals_a_node_started_with_that_variant(a
     assert len(stage.answers) == 260
     expected = offline(samples, replace(SETTINGS, variant=after))[1]
     np.testing.assert_allclose(stage.means[200:], expected[200:], atol=1e-8)
-    np.testing.assert_array_equal(stage.means[:200], offline(samples[:200])[1])
+    np.testing.assert_array_equal(stage.means[:200], offline(samples[:200], takeover_after=90)[1])
     assert stage.learner.built.variant == after
     assert after == SETTINGS.variant or 'is being built from 150 samples' in sentence
 
@@ -116,7 +193,8 @@ def test_a_switch_within_the_initial_window_keeps_its_samples():
     stage.background.run()
     stage.offer(samples[30:])
     stage.background.run()
-    np.testing.assert_allclose(stage.means, offline(samples, replace(SETTINGS, variant='SP-ML'))[1], atol=1e-10)
+    np.testing.assert_allclose(stage.means, offline(samples, replace(SETTINGS, variant='SP-ML'), takeover_after=70)[1],
+                               atol=1e-10)
 
 
 def test_a_model_that_cannot_be_built_is_refused_beforehand_or_reverted():
@@ -187,9 +265,9 @@ def test_nothing_is_built_from_a_window_that_gave_no_hyperparameters(wish):
     assert same_model(stage.learner.built, settings) and stage.learner.estimator.ready
     assert not any('could not be built' in sentence for sentence in stage.news)
     assert all(model.estimator.ready for model in stage.learner.switcher.shadows.values())
-    # The window holds what followed the dead one: 30 still samples, then motion.
+    # The window holds what followed the news of the dead one.
     expected = new_estimator(settings, BODY, origin=motion(1)[0].stamp)
-    for sample in [*still(30, 60), *moving]:
+    for sample in moving:
         expected.step(sample)
     np.testing.assert_allclose(stage.learner.estimator.predict(moving[-1]).mean, expected.predict(moving[-1]).mean,
                                atol=1e-8)
@@ -255,7 +333,8 @@ def test_a_broken_model_is_replaced_by_p(how):
     stage.offer(samples[100:])
     assert stage.learner.built.variant == 'P' and stage.learner.built.effects == ()
     assert stage.reverted[-1] == stage.learner.settings == stage.learner.built
-    assert 'SPK-ML is broken' in stage.news[-2] and 'P begins anew' in stage.news[-2]
+    broken = next(sentence for sentence in stage.news if 'SPK-ML is broken' in sentence)
+    assert 'P begins anew' in broken
     assert stage.failures and stage.failures[0][0] == 'the active model'
     unanswered = 0 if how == 'not finite' else 2
     assert len(stage.answers) == 250 - unanswered == 250 - stage.learner.lost
@@ -318,7 +397,7 @@ def test_a_pause_predicts_without_learning():
     stage.learner.change(replace(SETTINGS, learning=False))
     stage.offer(samples[100:])
     flags = [True] * 100 + [False] * 60
-    np.testing.assert_array_equal(stage.means, offline(samples, learnt=flags)[1])
+    np.testing.assert_array_equal(stage.means, offline(samples, learnt=flags, takeover_after=40)[1])
     assert stage.learner.learnt == 100
 
 
@@ -429,10 +508,10 @@ def test_files_that_do_not_fit_are_refused_and_change_nothing(tmp_path):
 def test_reset_forgets_and_drops_what_the_background_still_does():
     samples, stage = motion(200), Stage()
     stage.offer(samples[:70])
-    assert stage.learner.busy
+    assert stage.learner.estimating
     stage.learner.reset()
     stage.background.run()
-    assert not stage.learner.estimator.ready and len(stage.learner.estimator.window) == 10
+    assert not stage.learner.estimator.ready and not len(stage.learner.estimator.window)
     stage.offer(samples[70:])
     stage.background.run()
     assert len(stage.answers) == 200 and stage.learner.estimator.ready

@@ -118,6 +118,8 @@ LAYOUT = {
         'wandering.offsets': 'f8 (5, 6)', 'wandering.log_weights': 'f8 (5, 6)',
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (0, 6)', 'gate.3': 'f8 (0, 6)',  # level, mean, tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 1 else 'f8 (6,)' for number in range(4, 22)},  # six bands
+        'window.rows': 'f8 (0, 144)', 'motion.place': 'f8 (2,)',
+        'motion.nearby': 'f8 (2,)', 'motion.counts': 'i8 (3,)', 'motion.is_news': 'b1 ()',
     },
 }
 """What a file of each version holds, of an SPK model with an effect after 70 samples. When this changes, so must

@@ -22,16 +22,18 @@ def test_a_node_goes_on_from_its_checkpoint(tmp_path, ros_domain):
     dump_params(settings, tmp_path / 'p.yaml', node='/**')
     samples, means = motion(300), []
     path = tmp_path / 'states' / 'left.estimator.checkpoint.npz'
-    for part in (samples[:150], samples[150:]):
+    for first, part in ((True, samples[:150]), (False, samples[150:])):
         with (NodeProcess(tmp_path, tmp_path / 'p.yaml', '-r', '__ns:=/left') as node,
               Client(namespace='/left') as client):
             client.offer('joint_states', 'joint_accelerations', 'wrench')
             client.connect()
+            if first:
+                part = client.play_window(part, SETTINGS.joints, SETTINGS.initial_samples)
             client.play(part, SETTINGS.joints)
             means += client.values('predicted_wrench')
             client.wait(path.exists, 'a checkpoint')
             assert 'Traceback' not in node.output
-            if part[0] is samples[0]:
+            if first:
                 assert 'there is no checkpoint to go on from' in node.output
             else:
                 assert 'the checkpoint is loaded: SPK-ML with 150 samples' in node.output

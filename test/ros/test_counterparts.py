@@ -16,9 +16,9 @@ from rosbags.typesys import Stores, get_typestore
 from conftest import _free_domain
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.settings import load_params
-from semiparam_ros.settings.build import build_estimator
 from support.mcap_core import READER
 from support.recordings import FRAME, JOINTS, write_arm
 from support.replay_peers import EVERYTHING, LATCHED, START, STATES, TEXT, WRENCH, Peer, Tool, write_robot
@@ -75,8 +75,8 @@ def test_another_dds_vendor_receives_the_predictions_of_the_offline_estimator(cy
     heard, bag, params = cyclone
     settings = load_params(params)
     loaded = load_samples(bag, settings)
-    estimator = build_estimator(settings, loaded.robot_description)
-    expected = [(sample.stamp, estimator.step(sample).mean) for sample in loaded.samples]
+    learner = OfflineLearner(settings, [loaded], lambda: None, heard['provisional_answers'])
+    expected = [(sample.stamp, learner.step(sample, True).mean) for sample in loaded.samples]
     assert [stamp for stamp, _ in heard['answers']] == [stamp for stamp, _ in expected] and len(expected) == 300
     np.testing.assert_allclose([mean for _, mean in heard['answers']], [mean for _, mean in expected], atol=1e-9)
     assert heard['exit'] == 0

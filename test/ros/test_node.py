@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.robot import feedforward
+from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.parameter_table import PARAMETERS
@@ -75,10 +76,10 @@ def fresh(count, seed=0):
     return [sample._replace(stamp=sample.stamp + shift) for sample in samples]
 
 
-def expected(samples, settings=LIVE):
-    """Predictions of the estimator alone."""
-    estimator = build_estimator(settings)
-    return np.array([estimator.step(sample).mean for sample in samples])
+def expected(samples, takeover_after, settings=LIVE):
+    """Predictions of the commands' learner, with so many answers of the provisional model after the initial window."""
+    learner = OfflineLearner(settings, [], lambda: None, takeover_after)
+    return np.array([learner.step(sample, True).mean for sample in samples])
 
 
 def rejections(client):
@@ -97,16 +98,16 @@ def replay(bag, *options):
 def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path, bag_options):
     """Every sample answered, in order, with the robot's description from the bag."""
     settings = replace(SETTINGS, robot_description='')
-    bag = write_bag(tmp_path / 'a.mcap', motion(400), **bag_options)
+    bag = write_bag(tmp_path / 'a.mcap', motion(1500), **bag_options)
     dump_params(settings, tmp_path / 'p.yaml')
     with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
         client.connect()
         played = replay(bag)
         assert played.returncode == 0, played.stderr
-        client.wait(lambda: len(client.heard['horizon_error']) >= 385, 'the last horizon')
+        client.wait(lambda: len(client.heard['horizon_error']) >= 1485, 'the last horizon')
         loaded = load_samples(bag, settings)
-        estimator = build_estimator(settings, loaded.robot_description)
-        predictions = [estimator.step(sample) for sample in loaded.samples]
+        learner = OfflineLearner(settings, [loaded], lambda: None, client.take_over())
+        predictions = [learner.step(sample, True) for sample in loaded.samples]
         for topic, wanted in (('predicted_wrench', [each.mean for each in predictions]),
                               ('predicted_wrench_std', [each.std for each in predictions]),
                               ('residual', [each.sample.outputs - each.mean for each in predictions])):
@@ -167,7 +168,8 @@ def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
         fuzzer.throw(sample, bad=2)
         time.sleep(0.001)
     client.wait(lambda: len(client.heard['predicted_wrench']) >= 400, 'every good sample is answered')
-    np.testing.assert_allclose(client.values('predicted_wrench'), expected(samples), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(client.values('predicted_wrench'), expected(samples, client.take_over()), rtol=0,
+                               atol=1e-9)
     wanted = {reason: count + before[reason] for reason, count in fuzzer.rejections().items()}
     _, _, values = client.wait_report('inputs', lambda level, message, values: all(
         counts_in(values)[reason] >= count for reason, count in wanted.items()))
@@ -205,8 +207,7 @@ def test_pause_tare_save_and_load(client):
 
 def test_a_clock_that_jumps_back_keeps_the_model(client):
     samples = fresh(220)
-    client.play(samples, JOINTS)
-    client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+    client.play(client.play_window(samples, JOINTS, 60), JOINTS)
     client.play(samples[:100], JOINTS)
     assert client.stamps('residual') == [sample.stamp for sample in [*samples, *samples[:100]]]
     residuals = np.array(client.values('residual'))
@@ -217,7 +218,7 @@ def test_a_clock_that_jumps_back_keeps_the_model(client):
 def test_a_simulated_clock_that_jumps_back_keeps_the_model(client):
     samples = fresh(130)
     client.play(samples, JOINTS)
-    client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+    takeover_after = client.take_over()
     clock = client.node.create_publisher(ClockMessage, '/clock', 10)
     assert client.set(use_sim_time=True)[0].successful
     client.wait(clock.get_subscription_count, 'the node follows the clock')
@@ -230,7 +231,7 @@ def test_a_simulated_clock_that_jumps_back_keeps_the_model(client):
     assert client.stamps('residual') == [sample.stamp for sample in [*samples, *samples]]
     assert client.set(use_sim_time=False)[0].successful
     found = np.array(client.values('predicted_wrench'))
-    np.testing.assert_allclose(found[:130], expected(samples), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found[:130], expected(samples, takeover_after), rtol=0, atol=1e-9)
     estimator = build_estimator(LIVE)
     for sample in samples:
         estimator.step(sample)
@@ -242,7 +243,8 @@ def test_contact_is_flagged_and_diagnostics_tell_the_state(client):
     samples = fresh(360)
     client.listen(JointState, 'contact_level')
     assert client.set_together(gate__enabled=True, gate__hold=0.1).successful
-    client.play(samples[:300], JOINTS)
+    client.play_window(samples[:60], JOINTS, 60)
+    client.play(samples[60:300], JOINTS)
     push = np.array([30.0, 0, 0, 0, 0, 0])
     client.play([sample._replace(outputs=sample.outputs + push) for sample in samples[300:330]], JOINTS)
     level, _, values = client.wait_report('learning', lambda level, message, values: 'in contact' in message)
@@ -359,7 +361,7 @@ def test_two_arms_in_two_namespaces_learn_from_one_replay(quiet, tmp_path):
         assert played.returncode == 0, played.stderr
         for client, seed in ((left, 4), (right, 5)):
             client.wait(lambda client=client: len(client.heard['predicted_wrench']) == 150, 'all answers')
-            wanted = expected(load_samples(bag, LIVE).samples, replace(LIVE, features_seed=seed))
+            wanted = expected(load_samples(bag, LIVE).samples, client.take_over(), replace(LIVE, features_seed=seed))
             np.testing.assert_allclose(client.values('predicted_wrench'), wanted, rtol=0, atol=1e-9)
 
 

@@ -6,6 +6,7 @@ the bag to it as a robot's driver would, receives its predictions, and works on 
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -296,7 +297,9 @@ def main(bag, params, out):
     finally:
         node.send_signal(signal.SIGINT)
         code = node.wait(PATIENCE_S)
-    Path(out).write_text(json.dumps({**result, 'exit': code}))
+    told = re.search(r'(\d+) samples after the end of the initial window', Path(log.name).read_text())
+    provisional = int(told[1]) if told else len(result['answers'])
+    Path(out).write_text(json.dumps({**result, 'exit': code, 'provisional_answers': provisional}))
 
 
 if __name__ == '__main__':

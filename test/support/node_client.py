@@ -158,6 +158,17 @@ class Client:
 
     # Services and parameters
 
+    def play_window(self, samples, joints, count):
+        """Play so many samples, those of the initial window, and wait until the variant has taken over; the others."""
+        self.play(samples[:count], joints)
+        self.take_over()
+        return samples[count:]
+
+    def take_over(self):
+        """Wait until the variant has its hyperparameters; how many samples the provisional model answered since."""
+        _, _, values = self.wait_report('learning', lambda level, message, values: message.startswith('learning with'))
+        return int(values['samples from the initial window to takeover'] or 0)
+
     def begin(self, kind, name, request):
         """Call a service; a future of its answer."""
         key = (kind, name)

@@ -36,7 +36,7 @@ WRONG_TYPES = {'bool': [1, 'true'], 'integer': ['5', 0.5, True], 'double': ['1.0
 BURST, QUIET = 3000, 1000
 """Samples with changes of the settings, and without, in turns: a model needs seconds to be there."""
 MOST_WAITING, RETAINED, MEMORY_MB, GAP_EVERY = 5, 3000, 60.0, 100
-NOT_BUILT, BUSY = 'could not be built', 'hyperparameters are being estimated'
+NOT_BUILT = 'could not be built'
 TOGETHER = 'several in one atomic set'
 
 
@@ -190,9 +190,7 @@ class SettingsChanges(InvalidRequests):
 
     def _judge(self, reply, name, results, success, sentence):
         if not isinstance(success, list):
-            # Hyperparameters may be estimated at any time here, and what is asked is then not even looked at.
-            waits = not results(reply) and BUSY in reply.message
-            super()._judge(reply, name, results, success, '' if waits else sentence)
+            super()._judge(reply, name, results, success, sentence)
             return
         said = [(each.successful, each.reason) for each in results(reply)]
         answers = said or [(reply.success, reply.message)]

@@ -196,7 +196,7 @@ def _estimates_in_vain(folder, times, fault):
             relieve(node)
             # A job is tried a second time; a window that is given up is followed by another one.
             if client.wait_report('learning', _settled)[1].startswith('gathering'):
-                robot.move(window - 20)
+                robot.move(window)
                 client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
             assert client.trigger('reset').success
         given_up = node.output.count('gives no hyperparameters')

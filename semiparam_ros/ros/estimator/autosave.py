@@ -22,7 +22,7 @@ RETRY_S = 0.2
 class Autosave:
     """By ``checkpoint.period`` on the machine's own clock, and by ``checkpoint.resume``.
 
-    :param state: gives what is to be saved, None before the robot is known; raises SemiparamError while it cannot.
+    :param state: gives what is to be saved, None before the robot is known.
     :param later: see :data:`Later`.
     :param say: receives sentences for the log. :param refuse: those about checkpoints that could not be written.
     Raises SemiparamError when there can be no folder for them.
@@ -76,11 +76,8 @@ class Autosave:
             self._refuse(f'there is no checkpoint of the end: {error}')
 
     def _save(self) -> None:
-        """Now, or a little later while the state cannot be had or the last one is still being written."""
-        try:
-            state = None if self.checkpoints.busy else self._state()
-        except SemiparamError:  # hyperparameters are being estimated
-            state = None
+        """Now, or a little later while the robot is not known or the last one is still being written."""
+        state = None if self.checkpoints.busy else self._state()
         if state is None:
             self._retry.reset()
             return

@@ -16,9 +16,9 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from semiparam_ros.core.horizon_error import HorizonErrors
-from semiparam_ros.errors import shortened
+from semiparam_ros.errors import listed, shortened
 from semiparam_ros.online.feedforward import Feedforward
-from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
+from semiparam_ros.online.identified_parameters import MOVED_ENOUGH, Excitation, conditioning, payload, quantities
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
 from semiparam_ros.ros.estimator.publishers import inertia_message
@@ -187,7 +187,10 @@ def learning_report(learner: Learner, news: str) -> Report:
         'variant': learner.built.variant, 'effects': ', '.join(learner.built.effects),
         'shadow variants': ', '.join(name for name, shadow in learner.switcher.shadows.items()
                                      if shadow.state is State.LIVE),
-        'samples answered': learner.answered, 'samples learnt': learner.learnt, 'samples waiting': len(learner.waiting),
+        'samples answered': learner.answered, 'samples learnt': learner.learnt,
+        'samples of motion in the initial window': '' if learner.estimator.ready else len(learner.estimator.window),
+        'samples from the initial window to takeover': '' if learner.provisional_answers is None
+        else learner.provisional_answers,
         'samples lost': learner.lost, 'samples not learnt for contact': learner.gate.refused,
         'in contact': learner.gate.closed, 'contacts': learner.gate.contacts,
         'contacts taken for a change of the robot': learner.gate.changes,
@@ -200,18 +203,29 @@ def _learning_state(learner: Learner) -> tuple[bytes, str]:
     successor, estimator = learner.switcher.successor, learner.estimator
     if learner.lost:
         return ERROR, f'{learner.lost} samples lost: the machine is too slow for their rate.'
-    if learner.busy:
-        return OK, f'estimating hyperparameters; {len(learner.waiting)} samples wait.'
     if not learner.settings.learning:
         return WARN, 'paused: predicting without learning.'
     if learner.gate.closed:
         return OK, 'in contact: predicting without learning.'
+    if learner.estimating:
+        return OK, f'estimating hyperparameters of {learner.built.variant}; the rigid body answers.'
     if successor is not None:
         return OK, f'learning with {learner.built.variant}; {successor.settings.variant} is being built.'
     if not estimator.ready:
         return OK, (f'gathering the initial window: {len(estimator.window)} of {learner.built.initial_samples} '
-                    'samples.')
+                    f'samples of motion{_unmoved(learner)}.')
     return OK, f'learning with {learner.built.variant}.'
+
+
+def _unmoved(learner: Learner) -> str:
+    """What the initial window has not seen yet."""
+    joints = [learner.body.joints[index] for index in
+              learner.estimator.window.unmoved(learner.body.n_joints, MOVED_ENOUGH)]
+    if not joints or learner.history.latest() is None:
+        return ''
+    if len(joints) == learner.body.n_joints:
+        return '; no joint has moved yet'
+    return f'; {listed(joints)} {"has" if len(joints) == 1 else "have"} not moved yet'
 
 
 def model_report(learner: Learner, tally: Tally) -> Report:

@@ -226,8 +226,9 @@ class EstimatorNode(Node):
 
     def _announcement(self) -> str:
         """What the parameters said last, while a model is being built."""
-        building = self.learner is not None and self.learner.switcher.successor is not None
-        return self._live.news if building else ''
+        if self.learner is None or self.learner.estimating or self.learner.switcher.successor is None:
+            return ''
+        return self._live.news
 
     # What is wrong
 

@@ -88,7 +88,7 @@ class Services:
         """Forget everything learnt."""
         learner = self._learner()
         learner.reset()
-        return f'all is forgotten; a new initial window of {learner.built.initial_samples} samples begins.'
+        return f'all is forgotten; a new initial window of {learner.built.initial_samples} samples of motion begins.'
 
     def tare(self) -> str:
         """Take the present bias off the measured outputs."""

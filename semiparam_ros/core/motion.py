@@ -1,0 +1,54 @@
+"""Whether the robot moves. At rest it repeats one sample, which says nothing new, whatever its noise."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
+from semiparam_ros.core.types import Array
+
+STEP = 0.02
+"""[rad, m] What a joint must leave its place by. Encoders jitter by less, where measured velocities at rest may reach
+those of slow motion, and accelerations that are differences of these reach any."""
+
+REST_NS = 10**9
+"""A robot that has not made a step for so long is at rest."""
+
+STILL = 0.001
+"""[rad, m] Within this of each other two positions are the same place, unless the encoders jitter by more."""
+STILL_SAMPLES = 5
+"""So many samples of one place are news."""
+
+
+class Motion(NamedTuple):
+    """Where the joints are, and since when.
+
+    A step is made when any joint is ``STEP`` away from where it was at the step before. The start counts as one, so
+    that a recording of a moving robot counts from its first sample on.
+    """
+
+    place: Array  # (n_joints,) at the last step
+    since: int  # [ns] stamp of the last step, or of the start
+    newest: int  # [ns] stamp of this sample
+    nearby: Array  # (n_joints,) at the first of the last samples that are within STILL of it
+    still: int  # how many these are
+    is_news: bool
+    """Whether this sample is worth learning: it belongs to a motion, and it is one of the first at its place."""
+
+    def after(self, stamp: int, position: Array) -> Motion:
+        """With one sample more; it starts afresh when the clock has jumped."""
+        has_jumped = not 0 <= stamp - self.newest <= LONGEST_PAUSE_NS
+        if has_jumped or np.abs(position - self.place).max(initial=0.0) > STEP:
+            return at_start(stamp, position)
+        nearby, still = self.nearby, self.still + 1
+        if np.abs(position - nearby).max(initial=0.0) > STILL:
+            nearby, still = position, 1
+        is_news = stamp - self.since <= REST_NS and still <= STILL_SAMPLES
+        return Motion(self.place, self.since, stamp, nearby, still, is_news)
+
+
+def at_start(stamp: int, position: Array) -> Motion:
+    """Of the first sample, and of a step."""
+    return Motion(position, stamp, stamp, position, 1, True)
