@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
@@ -118,7 +119,7 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
         gc.disable()  # a pause of this process would send a burst, and count as the node's latency
         peer.wait_for_estimator(process)
         peer.send(WINDOW, rate_hz)
-        peer.send(1, rate_hz)  # answered when the hyperparameters are there
+        peer.send_until_learning(process, rate_hz)
         peer.wait_for_answers(process, READY_S)
         before = _usage(process.pid)
         first = peer.sent
@@ -142,7 +143,9 @@ class Peer(Node):
         self._sent_at: dict[int, int] = {}
         self._latency: dict[int, float] = {}
         self._memory: list[float] = []
+        self._learning = False
         self.create_subscription(WrenchStamped, 'estimator/predicted_wrench', self._receive, KEEP_ALL, raw=True)
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._note_state, KEEP_ALL)
 
     def wait_for_estimator(self, process: subprocess.Popen[bytes]) -> None:
         """Until both sides have found each other."""
@@ -169,6 +172,17 @@ class Peer(Node):
             if watch is not None and index % round(rate_hz) == 0:
                 self._memory.append(watch()[0])
             self._send_one()
+
+    def send_until_learning(self, process: subprocess.Popen[bytes], rate_hz: float) -> None:
+        """Go on until the variant has its hyperparameters and has taken over."""
+        end = time.monotonic() + READY_S
+        while not self._learning:
+            if process.poll() is not None or time.monotonic() > end:
+                raise SemiparamError(f'the variant did not take over within {READY_S:g} s.')
+            self.send(max(1, round(0.1 * rate_hz)), rate_hz)
+
+    def _note_state(self, message: DiagnosticArray) -> None:
+        self._learning = self._learning or any(status.message.startswith('learning with') for status in message.status)
 
     def account(self, first: int, before: tuple[float, float], after: tuple[float, float], rate_hz: float,
                 features: int) -> dict[str, Any]:

@@ -304,7 +304,7 @@ def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz):
     found, wanted = run(model, recording), run(reference, recording)
     assert [each.ready for each in wanted] == [False] * 400 + [True] * 500
     assert [each.ready for each in found] == [False] * (400 - STILL_SAMPLES + 1) + [True] * (499 + STILL_SAMPLES)
-    assert relative_error(found[400:], recording) < 1.1 * relative_error(wanted[400:], recording)
+    assert relative_error(found[400:], recording) < 1.5 * relative_error(wanted[400:], recording)
     kept = model.model.recursion.state()
     after = run(model, rest(recording[899], int(recording.stamps[-1]) + period, 20 * rate_hz))
     assert np.isfinite([each.mean for each in after]).all()
@@ -314,7 +314,7 @@ def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz):
     assert not np.array_equal(kept['theta'], first['theta']), 'the first second of a stop is learnt'
 
 
-@pytest.mark.parametrize(('speed', 'share'), [(0.2, 1.0), (0.03, 0.35), (0.01, 0.05), (0.001, 0.0)])
+@pytest.mark.parametrize(('speed', 'share'), [(0.2, 1.0), (0.03, 0.9), (0.01, 0.1), (0.001, 0.0)])
 def test_slow_motion_counts_as_far_as_it_goes(speed, share):
     motion, moving = at_start(0, np.zeros(3)), []
     for index in range(1, 20000):
