@@ -1,0 +1,321 @@
+"""A robot's working day over real DDS: an hour of a simulated arm, played to the node at ten times real time.
+
+    python benchmarks/working_day.py                         the iCub arm with its wrist sensor
+    python benchmarks/working_day.py --urdf ur3.urdf         an arm of joint efforts, with friction in every joint
+
+It rests, moves slowly, then fully; is pushed thirty times (5 to 80 N, 0.3 to 2 s); picks up a load and puts it down;
+stops in an emergency (brakes: motors give nothing), rests, and the node is started anew; then a joint moves that never
+moved before, and all move twice as fast. The inertias are up to a fifth off their description.
+
+Told are: how many samples were answered and how late; the pushes found and the contacts told of where there were none;
+and the largest ratio of the error, over five seconds, to that of a model that was started in motion (it learns the same
+samples from the first full motion on, none of a push), from five seconds after each change of phase.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+os.environ.setdefault('OMP_NUM_THREADS', '1')
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
+
+from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.cli.simulate import write_bag
+from semiparam_ros.core.stamps import stamp_ns
+from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.settings import Settings, dump_params
+from semiparam_ros.settings.build import build_estimator
+from semiparam_ros.settings.robot_description import moving_joints
+from semiparam_ros.simulation.arm import Arm, home_posture
+from semiparam_ros.simulation.motions import fourier
+from semiparam_ros.simulation.robots import bundled_urdf
+from semiparam_ros.simulation.scenario import SimulatedRecording
+from semiparam_ros.simulation.simulate import START_NS, joint_readings, output_readings
+from semiparam_ros.simulation.trajectory import Instants
+
+ICUB = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow'), 'r_arm_ft_sensor'
+LOAD_KG, RAMP_S = 1.5, 0.5
+PUSHES, FORCES_N, PUSH_S = 30, (5.0, 80.0), (0.3, 2.0)
+BLOCK_S, SETTLED_S, CHANGE_S = 5.0, 5.0, 10.0
+NOISE_SHARE = 0.01
+FOUND_AFTER_S = 0.3
+
+
+class Phase(NamedTuple):
+    """What the robot does until ``end``, a share of the day."""
+
+    end: float
+    name: str
+    speed: float
+    pushes: int = 0
+
+
+DAY = (Phase(2 / 60, 'rest', 0.0), Phase(5 / 60, 'slow', 0.25), Phase(20 / 60, 'full motion', 1.0, 14),
+       Phase(25 / 60, 'loaded', 1.0), Phase(30 / 60, 'unloaded', 1.0, 5), Phase(31 / 60, 'emergency stop', 0.0),
+       Phase(36 / 60, 'rest after the stop', 0.0), Phase(46 / 60, 'after the restart', 1.0, 11),
+       Phase(50 / 60, 'another joint', 1.0), Phase(1.0, 'twice as fast', 2.0))
+RESTART = 'after the restart'
+
+
+class Day(NamedTuple):
+    """A recording of it: (N,) times [s], where it is pushed (numbered from 1), and when the phases begin [s]."""
+
+    recording: SimulatedRecording
+    settings: Settings
+    times: Array
+    pushed: Array
+    begins: dict[str, float]
+
+
+def lived(urdf: str | None, seconds: float, rate_hz: float, seed: int) -> Day:
+    """The simulated day."""
+    rng = np.random.default_rng(seed)
+    text = bundled_urdf().read_text() if urdf is None else Path(urdf).read_text()
+    outputs = 'wrench' if urdf is None else 'effort'
+    joints, frame = ICUB if urdf is None else (moving_joints(Settings(outputs='effort'), text), None)
+    arm = Arm.from_urdf(text, joints, outputs, frame, 'reaction')
+    true = arm.with_inertias({index: pin.Inertia(inertia.mass * rng.uniform(0.8, 1.2), inertia.lever, inertia.inertia)
+                              for index, inertia in enumerate(arm.model.inertias) if inertia.mass > 0.0})
+    times = np.arange(round(seconds * rate_hz)) / rate_hz
+    ends = seconds * np.array([phase.end for phase in DAY])
+    begins = dict(zip((phase.name for phase in DAY), (0.0, *ends), strict=False))
+    at = np.searchsorted(ends, times, side='right')
+    states = moved(true, times, at, begins, rng)
+    loaded = true.with_body(true.tip, pin.Inertia(LOAD_KG, np.zeros(3), 1e-3 * np.eye(3)))
+    wanted = np.array([phase.name == 'loaded' for phase in DAY])[at]
+    values = np.where(wanted[:, None], loaded.evaluate(*states), true.evaluate(*states))
+    if outputs == 'effort':
+        size = np.std(values, axis=0) + 0.1
+        values = values + 0.3 * size * np.tanh(states[1] / 0.05) + 0.2 * size * states[1]
+        stopped = np.array([phase.name == 'emergency stop' for phase in DAY])[at]
+        values[stopped] = 0.0
+    else:
+        values = values + rng.standard_normal(6) * (4.0, 4.0, 4.0, 0.3, 0.3, 0.3)
+    pushed, forces = pushes(times, seconds, rng)
+    values = values + true.load_of_force(true.pose(true.tip, states[0]), forces, states[0])
+    noise = NOISE_SHARE * np.std(values, axis=0)
+    readings = joint_readings(Instants(times, *states), 1.0, rng)
+    recording = SimulatedRecording(
+        stamps=START_NS + np.round(times * 1e9).astype(np.int64), joint_names=arm.joints, position=readings[0],
+        velocity=readings[1], acceleration=None, outputs=output_readings(values, noise, rng), outputs_kind=outputs,
+        convention='reaction', frame_id=frame or '', urdf=text, noise_std=noise, truth=(), baseline_truth=())
+    settings = Settings(robot_description=text, joints=joints, outputs=outputs, sensor_frame=frame or '',
+                        wrench_convention='reaction', gate_enabled=True, features_count=100)
+    return Day(recording, settings, times, pushed, begins)
+
+
+def moved(arm: Arm, times: Array, at: Stamps, begins: dict[str, float],
+          rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Positions, velocities, accelerations (N, n_joints): one path, passed at the speed of each phase."""
+    step = times[1] - times[0]
+    wanted = np.array([phase.speed for phase in DAY])[at]
+    width = round(RAMP_S / step) | 1
+    window = np.hanning(width + 2)[1:-1]
+    speed = np.convolve(np.pad(wanted, width // 2, mode='edge'), window / window.sum(), mode='valid')
+    along = np.cumsum(speed) * step
+    grid = np.arange(0.0, along[-1] + 1.0, 0.01)
+    home = home_posture(arm)
+    path = fourier(arm, grid, {}, rng)
+    path = np.clip(home + 0.5 * (path - home), *arm.limits)
+    spline = CubicSpline(grid, path)
+    rate = np.gradient(speed, step)
+    share = np.clip((times - begins['another joint']) / 5.0, 0.0, 1.0)
+    share = share**3 * (10 - 15 * share + 6 * share**2)
+    held = np.ones((len(times), arm.n_joints))
+    held[:, -2] = share
+    first, second = (np.gradient(held, step, axis=0), np.gradient(np.gradient(held, step, axis=0), step, axis=0))
+    away, slope, curve = spline(along) - home, spline(along, 1), spline(along, 2)
+    velocity = slope * speed[:, None]
+    acceleration = curve * speed[:, None] ** 2 + slope * rate[:, None]
+    return (home + held * away, held * velocity + first * away,
+            held * acceleration + 2 * first * velocity + second * away)
+
+
+def pushes(times: Array, seconds: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """(N,) number of the push at each time, 0 for none, and (N, 3) its force [N] in base axes."""
+    number, forces = np.zeros(len(times), dtype=int), np.zeros((len(times), 3))
+    sizes = iter(rng.permutation(np.geomspace(*FORCES_N, PUSHES)))
+    begin, count = 0.0, 0
+    for phase in DAY:
+        end = phase.end * seconds
+        slots = np.linspace(begin + 0.25 * (end - begin), end, phase.pushes + 1)
+        for start, stop in itertools.pairwise(slots):
+            start += rng.uniform(0.1, 0.6) * (stop - start)
+            length, direction, newton = rng.uniform(*PUSH_S), rng.standard_normal(3), next(sizes)
+            rows = (times >= start) & (times < start + length)
+            share = (times[rows] - start) / length
+            shape = np.minimum(1.0, np.minimum(share, 1.0 - share) / 0.2)[:, None]
+            count += 1
+            number[rows], forces[rows] = count, newton * shape * direction / np.linalg.norm(direction)
+        begin = end
+    return number, forces
+
+
+def live(day: Day, folder: Path, rate: float) -> Path:
+    """The day through the node, which is started anew in the middle; the recording of inputs and answers."""
+    write_bag(folder / 'day.mcap', day.recording)
+    (folder / 'states').mkdir(exist_ok=True)
+    settings = day.settings.changed({'checkpoint.resume': True, 'checkpoint.period': 5.0,
+                                     'state_folder': str(folder / 'states')})
+    dump_params(settings, folder / 'day.yaml')
+    topic = '/wrench' if day.recording.outputs_kind == 'wrench' else '/joint_states'
+    topics = [topic, '/estimator/residual', '/estimator/contact_level']
+    restart = day.begins[RESTART]
+    with (folder / 'log.txt').open('w') as log:
+        recorder = started(log, 'record', folder / 'answers.mcap', '--overwrite', '--quiet', '--wait-timeout', '120', '--topics', *topics)
+        for part in (['--until', f'{restart}'], ['--start-offset', f'{restart}']):
+            node = started(log, 'run', '--params', folder / 'day.yaml')
+            subprocess.run(command('replay', folder / 'day.mcap', '--rate', f'{rate}', '--wait-for-subscribers', '2',
+                                   '--wait-timeout', '120', '--quiet', '--disable-keyboard-controls', *part),
+                           check=True, stdout=log, stderr=log)
+            time.sleep(2.0)
+            ended(node)
+        ended(recorder)
+    return folder / 'answers.mcap'
+
+
+def command(*words: object) -> list[str]:
+    return [sys.executable, '-m', 'semiparam_ros.cli.main', *map(str, words)]
+
+
+def started(log: Any, *words: object) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(command(*words), stdout=log, stderr=log)
+
+
+def ended(process: subprocess.Popen[bytes]) -> None:
+    process.send_signal(signal.SIGINT)
+    if process.wait(timeout=60.0):
+        raise SystemExit(f'{process.args!r} ended with {process.returncode}.')
+
+
+class Answers(NamedTuple):
+    """(N,) each: how late [ms], NaN without an answer; (N, n) residuals and how strong a contact they are."""
+
+    late_ms: Array
+    residuals: Array
+    level: Array
+
+
+def answers(day: Day, path: Path) -> Answers:
+    """What the node said of every sample."""
+    row = {int(stamp): index for index, stamp in enumerate(day.recording.stamps)}
+    count, n = day.recording.outputs.shape
+    came, late = np.full(count, np.nan), np.full(count, np.nan)
+    residuals, level = np.full((count, n), np.nan), np.full((count, n), np.nan)
+    with open_bag(path) as bag:
+        for message in bag.messages():
+            index = row.get(stamp_ns(message.data.header.stamp), -1)
+            if message.topic == '/estimator/residual':
+                late[index] = message.log_time
+                residuals[index] = outputs_of(message.data)
+            elif message.topic == '/estimator/contact_level':
+                level[index] = message.data.position
+            else:
+                came[index] = message.log_time
+    return Answers(1e-6 * (late - came), residuals, level)
+
+
+def outputs_of(message: Any) -> Array:
+    if hasattr(message, 'wrench'):
+        parts = (message.wrench.force, message.wrench.torque)
+        return np.array([getattr(part, axis) for part in parts for axis in 'xyz'])
+    return np.array(message.effort)
+
+
+def reference(day: Day, folder: Path) -> Array:
+    """(N, n) residuals of a model that was started in motion and learns no push; NaN before."""
+    samples = load_samples(folder / 'day.mcap', day.settings).samples
+    estimator = build_estimator(day.settings.changed({'gate.enabled': False}))
+    residuals = np.full(day.recording.outputs.shape, np.nan)
+    row = {int(stamp): index for index, stamp in enumerate(day.recording.stamps)}
+    for sample in samples:
+        index = row[sample.stamp]
+        if day.times[index] >= day.begins['full motion']:
+            prediction = estimator.step(sample, learn=not day.pushed[index])
+            residuals[index] = sample.outputs - prediction.mean
+    return residuals
+
+
+def figures(day: Day, given: Answers, other: Array) -> dict[str, Any]:
+    """Everything that is told of the day."""
+    contact = np.nan_to_num(given.level).max(axis=1) > 1.0
+    found = sum(bool(contact[near(day, day.pushed == number, FOUND_AFTER_S)].any())
+                for number in range(1, PUSHES + 1))
+    known = near(day, day.pushed > 0, 1.0)
+    for name in ('loaded', 'unloaded', 'emergency stop'):
+        known |= (day.times >= day.begins[name] - 0.1) & (day.times < day.begins[name] + CHANGE_S)
+    rises = np.flatnonzero(np.diff((contact & ~known).astype(int)) == 1)
+    late = given.late_ms[np.isfinite(given.late_ms)]
+    false_s = [float(day.times[rises[0]])] if len(rises) else []
+    for rise in rises[1:]:
+        if day.times[rise] - false_s[-1] > 2.0:
+            false_s.append(float(day.times[rise]))
+    ratios = {phase: worst(day, given.residuals, other, phase, known) for phase in day.begins}
+    return {'samples': len(day.times), 'answered': len(late), 'late_ms': dict(zip(
+        ('median', 'p99', 'max'), np.quantile(late, (0.5, 0.99, 1.0)).tolist(), strict=True)),
+        'pushes': PUSHES, 'found': found, 'false_contacts_s': false_s,
+        'hours': float((~known).sum() / len(known) * day.times[-1] / 3600), 'worst_error_over_reference': ratios}
+
+
+def near(day: Day, mask: Mask, seconds: float) -> Mask:
+    """With what follows within so many seconds."""
+    step = day.times[1] - day.times[0]
+    return np.convolve(mask, np.ones(1 + round(seconds / step)))[:len(mask)] > 0
+
+
+def worst(day: Day, mine: Array, other: Array, phase: str, leave_out: Mask) -> float | None:
+    """Largest ratio over the phase of root mean squares in ``BLOCK_S``, of outputs in their own scale."""
+    ends = [*list(day.begins.values())[1:], day.times[-1]]
+    begin, end = day.begins[phase] + SETTLED_S, ends[list(day.begins).index(phase)]
+    scale = np.std(day.recording.outputs, axis=0)
+    ratios = []
+    for start in np.arange(begin, end - BLOCK_S, BLOCK_S):
+        rows = (day.times >= start) & (day.times < start + BLOCK_S) & ~leave_out
+        rows &= np.isfinite(mine).all(axis=1) & np.isfinite(other).all(axis=1)
+        if rows.sum() > 0.5 * BLOCK_S / (day.times[1] - day.times[0]):
+            sizes = [float(np.sqrt(np.mean((values[rows] / scale) ** 2))) for values in (mine, other)]
+            ratios.append(sizes[0] / sizes[1])
+    return max(ratios) if ratios else None
+
+
+def main() -> int:
+    """Live it, and tell."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--urdf', help='an arm of joint efforts instead of the iCub arm')
+    parser.add_argument('--minutes', type=float, default=60.0)
+    parser.add_argument('--rate', type=float, default=50.0, help='samples a second of the recording')
+    parser.add_argument('--speed', type=float, default=10.0, help='times real time')
+    parser.add_argument('--variant', default='SPK-ML')
+    parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--folder', type=Path, default=Path('output/working_day'))
+    parser.add_argument('--json', type=Path)
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    day = lived(given.urdf, 60.0 * given.minutes, given.rate, given.seed)
+    day = day._replace(settings=day.settings.changed({'variant': given.variant}))
+    path = live(day, given.folder, given.speed)
+    result = figures(day, answers(day, path), reference(day, given.folder))
+    print(json.dumps(result, indent=1))
+    if given.json:
+        given.json.write_text(json.dumps(result, indent=1) + '\n', encoding='utf-8')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
