@@ -178,7 +178,8 @@ def live(day: Day, folder: Path, rate: float) -> Path:
     topics = [topic, '/estimator/residual', '/estimator/contact_level']
     restart = day.begins[RESTART]
     with (folder / 'log.txt').open('w') as log:
-        recorder = started(log, 'record', folder / 'answers.mcap', '--overwrite', '--quiet', '--wait-timeout', '120', '--topics', *topics)
+        recorder = started(log, 'record', folder / 'answers.mcap', '--overwrite', '--quiet', '--wait-timeout', '120',
+                           '--topics', *topics)
         for part in (['--until', f'{restart}'], ['--start-offset', f'{restart}']):
             node = started(log, 'run', '--params', folder / 'day.yaml')
             subprocess.run(command('replay', folder / 'day.mcap', '--rate', f'{rate}', '--wait-for-subscribers', '2',
