@@ -348,6 +348,15 @@ class DiagnosisConfig:
     bump_widths: tuple[float, ...] = (0.25, 0.6)
     """Makes bumps this wide, in standard deviations of the position (chosen)."""
 
+    # --- several recordings and rivals ---
+
+    whole_recording_share: float = 0.02
+    """Takes a whole recording for the plainer answer where a start inside one explains only so much more (chosen)."""
+    some_recordings_ratio: float = 1.1
+    """Believes in some recordings rather than in all when these explain so many times more (chosen)."""
+    better_odds: float = 20.0
+    """Names a rival that was passed over for a plainer cause as the better one above these odds (chosen)."""
+
     # --- verdict ---
 
     pushed_share: float = 0.1

@@ -18,8 +18,6 @@ ONE_FREEDOM = ('A common gain of all outputs and every mass are one and the same
                'declare that: --in LOADED.mcap \'payload@LINK{"mass": KG}\'.')
 EARLIEST_DATE_S = 1e9
 """Stamps below it [s] count from the start of something, not from 1970."""
-TOSS_UP = 20.0
-"""Odds above which a rival that was passed over for a plainer cause is named as the better one."""
 
 
 def text_report(diagnosis: Diagnosis) -> list[str]:
@@ -28,7 +26,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     lines += [_opening(diagnosis)] if not lines else []
     for finding in diagnosis.findings:
         lines.append(_finding(diagnosis, finding))
-        lines += _doubts(diagnosis, finding) + _rivals(finding)
+        lines += _doubts(diagnosis, finding) + _rivals(finding, diagnosis.config.better_odds)
     lines += [_declared(diagnosis, finding) for finding in diagnosis.declared]
     lines += [ONE_FREEDOM] if diagnosis.gain_and_mass_are_one else []
     lines += _dropped(diagnosis)
@@ -133,13 +131,13 @@ def _doubts(diagnosis: Diagnosis, finding: Finding) -> list[str]:
     return [f'  {doubt}'] if doubt else []
 
 
-def _rivals(finding: Finding) -> list[str]:
+def _rivals(finding: Finding, better_odds: float) -> list[str]:
     if not finding.rivals:
         return []
     names = _with_odds(finding.rivals)
     lines = [f'  On this motion it cannot be told for certain from {names}. What would separate them: '
              f'{kinds()[finding.effect.kind].separated_by}.']
-    better = [rival for rival in finding.rivals if rival.odds > TOSS_UP]
+    better = [rival for rival in finding.rivals if rival.odds > better_odds]
     if better:
         lines.append(f'  {_with_odds(better)} would explain it better, with more parameters: the plainer cause was '
                      'chosen. Look there first if it is not it.')

@@ -20,7 +20,8 @@ NAMES = [each.name for each in fields(DiagnosisConfig)]
 
 # What decides nothing: how much a text shows, steps of derivatives, guards of arithmetic, constants of mathematics.
 NUMBERS_ELSEWHERE = {'MOST_PARAMETERS', 'MOST_GAPS_NAMED', 'DERIVATIVE_STEP', 'POINT_DIFFERENCE', 'START_RIDGE',
-                     'RIDGE', 'WHITENING', 'RANK', 'NORMAL_MAD', 'DEGREE'}
+                     'RIDGE', 'WHITENING', 'RANK', 'NORMAL_MAD', 'DEGREE',
+                     'FINEST_LAG', 'EARLIEST_DATE_S'}
 
 
 def calls(tree):

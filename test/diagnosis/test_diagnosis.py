@@ -520,8 +520,8 @@ def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured,
 def test_features_with_the_effects_carry_over_better_than_features_alone(measured_icub):
     """The same draws without and with the effects, judged as the node runs them."""
     settings = load_params(measured_icub / 'icub.yaml')
-    diagnosis = diagnose_bag(argparse.Namespace(bag=measured_icub / 'train.mcap', judge=measured_icub / 'test.mcap',
-                                                split=None, kinds=['joint_offset']), settings)
+    diagnosis = diagnose_bag(argparse.Namespace(bags=[measured_icub / 'train.mcap'], judge=measured_icub / 'test.mcap',
+                                                split=None, kinds=['joint_offset'], inside=[]), settings)
     shown = []
     judged = evaluate_variants(replace(settings, features_count=60), diagnosis, ['P', 'SPK-ML'], 2,
                                lambda done, total: shown.append((done, total)))

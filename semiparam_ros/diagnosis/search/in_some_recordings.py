@@ -10,11 +10,6 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Start
 
-ALIKE = 0.02
-"""A whole recording is the plainer answer where a start inside one explains only this share more."""
-WORTH = 1.1
-"""Believes in some recordings rather than in all when these explain so many times more (as of a start in one)."""
-
 
 def in_some_recordings(fit: Fit, effect: Effect, started: Array, always: Array) -> tuple[Effect, Array]:
     """The effect and its columns in those recordings in a row where it explains most, if that is plainer or better.
@@ -25,7 +20,8 @@ def in_some_recordings(fit: Fit, effect: Effect, started: Array, always: Array) 
         return effect, started
     found = (effect, started)
     best = _explained(fit, effect, started)
-    least = best * (1.0 - ALIKE) if effect.start.values else best * WORTH
+    least = best * (1.0 - fit.config.whole_recording_share) if effect.start.values \
+        else best * fit.config.some_recordings_ratio
     time = fit.samples.time
     for span in spans(fit.samples):
         inside = (time >= (-1e300 if span.seconds is None else span.seconds)) \
