@@ -35,7 +35,7 @@ ROSDEP = {
     'ros-jazzy-common-interfaces': ('sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'trajectory_msgs',
                                     'diagnostic_msgs'),
     'numpy': 'python3-numpy',
-    'scipy': 'python3-scipy', 'scikit-learn': 'python3-sklearn',
+    'scipy': 'python3-scipy', 'numba': 'python3-numba', 'scikit-learn': 'python3-sklearn',
     'pin': 'pinocchio',
     'mcap': None,  # pip alone
     'zstandard': None,  # comes with mcap

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from semiparam_ros.cli.options import add_json_option, output, progress_bar, write_json
+from semiparam_ros.cli.options import add_json_option, console, output, progress_bar, write_json
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -69,15 +69,18 @@ def run(args: argparse.Namespace) -> int:
     os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')
     if args.rounds < 1 or any(count < 2 or count % 2 for count in args.features):
         raise SemiparamError('expected at least one round, and even numbers of features from 2 on.')
+    from semiparam_ros.core.compiled import AVAILABLE
     from semiparam_ros.experiments.benchmark import arm
 
+    if not AVAILABLE:
+        console.print('numba is not installed: SPK runs on numpy alone.')
     body = arm(args.urdf or ARM, args.frame)
     with progress_bar() as progress:
         task = progress.add_task('timing', total=args.rounds * len(args.features))
         sizes = [size(body, count, args.rounds, lambda: progress.advance(task)) for count in args.features]
     show(sizes)
     if args.json:
-        write_json(args.json, {'command': 'bench', 'threads': 1, 'outputs': body.n_outputs,
+        write_json(args.json, {'command': 'bench', 'threads': 1, 'compiled': AVAILABLE, 'outputs': body.n_outputs,
                                'inputs': 3 * body.n_joints, 'meaning': MEANING, 'sizes': sizes})
     return 0
 

@@ -18,6 +18,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, VECTOR, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -35,6 +36,7 @@ LEAST_LOG_WEIGHT = -30.0
 
 _RATE = 1.0 / MEMORIES
 _WIDENING = 1.0 + 2.0 / (2.0 * MEMORIES - 3.0)
+_KEEP = 1.0 - 1.0 / EVIDENCE_MEMORY
 
 
 class BandCalibration:
@@ -45,15 +47,20 @@ class BandCalibration:
         shares[0] = SHARE_OF_OWN
         self._scales = np.ones((len(MEMORIES), n_outputs))
         self._log_weights = np.log(shares) * self._scales
-        self._keep = 1.0 - 1.0 / EVIDENCE_MEMORY
         self._mix()
 
     def learn(self, innovation: Array, std: Array) -> None:
         """Take in the innovation (n,) of a sample, and the standard deviation (n,) that the model gave it."""
+        if AVAILABLE:
+            _learn(innovation, std, self._scales, self._log_weights, self.factor)
+        else:
+            self._learn(innovation, std)
+
+    def _learn(self, innovation: Array, std: Array) -> None:
         standardised = innovation / std
         ratio = np.minimum(standardised * standardised, LARGEST_STEP * self._scales.max(axis=0))
         wide = _WIDENING * self._scales
-        log_weights = self._keep * self._log_weights - 0.5 * (np.log(wide) + ratio / wide)
+        log_weights = _KEEP * self._log_weights - 0.5 * (np.log(wide) + ratio / wide)
         log_weights -= log_weights.max(axis=0)
         self._log_weights = np.maximum(log_weights, LEAST_LOG_WEIGHT)
         step = np.minimum(ratio, LARGEST_STEP * self._scales) - self._scales
@@ -79,3 +86,23 @@ class BandCalibration:
         weights = np.exp(self._log_weights)
         self.factor: Array = np.sqrt((weights * _WIDENING * self._scales).sum(axis=0) / weights.sum(axis=0))
         """(n,) c, of the standard deviation of each output."""
+
+
+@compiled(VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)
+def _learn(innovation: Array, std: Array, scales: Array, log_weights: Array, factor: Array) -> None:
+    for k in range(len(innovation)):
+        standardised = innovation[k] / std[k]
+        ratio = min(standardised * standardised, LARGEST_STEP * scales[:, k].max())
+        for m in range(len(scales)):
+            wide = _WIDENING[m, 0] * scales[m, k]
+            log_weights[m, k] = _KEEP * log_weights[m, k] - 0.5 * (np.log(wide) + ratio / wide)
+        best = log_weights[:, k].max()
+        total = weighted = 0.0
+        for m in range(len(scales)):
+            log_weights[m, k] = max(log_weights[m, k] - best, LEAST_LOG_WEIGHT)
+            step = min(ratio, LARGEST_STEP * scales[m, k]) - scales[m, k]
+            scales[m, k] = max(scales[m, k] + _RATE[m, 0] * step, LEAST_SCALE)
+            weight = np.exp(log_weights[m, k])
+            total += weight
+            weighted += weight * _WIDENING[m, 0] * scales[m, k]
+        factor[k] = np.sqrt(weighted / total)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from semiparam_ros.core.compiled import AVAILABLE, BLOCKS, MATRIX, VECTOR, compiled
 from semiparam_ros.core.recursion import Correction, Prior
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
@@ -99,12 +100,7 @@ class HorizonIndex:
         self._outputs[self._start - 1] = outputs
         if self._filled:
             models = slice(self._start, self._start + self._filled)
-            error = outputs - fixed - self._predictions(prior, models)
-            if len(self._decay):
-                offsets = self._parts[models]
-                error -= offsets.sum(axis=1)
-                offsets *= self._decay
-            self._squared_error[models] += error * error
+            self._charge(prior, outputs - fixed, models)
         return self._complete() if self._filled == self.length else None
 
     def remember(self, stamp: int, theta: Array, correction: Correction | None, offsets: Array | None = None) -> None:
@@ -122,6 +118,20 @@ class HorizonIndex:
         if offsets is not None:
             self._parts[self._start] = offsets
         self._origins[self._start] = stamp
+
+    def _charge(self, prior: Prior, outputs: Array, models: slice) -> None:
+        """Add the squared errors of k models of the past, and let their offsets ebb."""
+        if AVAILABLE:
+            _charge(self._gains[models], self._innovations[models], self._theta[models], self._parts[models],
+                    self._decay, self._squared_error[models], outputs, prior.phi, prior.regressed,
+                    np.ascontiguousarray(prior.columns_left))
+            return
+        error = outputs - self._predictions(prior, models)
+        if len(self._decay):
+            offsets = self._parts[models]
+            error -= offsets.sum(axis=1)
+            offsets *= self._decay
+        self._squared_error[models] += error * error
 
     def _predictions(self, prior: Prior, models: slice) -> Array:
         """(k, n) what k models of the past say of a sample."""
@@ -147,6 +157,10 @@ class HorizonIndex:
     def _complete(self) -> HorizonErrors:
         oldest = self._start + self.length - 1
         y = self._outputs[self._start - 1:oldest]
+        if AVAILABLE:
+            eps, eps_centred = np.empty((2, y.shape[1]))
+            _complete(y, self._squared_error[oldest], eps, eps_centred)
+            return HorizonErrors(int(self._origins[oldest]), eps, eps_centred)
         ones = self._ones
         centred = y - ones @ y / self.length
         floor = LEAST_POWER * self.length
@@ -162,6 +176,48 @@ class HorizonIndex:
         for rows in self._rows().values():
             rows[end - self._filled:] = rows[:self._filled]
         self._start = end - self._filled
+
+
+@compiled(MATRIX, MATRIX, MATRIX, BLOCKS, MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX)
+def _charge(gains: Array, innovations: Array, theta: Array, parts: Array, decay: Array, squared_error: Array,
+            outputs: Array, phi: Array, regressed: Array, left: Array) -> None:
+    n, p = left.shape
+    running = np.zeros((p + 1) * n)  # E_C, and what was learnt after a model
+    for c in range(p):
+        for k in range(n):
+            running[c * n + k] = left[k, c]
+    error = np.empty(n)
+    for row in range(len(gains)):
+        for k in range(n):
+            error[k] = outputs[k] - regressed[p, k]
+        for c in range(p + 1):
+            for k in range(n):
+                error[k] += theta[row, c] * running[c * n + k]
+        for g in range(len(decay)):
+            for k in range(n):
+                error[k] -= parts[row, g, k]
+                parts[row, g, k] *= decay[g, 0]
+        for k in range(n):
+            squared_error[row, k] += error[k] * error[k]
+        weight = 0.0
+        for d in range(len(phi)):
+            weight += gains[row, d] * phi[d]
+        for q in range(len(running)):
+            running[q] += weight * innovations[row, q]
+
+
+@compiled(MATRIX, VECTOR, VECTOR, VECTOR)
+def _complete(outputs: Array, error: Array, eps: Array, eps_centred: Array) -> None:
+    length = len(outputs)
+    for k in range(len(error)):
+        mean = power = spread = 0.0
+        for row in range(length):
+            mean += outputs[row, k] / length
+            power += outputs[row, k] * outputs[row, k]
+        for row in range(length):
+            spread += (outputs[row, k] - mean) ** 2
+        eps[k] = error[k] / max(power, LEAST_POWER * length)
+        eps_centred[k] = error[k] / max(spread, LEAST_POWER * length)
 
 
 def force_and_torque(eps: Array) -> tuple[float, float]:

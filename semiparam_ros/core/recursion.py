@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtpqrt, dtrtrs
 
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
 from semiparam_ros.core.square_root_filter import Projection, SquareRootFilter
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -88,13 +89,22 @@ class SemiParametricRecursion:
         projection = self._weights.project(phi) if self.n_features else self._no_features
         regressed = projection.regressed.reshape(self.n_columns + 1, self.n_outputs)
         s = self.sigma**2 + float(projection.f @ projection.f)
+        if AVAILABLE:
+            left, mean, covariance = np.empty_like(columns, order='C'), np.empty(self.n_outputs), self._identity.copy()
+            _predict(regressed, np.ascontiguousarray(columns), s, self._information.T, self.theta, left, mean,
+                     covariance)
+        else:
+            left, mean, covariance = self._predict(regressed, columns, s)
+        return Prior(mean, covariance, phi, projection, s, regressed, left, self.revision)
+
+    def _predict(self, regressed: Array, columns: Array, s: float) -> tuple[Array, Array, Array]:
         left = columns - regressed[:-1].T
         mean = regressed[-1] + left @ self.theta
         covariance = s * self._identity
         if self.n_columns:
             half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
             covariance += half.T @ half
-        return Prior(mean, covariance, phi, projection, s, regressed, left, self.revision)
+        return left, mean, covariance
 
     def learn(self, prior: Prior, outputs: Array) -> Correction:
         """Learn the outputs (n,) of the sample that ``prior`` was computed for.
@@ -109,8 +119,7 @@ class SemiParametricRecursion:
         if self.n_features:
             self._weights.learn(prior.projection, self.sigma, innovations.ravel())
         if self.n_columns:
-            self._update_information((innovations / np.sqrt(prior.s)).T)
-            self.theta, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
+            self._learn_columns(innovations / np.sqrt(prior.s))
         if self.forgetting < 1.0:
             self._forget()
         return Correction(prior.projection.reach / prior.s, innovations)
@@ -165,6 +174,15 @@ class SemiParametricRecursion:
         if not 0.0 < self.forgetting <= 1.0:
             raise SemiparamError(f'forgetting is {self.forgetting}; expected a value above 0 and at most 1.')
 
+    def _learn_columns(self, rows: Array) -> None:
+        """R and theta with further rows (n, p + 1), given as ``rows`` (p + 1, n), which are used up."""
+        if AVAILABLE:
+            self.theta = np.empty(self.n_columns)
+            _learn_columns(self._information.T, rows, self.theta)
+        else:
+            self._update_information(rows.T)
+            self.theta, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
+
     def _update_information(self, rows: Array) -> None:
         """R with further rows (k, p + 1) below it, triangular again."""
         block = min(self.n_columns + 1, QR_BLOCK)
@@ -195,3 +213,59 @@ class SemiParametricRecursion:
         weight = np.sqrt(1.0 - self.forgetting**self.n_columns) / self._prior_std[index]
         row[0, index], row[0, -1] = weight, weight * self.theta[index]
         self._update_information(row)
+
+
+@compiled(MATRIX, MATRIX, NUMBER, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX)
+def _predict(regressed: Array, columns: Array, s: float, information: Array, theta: Array, left: Array, mean: Array,
+             covariance: Array) -> None:
+    """E_C, mean and covariance, which comes as the identity, from R' as ``information``."""
+    n, p = columns.shape
+    half = np.empty((p, n))
+    for k in range(n):
+        mean[k] = regressed[p, k]
+        covariance[k, k] = s
+        for c in range(p):
+            left[k, c] = columns[k, c] - regressed[c, k]
+            mean[k] += left[k, c] * theta[c]
+    for c in range(p):
+        for k in range(n):
+            half[c, k] = left[k, c]
+        for i in range(c):
+            for k in range(n):
+                half[c, k] -= information[c, i] * half[i, k]
+        for k in range(n):
+            half[c, k] /= information[c, c]
+        for k in range(n):
+            for j in range(n):
+                covariance[k, j] += half[c, k] * half[c, j]
+
+
+@compiled(MATRIX, MATRIX, VECTOR)
+def _learn_columns(information: Array, rows: Array, theta: Array) -> None:
+    """Householder reflections that make R with rows below it triangular again, and theta, from R' and (p + 1, n)."""
+    size, n = rows.shape
+    for c in range(size):
+        below = 0.0
+        for k in range(n):
+            below += rows[c, k] * rows[c, k]
+        if below == 0.0:
+            continue
+        corner = information[c, c]
+        radius = -np.copysign(np.sqrt(corner * corner + below), corner)
+        share = (radius - corner) / radius
+        information[c, c] = radius
+        for k in range(n):
+            rows[c, k] /= corner - radius
+        for j in range(c + 1, size):
+            along = information[j, c]
+            for k in range(n):
+                along += rows[c, k] * rows[j, k]
+            along *= share
+            information[j, c] -= along
+            for k in range(n):
+                rows[j, k] -= along * rows[c, k]
+    for c in range(size - 2, -1, -1):
+        value = information[size - 1, c]
+        for j in range(c + 1, size - 1):
+            value -= information[j, c] * theta[j]
+        theta[c] = value / information[c, c]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.blas import dgemm, dgemv
 
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, VECTOR, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -48,6 +49,13 @@ class SquareRootFilter:
 
     def project(self, phi: Array) -> Projection:
         """What a prediction at phi (D,) needs; nothing changes."""
+        if AVAILABLE:
+            products, reach = np.empty(len(self._right)), np.empty(self.size)
+            _project(self._array.T, self._left.T, self._right.T, self._waiting, self._inflation, phi, products, reach)
+            return Projection(products[:self.size], reach, products[self.size:])
+        return self._project(phi)
+
+    def _project(self, phi: Array) -> Projection:
         size, inflation = self.size, self._inflation
         left, right = self._left[:, :self._waiting], self._right[:, :self._waiting]
         products = dgemv(1.0, right, dgemv(1.0, left, phi, trans=1)) if self._waiting else np.zeros(len(self._right))
@@ -69,15 +77,23 @@ class SquareRootFilter:
 
         ``projection`` is that of its features, with no change since.
         """
+        if AVAILABLE:
+            e = np.zeros(len(self._right) - self.size) if innovations is None else innovations
+            _wait(self._left.T[self._waiting], self._right.T[self._waiting], projection.f, projection.reach, e, sigma,
+                  self._inflation)
+        else:
+            self._wait(projection, sigma, innovations)
+        self._waiting += 1
+        if self._waiting == MOST_WAITING:
+            self._settle()
+
+    def _wait(self, projection: Projection, sigma: float, innovations: Array | None) -> None:
         f = projection.f
         s = sigma**2 + float(f @ f)
         column = self._right[:, self._waiting]
         self._left[:, self._waiting] = projection.reach
         np.multiply(f, -1.0 / (self._inflation * (s + sigma * np.sqrt(s))), out=column[:self.size])
         column[self.size:] = 0.0 if innovations is None else innovations / s
-        self._waiting += 1
-        if self._waiting == MOST_WAITING:
-            self._settle()
 
     def inflate(self, factor: float) -> None:
         """S times ``factor``."""
@@ -118,3 +134,70 @@ class SquareRootFilter:
             block = slice(start, start + width)
             dgemm(1.0, left, right[block], beta=1.0, c=self._array[:, block], trans_b=1, overwrite_c=1)
         self._waiting = 0
+
+
+@compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, VECTOR, VECTOR, VECTOR)
+def _project(array: Array, left: Array, right: Array, waiting: int, inflation: float, phi: Array, products: Array,
+             reach: Array) -> None:
+    """f, then Theta' phi, into ``products`` (D + q,), and S f into ``reach`` (D,), of M', U' and V'.
+
+    Four columns of M at a time: what they give of f goes at once into S f, while they are in the first cache.
+    """
+    width, size = array.shape
+    products[:] = 0.0
+    reach[:] = 0.0
+    for change in range(waiting):
+        along = 0.0
+        for i in range(size):
+            along += left[change, i] * phi[i]
+        for j in range(width):
+            products[j] += along * right[change, j]
+    fours, together = width - width % 4, size - size % 4
+    for j in range(0, fours, 4):
+        a = b = c = d = 0.0
+        for i in range(size):
+            a += array[j, i] * phi[i]
+            b += array[j + 1, i] * phi[i]
+            c += array[j + 2, i] * phi[i]
+            d += array[j + 3, i] * phi[i]
+        products[j] += a
+        products[j + 1] += b
+        products[j + 2] += c
+        products[j + 3] += d
+        if j < together:
+            a, b, c, d = products[j], products[j + 1], products[j + 2], products[j + 3]
+            for i in range(size):
+                reach[i] += array[j, i] * a + array[j + 1, i] * b + array[j + 2, i] * c + array[j + 3, i] * d
+    for j in range(fours, width):
+        a = 0.0
+        for i in range(size):
+            a += array[j, i] * phi[i]
+        products[j] += a
+    for j in range(together, size):
+        for i in range(size):
+            reach[i] += array[j, i] * products[j]
+    for change in range(waiting):
+        along = 0.0
+        for j in range(size):
+            along += right[change, j] * products[j]
+        for i in range(size):
+            reach[i] += along * left[change, i]
+    for i in range(size):
+        products[i] *= inflation
+        reach[i] *= inflation * inflation
+
+
+@compiled(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER)
+def _wait(left: Array, right: Array, f: Array, reach: Array, innovations: Array, sigma: float,
+          inflation: float) -> None:
+    """One more change, a column of U and one of V."""
+    size = len(f)
+    s = sigma * sigma
+    for i in range(size):
+        s += f[i] * f[i]
+    share = -1.0 / (inflation * (s + sigma * np.sqrt(s)))
+    for i in range(size):
+        left[i] = reach[i]
+        right[i] = share * f[i]
+    for j in range(len(innovations)):
+        right[size + j] = innovations[j] / s

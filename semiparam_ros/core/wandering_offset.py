@@ -19,6 +19,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, VECTOR, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -29,6 +30,7 @@ SHARE_OF_NONE = 0.5
 """Probability of g = 0 before anything is seen; the others share the rest."""
 EVIDENCE_MEMORY = 500.0
 """[samples]"""
+_KEEP = 1.0 - 1.0 / EVIDENCE_MEMORY
 DEGREES = 5.0
 LEAST_LOG_WEIGHT = -30.0
 LARGEST_STEP = 6.0
@@ -43,7 +45,6 @@ class WanderingOffset:
         shares[0] = SHARE_OF_NONE
         self._offsets = np.zeros((len(PACES), n_outputs))
         self._log_weights = np.log(shares) + self._offsets
-        self._keep = 1.0 - 1.0 / EVIDENCE_MEMORY
         self._mix()
 
     def pace(self) -> Array:
@@ -53,8 +54,14 @@ class WanderingOffset:
 
     def learn(self, residual: Array, std: Array) -> None:
         """Follow what the model left of a sample, (n,), whose predictive standard deviation was ``std`` (n,)."""
+        if AVAILABLE:
+            _learn(residual, std, self._offsets, self._log_weights, self.parts, self.offset)
+        else:
+            self._learn(residual, std)
+
+    def _learn(self, residual: Array, std: Array) -> None:
         standardised = (residual - self._offsets) / std
-        log_weights = self._keep * self._log_weights
+        log_weights = _KEEP * self._log_weights
         log_weights -= 0.5 * (DEGREES + 1.0) * np.log1p(standardised * standardised / DEGREES)
         log_weights -= log_weights.max(axis=0)
         self._log_weights = np.maximum(log_weights, LEAST_LOG_WEIGHT)
@@ -83,6 +90,27 @@ class WanderingOffset:
         """(K, n) what each pace adds to the next prediction."""
         self.offset: Array = self.parts.sum(axis=0)
         """(n,) all of them together."""
+
+
+@compiled(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR)
+def _learn(residual: Array, std: Array, offsets: Array, log_weights: Array, parts: Array, offset: Array) -> None:
+    for k in range(len(residual)):
+        for g in range(len(offsets)):
+            standardised = (residual[k] - offsets[g, k]) / std[k]
+            spread = np.log1p(standardised * standardised / DEGREES)
+            log_weights[g, k] = _KEEP * log_weights[g, k] - 0.5 * (DEGREES + 1.0) * spread
+            step = std[k] * min(max(standardised, -LARGEST_STEP), LARGEST_STEP)
+            offsets[g, k] = DECAY[g, 0] * (offsets[g, k] + PACES[g, 0] * step)
+        best = log_weights[:, k].max()
+        total = 0.0
+        for g in range(len(offsets)):
+            log_weights[g, k] = max(log_weights[g, k] - best, LEAST_LOG_WEIGHT)
+            parts[g, k] = np.exp(log_weights[g, k])
+            total += parts[g, k]
+        offset[k] = 0.0
+        for g in range(len(offsets)):
+            parts[g, k] *= offsets[g, k] / total
+            offset[k] += parts[g, k]
 
 
 def _like(mine: Array, state: Mapping[str, Array], name: str) -> Array:

@@ -1,0 +1,42 @@
+"""Compiling the inner loop of a sample with numba, where it is installed.
+
+A compiled function stands beside its readable form in numpy; a test compares the two to 1e-12. It is compiled when its
+module is imported, and cached on disk by numba: never while samples come. Without numba the forms in numpy run, and a
+sample takes about half as long again.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+try:
+    if os.environ.get('SEMIPARAM_COMPILED') == '0':
+        raise ImportError('switched off')
+    import numba
+except ImportError:
+    AVAILABLE = False
+else:
+    AVAILABLE = True
+
+VECTOR, MATRIX, BLOCKS = 'float64[::1]', 'float64[:,::1]', 'float64[:,:,::1]'
+"""Types of arguments: arrays without gaps, by rows. One by columns is passed as its transpose."""
+INTEGER, NUMBER = 'int64', 'float64'
+
+_FAST = {'reassoc', 'contract', 'nsz'}
+"""Sums may be added in any order, so that the processor's vectors are used; what is not finite stays so."""
+
+
+def compiled(*arguments: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Compile a function of these arguments that returns nothing, and writes into its arrays."""
+    signature = f'void({", ".join(arguments)})'
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        if not AVAILABLE:
+            return function
+        try:
+            return numba.njit(signature, cache=True, fastmath=_FAST, error_model='numpy')(function)
+        except (OSError, RuntimeError):  # neither beside this file nor in the home of its user can a cache be written
+            return numba.njit(signature, fastmath=_FAST, error_model='numpy')(function)
+
+    return decorate

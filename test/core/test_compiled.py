@@ -1,0 +1,108 @@
+"""What numba compiles is what the readable forms in numpy say."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core import (
+    band_calibration,
+    compiled,
+    horizon_error,
+    recursion,
+    square_root_filter,
+    wandering_offset,
+)
+from semiparam_ros.core.horizon_error import HorizonIndex
+from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.core.square_root_filter import SquareRootFilter
+from semiparam_ros.core.wandering_offset import DECAY
+
+pytestmark = pytest.mark.skipif(not compiled.AVAILABLE, reason='numba is not installed')
+N, TOLERANCE = 6, {'rtol': 1e-12, 'atol': 1e-12}
+
+
+@pytest.fixture(params=[band_calibration.BandCalibration, wandering_offset.WanderingOffset])
+def follower(request):
+    return request.param
+
+
+def test_what_follows_the_errors(follower):
+    rng = np.random.default_rng(0)
+    fast, readable = follower(N), follower(N)
+    for index in range(3000):
+        size = 30.0 if index % 700 == 3 else 1.0 + index // 1000
+        innovation, std = size * rng.standard_normal(N) + 0.3, rng.uniform(0.5, 2.0, N)
+        fast.learn(innovation, std)
+        readable._learn(innovation, std)
+        for name, values in fast.state().items():
+            np.testing.assert_allclose(values, readable.state()[name], **TOLERANCE)
+    shown = ('factor',) if hasattr(fast, 'factor') else ('parts', 'offset')
+    for name in shown:
+        np.testing.assert_allclose(getattr(fast, name), getattr(readable, name), **TOLERANCE)
+
+
+@pytest.mark.parametrize(('features', 'columns', 'decay'), [(20, 9, DECAY), (20, 0, None), (0, 9, DECAY)])
+def test_the_horizon(monkeypatch, features, columns, decay):
+    rng = np.random.default_rng(1)
+    model = SemiParametricRecursion(N, features, np.ones(columns), 1.0, 0.1)
+    fast, readable = (HorizonIndex(7, N, features, columns, decay) for _ in range(2))
+    for stamp in range(60):
+        prior = model.predict(rng.standard_normal(features), rng.standard_normal((N, columns)))
+        outputs, fixed = rng.standard_normal((2, N))
+        errors = fast.score(prior, fixed, outputs)
+        with monkeypatch.context() as without:
+            without.setattr(horizon_error, 'AVAILABLE', False)
+            expected = readable.score(prior, fixed, outputs)
+        correction = model.learn(prior, outputs - fixed)
+        parts = None if decay is None else rng.standard_normal((len(decay), N))
+        for index in (fast, readable):
+            index.remember(stamp, model.theta, correction, parts)
+        if errors is not None:
+            np.testing.assert_allclose(errors.eps_centred, expected.eps_centred, rtol=1e-11)
+            np.testing.assert_allclose(errors.eps, expected.eps, rtol=1e-11)
+    assert errors is not None
+
+
+@pytest.mark.parametrize('features', [1, 2, 7, 40])
+@pytest.mark.parametrize('estimates', [0, 1, 6])
+def test_the_features(features, estimates):
+    rng = np.random.default_rng(2)
+    weights = SquareRootFilter(features, 0.7, estimates)
+    for _ in range(30):
+        phi = rng.standard_normal(features)
+        found, expected = weights.project(phi), weights._project(phi)
+        for mine, theirs in zip(found, expected, strict=True):
+            np.testing.assert_allclose(mine, theirs, **TOLERANCE)
+        weights.learn(found, 0.1, rng.standard_normal(estimates))
+        weights.inflate(1.02)
+
+
+@pytest.mark.parametrize('columns', [0, 1, 5, 22])
+def test_the_columns(monkeypatch, columns):
+    rng = np.random.default_rng(3)
+    fast, readable = (SemiParametricRecursion(N, 12, np.ones(columns), 1.0, 0.1, forgetting=0.999) for _ in range(2))
+    for index in range(60):
+        phi, coupled, outputs = rng.standard_normal(12), rng.standard_normal((N, columns)), rng.standard_normal(N)
+        coupled[:, :1] *= index % 3  # a column of zeros at times
+        found = fast.predict(phi, coupled)
+        fast.learn(found, outputs)
+        with monkeypatch.context() as without:
+            for module in (recursion, square_root_filter):
+                without.setattr(module, 'AVAILABLE', False)
+            expected = readable.predict(phi, coupled)
+            readable.learn(expected, outputs)
+        for name in ('mean', 'covariance', 'columns_left'):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(fast.theta, readable.theta, rtol=1e-10, atol=1e-11)
+
+
+def test_without_numba_the_forms_in_numpy_run():
+    text = ('from semiparam_ros.core import compiled, estimator; from semiparam_ros.core.band_calibration import '
+            'BandCalibration as B; import numpy as np; b = B(2); b.learn(np.ones(2), np.ones(2)); '
+            'print(compiled.AVAILABLE, b.factor.shape)')
+    done = subprocess.run([sys.executable, '-c', text], env={**os.environ, 'SEMIPARAM_COMPILED': '0'}, check=True,
+                          capture_output=True, text=True)
+    assert done.stdout == 'False (2,)\n'
