@@ -47,6 +47,8 @@ class BandCalibration:
         shares[0] = SHARE_OF_OWN
         self._scales = np.ones((len(MEMORIES), n_outputs))
         self._log_weights = np.log(shares) * self._scales
+        self.factor: Array = np.ones(n_outputs)
+        """(n,) c, of the standard deviation of each output."""
         self._mix()
 
     def learn(self, innovation: Array, std: Array) -> None:
@@ -69,23 +71,23 @@ class BandCalibration:
 
     def state(self) -> dict[str, Array]:
         """Copies; :meth:`restore` takes them back bit for bit."""
-        return {'scales': self._scales.copy(), 'log_weights': self._log_weights.copy()}
+        return {'scales': self._scales.copy(), 'log_weights': self._log_weights.copy(), 'factor': self.factor.copy()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
-        scales, log_weights = (np.array(state.get(name, np.nan), dtype=float) for name in ('scales', 'log_weights'))
-        if not scales.shape == log_weights.shape == self._scales.shape or not (
-                (scales >= LEAST_SCALE) & np.isfinite(scales) & np.isfinite(log_weights)).all():
+        found = [np.array(state.get(name, np.nan), dtype=float) for name in self.state()]
+        scales, log_weights, factor = found
+        if not (scales.shape == log_weights.shape == self._scales.shape and factor.shape == self.factor.shape
+                and all(np.isfinite(values).all() for values in found) and (scales >= LEAST_SCALE).all()
+                and (factor > 0.0).all()):
             raise SemiparamError(f'the saved calibration of the bands has shapes {scales.shape} and '
                                  f'{log_weights.shape}; expected positive scales and weights of shape '
                                  f'{self._scales.shape}.')
-        self._scales, self._log_weights = scales, log_weights
-        self._mix()
+        self._scales, self._log_weights, self.factor = scales, log_weights, factor
 
     def _mix(self) -> None:
         weights = np.exp(self._log_weights)
-        self.factor: Array = np.sqrt((weights * _WIDENING * self._scales).sum(axis=0) / weights.sum(axis=0))
-        """(n,) c, of the standard deviation of each output."""
+        self.factor = np.sqrt((weights * _WIDENING * self._scales).sum(axis=0) / weights.sum(axis=0))
 
 
 @compiled(VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)

@@ -45,7 +45,10 @@ class WanderingOffset:
         shares[0] = SHARE_OF_NONE
         self._offsets = np.zeros((len(PACES), n_outputs))
         self._log_weights = np.log(shares) + self._offsets
-        self._mix()
+        self.parts: Array = np.zeros_like(self._offsets)
+        """(K, n) what each pace adds to the next prediction."""
+        self.offset: Array = np.zeros(n_outputs)
+        """(n,) all of them together."""
 
     def pace(self) -> Array:
         """(n,) the mean pace of each output; its inverse is the memory [samples]."""
@@ -76,20 +79,18 @@ class WanderingOffset:
 
     def state(self) -> dict[str, Array]:
         """Copies; :meth:`restore` takes them back bit for bit."""
-        return {'offsets': self._offsets.copy(), 'log_weights': self._log_weights.copy()}
+        return {'offsets': self._offsets.copy(), 'log_weights': self._log_weights.copy(), 'parts': self.parts.copy(),
+                'offset': self.offset.copy()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
-        offsets, log_weights = (_like(self._offsets, state, name) for name in ('offsets', 'log_weights'))
-        self._offsets, self._log_weights = offsets, log_weights
-        self._mix()
+        found = [_like(mine, state, name) for name, mine in self.state().items()]
+        self._offsets, self._log_weights, self.parts, self.offset = found
 
     def _mix(self) -> None:
         weights = np.exp(self._log_weights)
-        self.parts: Array = weights / weights.sum(axis=0) * self._offsets
-        """(K, n) what each pace adds to the next prediction."""
-        self.offset: Array = self.parts.sum(axis=0)
-        """(n,) all of them together."""
+        self.parts = weights / weights.sum(axis=0) * self._offsets
+        self.offset = self.parts.sum(axis=0)
 
 
 @compiled(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR)

@@ -25,7 +25,7 @@ from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 5
+FORMAT, VERSION = 'semiparam_ros state', 6
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')

@@ -98,7 +98,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    5: {
+    6: {
         'meta': 'format gate joints known memory newest origin settings version window_left',
         'gate': 'bands calm_since closed closed_at closed_since counts level mean newest resting speed tails',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory',
@@ -114,8 +114,9 @@ LAYOUT = {
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.gains': 'f8 (5, 40)',
         'horizon.innovations': 'f8 (5, 138)', 'horizon.theta': 'f8 (5, 23)', 'horizon.squared_error': 'f8 (5, 6)',
         'horizon.outputs': 'f8 (5, 6)', 'horizon.origins': 'i8 (5,)', 'horizon.offsets': 'f8 (5, 5, 6)',
-        'calibration.scales': 'f8 (5, 6)', 'calibration.log_weights': 'f8 (5, 6)',
-        'wandering.offsets': 'f8 (5, 6)', 'wandering.log_weights': 'f8 (5, 6)',
+        'calibration.scales': 'f8 (5, 6)', 'calibration.log_weights': 'f8 (5, 6)', 'calibration.factor': 'f8 (6,)',
+        'wandering.offsets': 'f8 (5, 6)', 'wandering.log_weights': 'f8 (5, 6)', 'wandering.parts': 'f8 (5, 6)',
+        'wandering.offset': 'f8 (6,)',
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (0, 6)', 'gate.3': 'f8 (0, 6)',  # level, mean, tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 1 else 'f8 (6,)' for number in range(4, 22)},  # six bands
         'window.rows': 'f8 (0, 144)', 'motion.place': 'f8 (2,)',
@@ -144,7 +145,7 @@ def test_other_versions_are_refused(tmp_path):
     meta = json.loads(str(arrays['meta']))
     for version in (1, state_file.VERSION - 1, state_file.VERSION + 1, None):
         np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
-        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 5'):
+        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 6'):
             state_file.load(path, SETTINGS, BODY)
 
 
