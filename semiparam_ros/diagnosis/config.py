@@ -357,6 +357,21 @@ class DiagnosisConfig:
     better_odds: float = 20.0
     """Names a rival that was passed over for a plainer cause as the better one above these odds (chosen)."""
 
+    # --- residual: contacts ---
+
+    contact_deviations: float = 12.0
+    """Calls a burst of the residual a contact when it reaches this many robust standard deviations (chosen)."""
+    contact_release: float = 5.0
+    """Lets it last, and a channel take part, above this many of them (chosen)."""
+    contact_samples: int = 3
+    """Asks for that many neighbouring working samples at once: a reversal of friction is shorter (chosen)."""
+    contact_pause_s: float = 0.4
+    """Takes bursts with shorter pauses for one contact (chosen)."""
+    longest_contact_s: float = 10.0
+    """Calls nothing longer a contact: a load or a force is an effect (chosen)."""
+    most_contact_share: float = 0.2
+    """Names no contacts when they would be more than this share of the recording (chosen)."""
+
     # --- verdict ---
 
     pushed_share: float = 0.1

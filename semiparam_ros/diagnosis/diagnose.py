@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.regression import Fit, refit_weights
+from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
 from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
@@ -78,6 +79,7 @@ class Diagnosis:
     recorded: Recorded
     elsewhere: Elsewhere | None
     names: tuple[str, ...] = ('1',)
+    contacts: list[Contact] = field(default_factory=list)
 
     def lasts(self, effect: Effect) -> bool:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
@@ -133,6 +135,7 @@ class Diagnosis:
                 'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion,
                 'samples_averaged': self.inputs.factor,
                 'setup': [problem._asdict() for problem in self.setup], 'notes': self.notes,
+                'contacts': [contact.as_dict() for contact in self.contacts],
                 'unexplained': self.structure.as_dict() if self.structure else None}
 
     def _held_out(self) -> dict[str, object]:
@@ -197,7 +200,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *unidentifiable(body, samples, config), *_left_out(clean)],
-        recorded=recorded, elsewhere=elsewhere, names=names)
+        recorded=recorded, elsewhere=elsewhere, names=names, contacts=[] if setup else contacts(final))
 
 
 def _calibrated(fit: Fit) -> Fit:

@@ -142,6 +142,13 @@ class Fit:
         """(p, p) of theta over the noise's variance in scaled units."""
         return np.asarray(cho_solve(self.factor, np.eye(len(self.theta))))
 
+    def known_precision(self) -> tuple[Array, Array]:
+        """(p,) precision of the coefficients whose values were declared, zero for others; and its pull on theta."""
+        assembly = CoupledColumns(self.body, self.effects)
+        known = np.where(assembly.prior_mean != 0.0, self._precision(), 0.0)
+        known[:assembly.n_own] = 0.0
+        return known, known * (self.theta - assembly.prior_mean)
+
     def _precision(self) -> Array:
         return 1.0 / CoupledColumns(self.body, self.effects).prior_scale ** 2
 

@@ -34,7 +34,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
         lines.append(_gain(diagnosis))
     if diagnosis.structure is not None and diagnosis.structure.significant:
         lines.append(diagnosis.structure.sentence)
-    return lines + diagnosis.notes
+    return lines + _contacts(diagnosis) + diagnosis.notes
 
 
 def _opening(diagnosis: Diagnosis) -> str:
@@ -49,6 +49,22 @@ def _opening(diagnosis: Diagnosis) -> str:
         return 'Something is missing, and the effects below explain only the smaller part of it.'
     count = len(diagnosis.findings)
     return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'
+
+
+def _contacts(diagnosis: Diagnosis) -> list[str]:
+    """When the arm was touched and where; the recording without these stretches tells more."""
+    if not diagnosis.contacts:
+        return []
+    units = dict(zip(diagnosis.first.body.output_names, diagnosis.first.body.output_units, strict=True))
+    lines = []
+    for contact in diagnosis.contacts:
+        name, value = max(contact.channels.items(), key=lambda item: abs(item[1]))
+        where = f' on the link after {contact.joint} or beyond it' if contact.joint else ''
+        lines.append(f'  {contact.start_s:.1f} to {contact.end_s:.1f} s{where}: {name} {value:+.2g} {units[name]}'
+                     + (f', and {listed([other for other in contact.channels if other != name])}'
+                        if len(contact.channels) > 1 else '') + '.')
+    count = 'once' if len(lines) == 1 else f'{len(lines)} times'
+    return [f'The arm seems to have been touched {count}; record without that, or leave these stretches out:', *lines]
 
 
 def _declared(diagnosis: Diagnosis, finding: Finding) -> str:

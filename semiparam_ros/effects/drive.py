@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -88,6 +89,51 @@ class EffortGain(Effect):
         gains = np.ones((body.n_outputs, 1))
         gains[joint_index(body, self.where)] += self.value('gain')
         return np.asarray(gains * regressors)
+
+
+class CommonGain(Effect):
+    """The measured efforts of all joints are too large or too small by one factor, as by the unit of a current."""
+
+    kind: ClassVar[str] = 'common_gain'
+    shows_against: ClassVar[Axis] = 'output'
+    outputs: ClassVar[tuple[str, ...]] = ('effort',)
+    sentence: ClassVar[str] = 'all efforts are measured with one wrong gain'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'effort_gain')
+    separated_by: ClassVar[str] = 'a load of known mass: without one a common gain and every mass are one freedom'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('gain', ''),)
+
+    def transform(self, body: RigidBody, regressors: Array) -> Array:
+        return np.asarray((1.0 + self.value('gain')) * regressors)
+
+
+class GearCoupling(Effect):
+    """A joint moves with the motor of the joint before it: its true angle is the recorded one plus ``ratio`` times that
+    joint's, and that motor carries ``ratio`` of its torque."""
+
+    kind: ClassVar[str] = 'gear_coupling'
+    shows_against: ClassVar[Axis] = 'position'
+    sentence: ClassVar[str] = 'the joint moves with the one before it: their gears are coupled'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('joint_offset', 'gravity_tilt')
+    separated_by: ClassVar[str] = 'motion of either joint while the other stands still'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('ratio', ''),)
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return body.joints[1:]
+
+    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
+        joint = joint_index(body, self.where)
+        moved = {role: getattr(samples, role).copy() for role in ('position', 'velocity', 'acceleration')}
+        for values in moved.values():
+            values[:, joint] += self.value('ratio') * values[:, joint - 1]
+        return body, replace(samples, **moved), None
+
+    def transform(self, body: RigidBody, regressors: Array) -> Array:
+        if body.outputs == 'wrench':
+            return regressors
+        joint, shaped = joint_index(body, self.where), regressors.copy()
+        shaped[:, joint - 1] += self.value('ratio') * regressors[:, joint]
+        return shaped
 
 
 class TransmissionRipple(JointEffect):

@@ -99,6 +99,34 @@ class TimeDelay(Effect):
                                     past.acceleration[-self.kept:])
 
 
+class VelocityFilter(Effect):
+    """The driver filters velocities: the true one is the recorded one plus ``time_constant_s`` times its change."""
+
+    kind: ClassVar[str] = 'velocity_filter'
+    shows_against: ClassVar[Axis] = 'acceleration'
+    sentence: ClassVar[str] = 'the recorded velocities are filtered, so they come late'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('time_delay', 'rotor_inertia')
+    separated_by: ClassVar[str] = 'the positions: their change tells how late the velocities are'
+    calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('time_constant_s', 's'),)
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        """Nowhere: the positions tell it without a model, and where they do a diagnosis says so."""
+        return ()
+
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return (None,)
+
+    def desired(self) -> Absent:
+        """A desired velocity is exact."""
+        return Absent(self)
+
+    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
+        velocity = samples.velocity + self.value('time_constant_s') * samples.acceleration
+        return body, replace(samples, velocity=velocity), None
+
+
 def _joined(before: _Past, after: _Past) -> _Past:
     stamps, *motion = (np.concatenate(pair) for pair in zip(before, after, strict=True))
     return _Past(stamps, *motion)  # type: ignore[arg-type]

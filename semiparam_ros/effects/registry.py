@@ -17,8 +17,10 @@ from semiparam_ros.effects.base import Effect
 from semiparam_ros.effects.cables import CableHysteresis, CableSpring
 from semiparam_ros.effects.drive import (
     Backlash,
+    CommonGain,
     EffortGain,
     EffortOffset,
+    GearCoupling,
     JointSpring,
     RotorInertia,
     TransmissionRipple,
@@ -30,7 +32,7 @@ from semiparam_ros.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
-from semiparam_ros.effects.geometry import GravityTilt, JointOffset, TimeDelay
+from semiparam_ros.effects.geometry import GravityTilt, JointOffset, TimeDelay, VelocityFilter
 from semiparam_ros.effects.loads import ExternalForce, Payload, QuadraticDrag, ViscousDrag
 from semiparam_ros.effects.periodic import PeriodicDisturbance
 from semiparam_ros.effects.sensor import (
@@ -38,6 +40,7 @@ from semiparam_ros.effects.sensor import (
     SensorDrift,
     SensorGain,
     SensorMisalignment,
+    SensorNonlinearity,
     SensorOffset,
     ThermalDrift,
 )
@@ -53,7 +56,8 @@ BUILT_IN: tuple[type[Effect], ...] = (
     Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
     JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
     PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
-    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash, Terms)
+    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash, GearCoupling,
+    SensorNonlinearity, CommonGain, VelocityFilter, Terms)
 
 
 @cache

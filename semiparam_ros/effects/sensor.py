@@ -115,6 +115,40 @@ class SensorGain(_Calibration):
         return np.eye(N_CHANNELS) + np.diag([self.value(f'gain_{name}') for name in CHANNELS])
 
 
+class SensorNonlinearity(Effect):
+    """A channel reads more of large loads than of small ones, or less: its error grows with the square and the cube of
+    the load that the rigid body predicts."""
+
+    kind: ClassVar[str] = 'sensor_nonlinearity'
+    shows_against: ClassVar[Axis] = 'output'
+    of_sensor: ClassVar[bool] = True
+    needs_reference: ClassVar[bool] = True
+    sentence: ClassVar[str] = "the channel's reading is not in proportion to its load"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_gain', 'effort_gain', 'load_friction')
+    separated_by: ClassVar[str] = 'known loads, small and large, in both directions'
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return body.output_names
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        unit = 'N' if body.output_units[self._channel(body)] == 'N' else 'N m'
+        squared = f'{unit}^2' if unit == 'N' else 'N^2 m^2'
+        below = [f'({part})' if ' ' in part else part for part in (unit, squared)]
+        return Coefficient('quadratic', f'1/{below[0]}'), Coefficient('cubic', f'1/{below[1]}')
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        parameters = np.array(self.reference) if self.reference else body.base_parameters
+        channel = self._channel(body)
+        load = body.regressors(samples)[:, channel] @ parameters
+        columns = np.zeros((len(samples), body.n_outputs, 2))
+        columns[:, channel] = np.column_stack([load**2, load**3])
+        return columns, None
+
+    def _channel(self, body: RigidBody) -> int:
+        return body.output_names.index(str(self.where))
+
+
 CROSS = tuple((to, by) for to in CHANNELS for by in CHANNELS if to != by)
 
 

@@ -22,6 +22,7 @@ def everywhere() -> list[tuple[str, Effect]]:
                 values = kind.searches(body, MOTION, where, RESIDUALS[outputs])[0]
                 cases.append((outputs, kind.from_values(where, values, tuple(body.base_parameters))))
         cases.append((outputs, kinds()['terms'](body.output_names[0], FORMULA[outputs])))
+        cases.append((outputs, kinds()['velocity_filter']()))  # no search tries it
     return cases
 
 

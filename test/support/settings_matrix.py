@@ -140,7 +140,7 @@ def effect_of(row: Row, duration_s: float) -> Effect | None:
     if row['effect'] == 'none':
         return None
     kind, body = kinds()[str(row['effect'])], body_of(str(row['outputs']))
-    places = kind.places(body) or body.output_names
+    places = kind.places(body) or kind.permitted(body)
     where = places[0 if row['place'] == 'first' else -1]
     shape = {'sin(q_a)': 1.0} if kind.kind == 'terms' else {}
     reference: tuple[float, ...] = ()

@@ -43,6 +43,7 @@ def fold_errors(fit: Fit, scale: Array) -> Array:
     in the outputs' units."""
     labels = folds(fit.train_mask, fit.config)
     ridge = 1e-9 * np.eye(fit.columns.shape[2])
+    known, pull = fit.known_precision()  # a mass that was declared stays as it is in every fold
     blocks = []
     for fold in range(fit.config.folds):
         rows = labels == fold
@@ -51,11 +52,11 @@ def fold_errors(fit: Fit, scale: Array) -> Array:
         left = (fit.residual[rows] * weight).ravel()
         blocks.append((columns, left, columns.T @ columns, columns.T @ left))
     total, right = sum(gram for _, _, gram, _ in blocks), sum(moment for *_, moment in blocks)
-    size = 1.0 / np.sqrt(np.diag(total) + 1e-300)
+    size = 1.0 / np.sqrt(np.diag(total) + known + 1e-300)
     errors = []
     for columns, left, gram, moment in blocks:
-        rest = (total - gram) * np.outer(size, size) + ridge
-        change = np.linalg.lstsq(rest, (right - moment) * size, rcond=1e-10)[0] * size
+        rest = (total - gram + np.diag(known)) * np.outer(size, size) + ridge
+        change = np.linalg.lstsq(rest, (right - moment - pull) * size, rcond=1e-10)[0] * size
         errors.append(((left - columns @ change).reshape(-1, len(scale)) ** 2).sum(axis=0) * scale**2)
     return np.array(errors)
 

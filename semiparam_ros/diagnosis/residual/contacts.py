@@ -1,0 +1,101 @@
+"""Touches in a recording: short stretches that no effect explains, when they were, where they show, and how large."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.data.outliers import NORMAL_MAD
+from semiparam_ros.diagnosis.data.splits import ranges
+from semiparam_ros.diagnosis.regression import Fit, with_effects
+
+ROUNDS = 6
+LEAST_CALM = 0.6
+"""Share of the samples that must stay in use."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One touch, from ``start_s`` to ``end_s`` [s since the origin].
+
+    ``channels``: the outputs that show it, with the largest residual in their units. ``joint``: of efforts, the last
+    joint that feels it, so the touch is on the link that it moves; None for a wrench.
+    """
+
+    start_s: float
+    end_s: float
+    channels: dict[str, float]
+    joint: str | None
+
+    def as_dict(self) -> dict[str, object]:
+        """The entry of ``contacts`` in the machine-readable report."""
+        return {'start_s': self.start_s, 'end_s': self.end_s, 'channels': self.channels, 'joint': self.joint}
+
+
+def contacts(fit: Fit) -> list[Contact]:
+    """Touches in the order of time; none where what is left bursts so often that it is no touch.
+
+    A joint feels every touch on the links beyond it, and none on those before it.
+    """
+    config = fit.config
+    fit = _without_bursts(fit)
+    middle = np.median(fit.residual[fit.train_mask], axis=0)
+    deviations = _deviations(fit)
+    time = fit.samples.time
+    found = []
+    for start, end in _merged(ranges(deviations.max(axis=1) > config.contact_release), time, config.contact_pause_s):
+        peaks = deviations[start:end].max(axis=0)
+        if peaks.max() < config.contact_deviations or time[end - 1] - time[start] > config.longest_contact_s:
+            continue
+        felt = peaks > config.contact_release
+        left = fit.residual[start:end] - middle
+        largest = left[np.abs(left).argmax(axis=0), np.arange(left.shape[1])]
+        channels = {name: float(value) for name, value, shows in zip(
+            fit.body.output_names, largest, felt, strict=True) if shows}
+        joint = fit.body.joints[int(np.flatnonzero(felt)[-1])] if fit.body.outputs == 'effort' else None
+        found.append(Contact(float(time[start]), float(time[end - 1]), channels, joint))
+    total = sum(contact.end_s - contact.start_s for contact in found)
+    return found if total < config.most_contact_share * (time[-1] - time[0]) else []
+
+
+def _without_bursts(fit: Fit) -> Fit:
+    """The same model fitted where nothing bursts: large touches bend a fit until everything seems to burst a little."""
+    for _ in range(ROUNDS):
+        calm = _deviations(fit).max(axis=1) < fit.config.contact_release
+        use = fit.train_mask & calm
+        if use.sum() < LEAST_CALM * fit.train_mask.sum():
+            break
+        fit = with_effects(replace(fit, train_mask=use), fit.effects)
+    return fit
+
+
+def _deviations(fit: Fit) -> Array:
+    """(N, n) sizes of the residual in robust standard deviations, as far as neighbouring samples agree."""
+    used = fit.residual[fit.train_mask]
+    middle = np.median(used, axis=0)
+    scale = NORMAL_MAD * np.median(np.abs(used - middle), axis=0)
+    scale = np.maximum(scale, 1e-6 * np.abs(fit.samples.outputs).max(axis=0) + 1e-12)
+    deviations = _steady(np.abs(fit.residual - middle) / scale, fit.config.contact_samples)
+    inside = np.flatnonzero(fit.train_mask)
+    deviations[:inside[0] + 1] = deviations[inside[-1]:] = 0.0  # a smoother sees the ends from one side
+    return deviations
+
+
+def _steady(deviations: Array, count: int) -> Array:
+    """(N, n) the least of each ``count`` neighbours, so that a single sample counts for nothing."""
+    shifted = [np.roll(deviations, shift, axis=0) for shift in range(-(count // 2), count - count // 2)]
+    return np.asarray(np.min(shifted, axis=0))
+
+
+def _merged(parts: list[tuple[int, int]], time: Array, pause_s: float) -> list[tuple[int, int]]:
+    """Parts with shorter pauses between them as one."""
+    merged: list[tuple[int, int]] = []
+    for start, end in parts:
+        if merged and time[start] - time[merged[-1][1] - 1] < pause_s:
+            merged[-1] = (merged[-1][0], end)
+        else:
+            merged.append((start, end))
+    return merged
+

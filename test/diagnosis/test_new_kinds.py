@@ -1,0 +1,131 @@
+"""Coupled gears, readings that are not in proportion, a common gain and touches: found and named."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.data.recordings import during
+from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.text_report import text_report
+from semiparam_ros.effects import effect_from_text, kinds
+from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.simulation.scenario import Scenario
+from semiparam_ros.simulation.simulate import simulate
+from support.arms import pinocchio_efforts
+
+COMPETITORS = ['joint_offset', 'gravity_tilt', 'time_delay', 'payload', 'external_force']
+
+
+@cache
+def recorded(outputs, seed=1, samples=800):
+    made = simulate(Scenario(samples=samples, outputs=outputs, seed=seed, robot_seed=1, motion='mixed'))
+    return made, body_of(made), samples_of(made)
+
+
+def names(found):
+    return [(finding.effect.kind, finding.effect.where) for finding in found.findings]
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_joint_that_moves_with_the_motor_before_it(outputs):
+    """The encoders sit at the motors: what they show of the joint lacks the other's share."""
+    _, body, samples = recorded(outputs)
+    ratio, shown = 0.15, {}
+    for role in ('position', 'velocity', 'acceleration'):
+        shown[role] = getattr(samples, role).copy()
+        shown[role][:, 3] -= ratio * shown[role][:, 2]
+    outputs_there = samples.outputs.copy()
+    if outputs == 'effort':  # by virtual work that motor carries a share of the joint's torque
+        outputs_there[:, 2] += ratio * outputs_there[:, 3]
+    found = diagnose(body, replace(samples, **shown, outputs=outputs_there),
+                     only=[*COMPETITORS, 'gear_coupling', 'sensor_nonlinearity'])
+    assert names(found)[0] == ('gear_coupling', body.joints[3])
+    assert found.findings[0].parameters['ratio'].value == pytest.approx(ratio, abs=0.01)
+
+
+def test_torques_of_coupled_gears_are_those_of_another_library():
+    made, body, samples = recorded('effort')
+    effect, ratio = effect_from_text('gear_coupling@r_elbow{"ratio": 0.3}'), 0.3
+    columns, _ = CoupledColumns(body, [effect]).batch(samples[:3])
+    for row, sample in zip(columns, samples[:3], strict=True):
+        states = [values.copy() for values in (sample.position, sample.velocity, sample.acceleration)]
+        for state in states:
+            state[3] += ratio * state[2]
+        torque = pinocchio_efforts(made.urdf, body.joints, {}, *states)
+        torque[2] += ratio * torque[3]
+        np.testing.assert_allclose(row @ body.base_parameters, torque, atol=1e-9)
+
+
+@pytest.mark.parametrize(('outputs', 'channel'), [('wrench', 'fz'), ('effort', 'r_shoulder_roll')])
+def test_a_channel_that_is_not_in_proportion(outputs, channel):
+    _, body, samples = recorded(outputs)
+    load = samples.outputs - (samples.outputs.mean(axis=0) if outputs == 'wrench' else 0.0)
+    index = body.output_names.index(channel)
+    true = body.regressors(samples)[:, index] @ body.base_parameters
+    bent = samples.outputs.copy()
+    bent[:, index] += 0.3 / np.abs(true).max() * true**2
+    assert load.shape == bent.shape
+    found = diagnose(body, replace(samples, outputs=bent),
+                     only=[*COMPETITORS, 'sensor_nonlinearity', 'gear_coupling'])
+    assert names(found)[0] == ('sensor_nonlinearity', channel)
+    assert found.after.nmse.mean() < 0.3 * found.before.nmse.mean()
+
+
+def test_a_common_gain_is_found_beside_a_known_load_and_not_without_one():
+    _, body, one = recorded('effort', 1)
+    _, _, two = recorded('effort', 2)
+    load = np.array([0.4, 0.0, 0.01, 0.02, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3])
+    added = kinds()['payload']('r_gripper').columns(body, two, None)[0] @ load
+    samples = Samples.joined([replace(one, outputs=1.4 * one.outputs),
+                              replace(two, outputs=1.4 * (two.outputs + added))])
+    known = during(samples, 1, effect_from_text('payload@r_gripper{"mass": 0.4}'))
+    found = diagnose(body, samples, [known], only=['common_gain', 'joint_offset'])
+    assert names(found) == [('common_gain', None)]
+    gain = found.findings[0].parameters['gain']
+    assert gain.value == pytest.approx(0.4, abs=max(4.0 * gain.std, 0.01)) and gain.std < 0.05
+    assert names(diagnose(body, replace(one, outputs=1.4 * one.outputs), only=['common_gain', 'joint_offset'])) == []
+
+
+def test_filtered_velocities_are_put_right():
+    """A first-order filter: v' = (dq - v) / T, so dq = v + T v'."""
+    _, body, samples = recorded('effort')
+    constant, time = 0.18, samples.time
+    late = np.zeros_like(samples.velocity)
+    late[0] = samples.velocity[0]
+    for k in range(1, len(time)):
+        keep = np.exp(-(time[k] - time[k - 1]) / constant)
+        late[k] = keep * late[k - 1] + (1.0 - keep) * samples.velocity[k]
+    change = (samples.velocity - late) / constant
+    effect = effect_from_text('velocity_filter{"time_constant_s": 0.18}')
+    _, right, _ = effect.correct(body, replace(samples, velocity=late, acceleration=change), None)
+    np.testing.assert_allclose(right.velocity, samples.velocity, atol=1e-9)
+    error = []
+    filtered = replace(samples, velocity=late, acceleration=change, outputs=5.0 * samples.velocity)
+    for effects in ([], [effect]):
+        friction = [kinds()['viscous_friction'](joint) for joint in body.joints]
+        model = Estimator(body, ModelOptions('P', initial_samples=200), [*effects, *friction])
+        left = np.array([sample.outputs - model.step(sample).mean for sample in filtered])[200:]
+        error.append(float(np.mean(left**2)))
+    assert error[1] < 0.5 * error[0]
+
+
+def test_touches_are_named_with_their_times_and_the_link():
+    _, body, samples = recorded('effort')
+    touched, time = samples.outputs.copy(), samples.time
+    for start, last in ((5.0, 1), (17.0, 2), (29.0, 3)):  # a push on the link after joint `last`
+        inside = (time >= start) & (time < start + 0.8)
+        touched[inside, :last + 1] += samples.outputs.std(axis=0)[:last + 1]
+    found = diagnose(body, replace(samples, outputs=touched), only=['joint_offset'])
+    assert [contact.joint for contact in found.contacts] == [body.joints[last] for last in (1, 2, 3)]
+    np.testing.assert_allclose([contact.start_s for contact in found.contacts], [5.0, 17.0, 29.0], atol=0.15)
+    np.testing.assert_allclose([contact.end_s for contact in found.contacts], [5.8, 17.8, 29.8], atol=0.15)
+    lines = text_report(found)
+    assert any('touched 3 times' in line for line in lines)
+    assert any('on the link after r_elbow or beyond it' in line for line in lines)
+    assert len(found.as_dict()['contacts']) == 3
+    assert diagnose(body, samples, only=['joint_offset']).contacts == []
