@@ -41,7 +41,7 @@ def contacts(fit: Fit) -> list[Contact]:
     """
     config = fit.config
     fit = _without_bursts(fit)
-    middle = np.median(fit.residual[fit.train_mask], axis=0)
+    middle = _middle(fit)
     deviations = _deviations(fit)
     time = fit.samples.time
     found = []
@@ -73,14 +73,19 @@ def _without_bursts(fit: Fit) -> Fit:
 
 def _deviations(fit: Fit) -> Array:
     """(N, n) sizes of the residual in robust standard deviations, as far as neighbouring samples agree."""
-    used = fit.residual[fit.train_mask]
-    middle = np.median(used, axis=0)
-    scale = NORMAL_MAD * np.median(np.abs(used - middle), axis=0)
+    left = np.abs(fit.residual - _middle(fit))
+    scale = NORMAL_MAD * np.array([np.median(values[fit.train_mask & use]) if (fit.train_mask & use).any() else 0.0
+                                   for values, use in zip(left.T, fit.counted.T, strict=True)])
     scale = np.maximum(scale, 1e-6 * np.abs(fit.samples.outputs).max(axis=0) + 1e-12)
-    deviations = _steady(np.abs(fit.residual - middle) / scale, fit.config.contact_samples)
+    deviations = _steady(left / scale * fit.counted, fit.config.contact_samples)
     inside = np.flatnonzero(fit.train_mask)
     deviations[:inside[0] + 1] = deviations[inside[-1]:] = 0.0  # a smoother sees the ends from one side
     return deviations
+
+
+def _middle(fit: Fit) -> Array:
+    """(n,) median of what is left of each output."""
+    return np.asarray(np.median(fit.residual[fit.train_mask], axis=0))
 
 
 def _steady(deviations: Array, count: int) -> Array:
