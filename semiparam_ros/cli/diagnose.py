@@ -164,9 +164,19 @@ def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures]) -> None:
     from rich import box
     from rich.table import Table
 
-    from semiparam_ros.diagnosis.text_report import text_report
+    from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
     from semiparam_ros.report.diagnosis_page import variant_rows
 
+    if diagnosis.findings:
+        found = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+        for heading in ('where', 'effect', 'values', 'when'):
+            found.add_column(heading, overflow='fold')
+        last = ''
+        for row in table_rows(diagnosis):
+            found.add_row('' if row.where == last else row.where, *row[1:])
+            last = row.where
+        output.print(found, highlight=False, markup=False)
+        output.print()
     for line in text_report(diagnosis):
         output.print(line, highlight=False, markup=False, soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
@@ -182,6 +192,7 @@ def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures]) -> None:
     for name, before, after, lower in variant_rows(variants):
         output.print(f'{name}: held-out nMSE {before:.5f} without the effects, {after:.5f} with them{lower}.',
                      highlight=False, markup=False, soft_wrap=True)
+    output.print(f'Next: {next_step(diagnosis)}', highlight=False, markup=False, soft_wrap=True)
 
 
 def _benchmark(args: argparse.Namespace) -> int:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import datetime, timezone
+from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import alone
 from semiparam_ros.diagnosis.diagnose import Diagnosis
@@ -12,7 +14,7 @@ from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 
-MOST_PARAMETERS = 4
+MOST_PARAMETERS, MOST_IN_ROW, MOST_DECIMALS = 4, 2, 6
 ONE_FREEDOM = ('A common gain of all outputs and every mass are one and the same freedom, so the gains hold for the '
                'masses of the robot description alone. To know both, record the arm with a load of known mass too, and '
                'declare that: --in LOADED.mcap \'payload@LINK{"mass": KG}\'.')
@@ -137,9 +139,54 @@ def _largest(finding: Finding) -> list[tuple[str, Quantity]]:
 
 
 def quantity_text(quantity: Quantity) -> str:
-    """A value with its standard deviation and unit."""
-    std = '' if quantity.std is None else f' +- {quantity.std:.2g}'
-    return f'{quantity.value:.4g}{std} {quantity.unit}'.rstrip()
+    """A value with its standard deviation and unit, to the digits that the deviation leaves."""
+    std = quantity.std
+    if not std or not math.isfinite(std):
+        return f'{quantity.value:.4g} {quantity.unit}'.rstrip()
+    place = math.floor(math.log10(std)) - 1
+    if -place > MOST_DECIMALS:
+        return f'{quantity.value:.{MOST_DECIMALS - 2}g} +- {std:.2g} {quantity.unit}'.rstrip()
+    decimals = max(-place, 0)
+    return f'{round(quantity.value, -place):.{decimals}f} +- {round(std, -place):.{decimals}f} {quantity.unit}'.rstrip()
+
+
+class TableRow(NamedTuple):
+    """An effect in the table of a report."""
+
+    where: str
+    kind: str
+    values: str
+    when: str
+
+
+def table_rows(diagnosis: Diagnosis) -> list[TableRow]:
+    """The effects found, those of one joint or body together, joints in their order."""
+    order = [*diagnosis.first.body.joints, *diagnosis.first.body.output_names]
+
+    def number(finding: Finding) -> tuple[int, str]:
+        where = finding.effect.where
+        return (order.index(where) if where in order else len(order), where or '')
+
+    return [TableRow(finding.effect.where or 'all', finding.effect.kind, ', '.join(
+                     f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding)[:MOST_IN_ROW]),
+                     when(diagnosis, finding.effect).removeprefix(', ').partition(' (')[0])
+            for finding in sorted(diagnosis.findings, key=number)]
+
+
+def next_step(diagnosis: Diagnosis) -> str:
+    """What to do now, in one line."""
+    rivals = [finding for finding in diagnosis.findings if finding.rivals]
+    if diagnosis.setup:
+        return 'put right what is said above, and diagnose again: nothing else is worth reading before.'
+    if diagnosis.contacts:
+        return 'record the same motion again without touching the arm.'
+    if rivals:
+        return f'to be sure of {rivals[0].effect.kind}, record {kinds()[rivals[0].effect.kind].separated_by}.'
+    if diagnosis.verdict == 'unexplained':
+        return 'look at the page (--html FILE.html): against what the residual shows tells where to look on the robot.'
+    if diagnosis.findings:
+        return 'write the effects with -o FILE.yaml and start the node with that file, or mend the cause.'
+    return 'nothing; to see more, record faster motion of more joints.'
 
 
 def _doubts(diagnosis: Diagnosis, finding: Finding) -> list[str]:

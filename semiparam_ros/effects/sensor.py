@@ -12,7 +12,7 @@ from semiparam_ros.core.columns import OFFSET_PRIOR_SCALE, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Values, channel_units
+from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Values, channel_units, joint_index, on_joint
 
 N_CHANNELS = 6
 
@@ -116,37 +116,30 @@ class SensorGain(_Calibration):
 
 
 class SensorNonlinearity(Effect):
-    """A channel reads more of large loads than of small ones, or less: its error grows with the square and the cube of
-    the load that the rigid body predicts."""
+    """A joint's effort reads more of large loads than of small ones, or less: its error grows with the square and the
+    cube of the load that the rigid body predicts."""
 
     kind: ClassVar[str] = 'sensor_nonlinearity'
     shows_against: ClassVar[Axis] = 'output'
+    outputs: ClassVar[tuple[str, ...]] = ('effort',)
     of_sensor: ClassVar[bool] = True
     needs_reference: ClassVar[bool] = True
-    sentence: ClassVar[str] = "the channel's reading is not in proportion to its load"
-    mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_gain', 'effort_gain', 'load_friction')
+    sentence: ClassVar[str] = "the joint's measured effort is not in proportion to its load"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('effort_gain', 'load_friction')
     separated_by: ClassVar[str] = 'known loads, small and large, in both directions'
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return body.output_names
+        return body.joints
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        unit = 'N' if body.output_units[self._channel(body)] == 'N' else 'N m'
-        squared = f'{unit}^2' if unit == 'N' else 'N^2 m^2'
-        below = [f'({part})' if ' ' in part else part for part in (unit, squared)]
-        return Coefficient('quadratic', f'1/{below[0]}'), Coefficient('cubic', f'1/{below[1]}')
+        return Coefficient('quadratic', '1/(N m)'), Coefficient('cubic', '1/(N^2 m^2)')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         parameters = np.array(self.reference) if self.reference else body.base_parameters
-        channel = self._channel(body)
+        channel = joint_index(body, self.where)
         load = body.regressors(samples)[:, channel] @ parameters
-        columns = np.zeros((len(samples), body.n_outputs, 2))
-        columns[:, channel] = np.column_stack([load**2, load**3])
-        return columns, None
-
-    def _channel(self, body: RigidBody) -> int:
-        return body.output_names.index(str(self.where))
+        return on_joint(body, self.where, np.column_stack([load**2, load**3])), None
 
 
 CROSS = tuple((to, by) for to in CHANNELS for by in CHANNELS if to != by)

@@ -18,6 +18,7 @@ from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.splits import folds, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
+from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.noise import correlation_times, noise_floor
 from semiparam_ros.diagnosis.search.ambiguity import simplest
@@ -26,7 +27,7 @@ from semiparam_ros.diagnosis.search.elimination import without_needless
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
 from semiparam_ros.diagnosis.search.stepwise import worth_refining
-from semiparam_ros.diagnosis.text_report import text_report
+from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import Start
 from semiparam_ros.errors import SemiparamError
@@ -185,6 +186,24 @@ def test_what_was_found_late_is_there_for_whoever_loads_the_file(payload, tmp_pa
         assert np.abs(fresh.predict(samples_of(PAYLOAD)[0]).columns[:, -10:]).max() > 1.0
 
 
+@pytest.mark.parametrize(('value', 'std', 'text'), [
+    (0.150337, 0.00098, '0.15034 +- 0.00098 N m'), (12.3456, 0.123, '12.35 +- 0.12 N m'),
+    (1234.5, 67.0, '1234 +- 67 N m'), (1e-7, 2e-9, '1e-07 +- 2e-09 N m'), (0.25, None, '0.25 N m')])
+def test_numbers_have_the_digits_that_their_deviations_leave(value, std, text):
+    assert quantity_text(Quantity(value, std, 'N m')) == text
+
+
+def test_the_table_groups_by_joint_and_the_report_ends_with_what_to_do(payload, friction, nothing):
+    row, = table_rows(friction)
+    assert row[:2] == ('r_elbow', 'viscous_friction') and row.values.startswith('viscous ') and row.when == ''
+    assert table_rows(payload)[0].when == f'since {payload.findings[0].effect.start_s:.1f} s'
+    shuffled = replace(friction, findings=[replace(friction.findings[0], effect=replace(
+        friction.findings[0].effect, where=joint)) for joint in ('r_elbow', 'r_shoulder_pitch', 'r_elbow')])
+    assert [row.where for row in table_rows(shuffled)] == ['r_shoulder_pitch', 'r_elbow', 'r_elbow']
+    assert next_step(nothing).startswith('nothing') and table_rows(nothing) == []
+    assert next_step(replace(friction, findings=[replace(friction.findings[0], rivals=())])).startswith('write the eff')
+
+
 def test_the_written_effects_say_what_was_found_of_them(tmp_path, payload):
     write_parameters(tmp_path / 'found.yaml', Settings(sensor_frame='r_arm_ft_sensor'), payload)
     text, found = (tmp_path / 'found.yaml').read_text(), payload.findings[0]
@@ -192,7 +211,7 @@ def test_the_written_effects_say_what_was_found_of_them(tmp_path, payload):
     remark = ' '.join(above.rpartition('effects:')[2].replace('#', '').split())
     assert f'{found.effect.sentence}, since {found.effect.start_s:.1f} s of this recording.' in remark
     mass = found.parameters['mass']
-    assert f' mass: {mass.value:.4g} +- {mass.std:.2g} kg ' in remark
+    assert f' mass: {quantity_text(mass)} ' in remark
     assert f'log evidence +{found.log_evidence_gain:.0f}; round 1 changed' in remark
     assert load_params(tmp_path / 'found.yaml').effects_reference == ()
     write_parameters(tmp_path / 'found.yaml', Settings(sensor_frame='r_arm_ft_sensor'), replace(payload, findings=[]))
