@@ -13,6 +13,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects import Coefficient, Effect
 from semiparam_ros.effects.registry import BUILT_IN
+from semiparam_ros.effects.terms import Terms
 from semiparam_ros.simulation.robots import ICUB_JOINTS, ICUB_SENSOR, bundled_urdf
 
 BEGIN, END = '<!-- tables of effects: begin -->', '<!-- tables of effects: end -->'
@@ -24,10 +25,10 @@ MOST_NAMES, MOST_VALUES = 4, 12
 
 
 def tables() -> str:
-    """Every built-in kind that a search tries, in three tables."""
+    """Every built-in kind but formulas, in three tables."""
     return '\n'.join(f'### {title}\n\n{HEADER}' + ''.join(
         _row(kind, _body(outputs[0])) for kind in BUILT_IN
-        if kind.outputs == outputs and kind.places(_body(outputs[0]))) for title, outputs in GROUPS.items())
+        if kind.outputs == outputs and kind is not Terms) for title, outputs in GROUPS.items())
 
 
 def with_tables(page: str) -> str:
@@ -60,7 +61,7 @@ def _physics(kind: type[Effect]) -> str:
 def _values(kind: type[Effect], body: RigidBody) -> str:
     """What is learnt or calibrated, in every form that the kind has at its places, and what is searched."""
     motion = _motion(body)
-    tried = [kind.from_values(where, values) for where in kind.places(body)
+    tried = [kind.from_values(where, values) for where in kind.places(body) or kind.permitted(body)
              for values in kind.searches(body, motion, where, motion.outputs)]
     forms = dict.fromkeys(_listed([*effect.coefficients(body), *kind.calibrations]) for effect in tried)
     start = ('start_s',) if kind.may_start or kind.must_start else ()
