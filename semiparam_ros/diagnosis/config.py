@@ -365,6 +365,10 @@ class DiagnosisConfig:
     """Lets it last, and a channel take part, above this many of them (chosen)."""
     contact_samples: int = 3
     """Asks for that many neighbouring working samples at once: a reversal of friction is shorter (chosen)."""
+    contact_rounds: int = 6
+    """Fits the model so many times without what bursts: large touches bend a fit until all of it bursts (chosen)."""
+    least_calm_share: float = 0.6
+    """Keeps this share of the samples in use while it does so (chosen)."""
     contact_pause_s: float = 0.4
     """Takes bursts with shorter pauses for one contact (chosen)."""
     longest_contact_s: float = 10.0

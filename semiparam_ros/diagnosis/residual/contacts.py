@@ -11,10 +11,6 @@ from semiparam_ros.diagnosis.data.outliers import NORMAL_MAD
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 
-ROUNDS = 6
-LEAST_CALM = 0.6
-"""Share of the samples that must stay in use."""
-
 
 @dataclass(frozen=True)
 class Contact:
@@ -62,10 +58,10 @@ def contacts(fit: Fit) -> list[Contact]:
 
 def _without_bursts(fit: Fit) -> Fit:
     """The same model fitted where nothing bursts: large touches bend a fit until everything seems to burst a little."""
-    for _ in range(ROUNDS):
+    for _ in range(fit.config.contact_rounds):
         calm = _deviations(fit).max(axis=1) < fit.config.contact_release
         use = fit.train_mask & calm
-        if use.sum() < LEAST_CALM * fit.train_mask.sum():
+        if use.sum() < fit.config.least_calm_share * fit.train_mask.sum():
             break
         fit = with_effects(replace(fit, train_mask=use), fit.effects)
     return fit
