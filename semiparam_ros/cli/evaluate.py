@@ -44,6 +44,22 @@ def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> 
     console.print(table)
 
 
+def print_outputs(console: Console, results: Mapping[str, Mapping[str, Any]], names: Sequence[str],
+                  units: Sequence[str]) -> None:
+    """One row for each output: the nMSE of every variant, and of a single variant the root mean square error too."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column('\noutput', overflow='ellipsis', no_wrap=True, max_width=24)
+    for variant in results:
+        table.add_column(f'nMSE\n{variant}', justify='right', no_wrap=True)
+    alone = next(iter(results.values())) if len(results) == 1 else None
+    if alone:
+        table.add_column('\nRMSE', justify='right', no_wrap=True)
+    for index, name in enumerate(names):
+        cells = [figure(result['nmse'][index]) for result in results.values()]
+        table.add_row(name, *cells, *([f'{figure(alone["rmse"][index])} {units[index]}'] if alone else []))
+    console.print(table)
+
+
 def figure(value: float | None) -> str:
     """Three significant digits, or a dash where there is no number."""
     if value is None:
@@ -89,8 +105,19 @@ def run(args: argparse.Namespace) -> int:
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(output, results)
-    write_outputs(args, results, scores, bags)
+    channels = output_channels(settings.outputs, bags[0].joints)
+    print_outputs(output, results, *channels)
+    write_outputs(args, results, scores, bags, channels[0])
     return 0
+
+
+def output_channels(outputs: str, joints: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+    """Names and units of the outputs, as of ``RigidBody.output_names``."""
+    from semiparam_ros.core.robot.rigid_body import WRENCH_NAMES
+
+    if outputs == 'wrench':
+        return WRENCH_NAMES, ('N',) * 3 + ('N m',) * 3
+    return tuple(joints), ('N m',) * len(joints)
 
 
 def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str]:
@@ -145,12 +172,13 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
 
 
 def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, Scores],
-                  bags: Sequence[LoadedBag]) -> None:
+                  bags: Sequence[LoadedBag], channels: Sequence[str]) -> None:
     """The JSON file and the plot, where asked for."""
     if args.json:
         write_json(args.json, {
             'command': 'evaluate', 'bags': [str(path) for path in args.bags],
-            'train': [str(path) for path in args.train], 'frozen': args.frozen, 'variants': results,
+            'train': [str(path) for path in args.train], 'frozen': args.frozen, 'outputs': list(channels),
+            'variants': results,
             'left_out': [dict(bag.faults) for bag in bags], 'losses': [str(bag.losses) for bag in bags]})
     if args.plot:
         from semiparam_ros.report.horizon_figure import plot_indices

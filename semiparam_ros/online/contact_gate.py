@@ -13,7 +13,9 @@ deviation that the model gives them. For each output:
    mean comes from a median, so that a few pushes too small to be seen do not widen it. A weak prior, and the
    predictive distribution in place of the fitted one, keep the threshold high while few blocks are known.
 
-Blocks in which the gate is closed belong to neither.
+Blocks in which the gate is closed belong to neither, unless it closes again and again: then they belong to both. An arm
+that sets out is held by friction that the model does not know well. So at rest the scale is at least a fifth of that of
+motion, and for the first second of motion it is at least that of motion at a usual speed.
 """
 
 from __future__ import annotations
@@ -40,6 +42,10 @@ SPEED_MEMORY_S = 1.0
 FASTER = 2.5
 """A faster band that was not seen yet has usual peaks at most so many times those of the next slower one."""
 REST_MEMORY_S = 5.0
+START_S = 1.0
+"""So long after rest the friction of a joint may have either sign."""
+REST_SHARE = 0.2
+"""Usual peaks at rest are at least this share of those in motion: efforts change before a joint begins to move."""
 SMALLEST_SCALE = 0.25
 """Usual peaks count as at least so many predicted standard deviations: silence is not exactness."""
 
@@ -47,6 +53,8 @@ TAIL_SHARE = 0.1
 PRIOR_LEVEL, PRIOR_EXCESS = 1.6, 0.25
 """Of the 90th percentile of the ratios and the mean excess over it; those of coloured Gaussian noise, and of the free
 motion of three measured arms, are near."""
+AGAIN, AGAIN_S = 3, 10.0
+"""So many closures within so many seconds are the robot's own."""
 PRIOR_BLOCKS, PRIOR_EXCESSES = 20.0, 8.0
 MOST_EXCESSES = 8.0
 """However many blocks are known, the tail counts as known by so many: real tails are heavier than exponential ones."""
@@ -142,13 +150,15 @@ class ContactGate:
         self._bands = [Band(self._n_outputs) for _ in range(len(SPEEDS) + 1)]
         self._meanwhile = Band(self._n_outputs)
         self._mean: Array = np.zeros(self._n_outputs)
+        self._closures: tuple[int, ...] = ()
+        self._closed_ratio: Array = np.zeros(self._n_outputs)
         self.reset()
 
     def reset(self) -> None:
         """Open it, as after a jump of the clock; what is usual stays."""
         self._open()
         self._newest: int | None = None
-        self._speed = 0.0
+        self._speed = self._awake = 0.0
         for band in self._bands:
             band.clear()
 
@@ -164,6 +174,7 @@ class ContactGate:
         self._newest = stamp
         moving, speed_band = self._follow_speed(prediction, seconds)
         at = max(speed_band, self._closed_at)
+        self._awake = 0.0 if speed_band == 0 else self._awake + seconds
         innovation = prediction.sample.outputs - prediction.model_mean
         size = np.abs(innovation - self._mean if at == 0 else innovation)
         usual = self._usual(at)
@@ -179,9 +190,11 @@ class ContactGate:
             self._calm_since = None
             self.contacts += 1
             self._bands[at].clear()
-            self._meanwhile = Band(self._n_outputs)
+            self._meanwhile, self._closed_ratio = Band(self._n_outputs), np.zeros(self._n_outputs)
+            self._closures = (*self._closures, stamp)[-AGAIN:]
         if self.closed:
             self.refused += 1
+            self._closed_ratio = np.maximum(self._closed_ratio, ratio)
             self._meanwhile.add(size, ratio, seconds)
             return True
         self._rest(innovation, seconds, moving)
@@ -200,6 +213,7 @@ class ContactGate:
         return {'closed': self.closed, 'counts': (self.refused, self.contacts, self.changes), 'level': self.level,
                 'closed_since': self._closed_since, 'closed_at': self._closed_at, 'calm_since': self._calm_since,
                 'newest': self._newest, 'speed': self._speed, 'mean': self._mean, 'resting': self._resting,
+                'awake': self._awake, 'closures': self._closures, 'closed_ratio': self._closed_ratio,
                 'tails': tuple(tail.ratios for tail in self._tails),
                 'bands': tuple((band.peaks, band.peak.copy(), band.ratio.copy(), band.seconds)
                                for band in (*self._bands, self._meanwhile))}
@@ -212,7 +226,8 @@ class ContactGate:
         self.closed, self._closed_since, self._closed_at = state['closed'], state['closed_since'], state['closed_at']
         self.refused, self.contacts, self.changes = state['counts']
         self._calm_since, self._newest, self._speed = state['calm_since'], state['newest'], state['speed']
-        self._resting = state['resting']
+        self._resting, self._awake, self._closures = state['resting'], state['awake'], state['closures']
+        self._closed_ratio = self._sized(state['closed_ratio'], 1)
         self.level, self._mean = self._sized(state['level'], 1), self._sized(state['mean'], 1)
         for tail, ratios in zip(self._tails, state['tails'], strict=True):
             tail.ratios = self._sized(ratios, 2)
@@ -240,14 +255,17 @@ class ContactGate:
     def _usual(self, at: int) -> Array | None:
         """Usual peaks (n,) in a band; of a neighbour while its own are unknown, but never rest's for motion."""
         own = self._bands[at].usual
-        if own is not None:
+        moving = {band: usual for band in range(1, len(self._bands))
+                  if (usual := self._bands[band].usual) is not None}
+        if not moving:
             return own
-        known = [band for band in range(1, len(self._bands)) if self._bands[band].usual is not None]
-        if not known:
-            return None
-        nearest = min(known, key=lambda band: abs(band - at))
-        usual = self._bands[nearest].usual
-        return None if usual is None else usual * max(1.0, FASTER ** (at - nearest))
+        if own is None:
+            nearest = min(moving, key=lambda band: abs(band - at))
+            own = moving[nearest] * max(1.0, FASTER ** (at - nearest))
+        if at and self._awake >= START_S:
+            return own
+        typical = np.median(list(moving.values()), axis=0)
+        return np.maximum(own, typical if at else REST_SHARE * typical)
 
     def _rest(self, innovation: Array, seconds: float, moving: bool) -> None:
         """Follow the slow mean of the innovations at rest; it begins anew with every stop."""
@@ -258,12 +276,20 @@ class ContactGate:
     def _perhaps_open(self, stamp: int, calm: bool, settings: Table) -> None:
         self._calm_since = (stamp if self._calm_since is None else self._calm_since) if calm else None
         if self._calm_since is not None and stamp - self._calm_since >= settings.gate_hold * NANOSECONDS:
+            if len(self._closures) == AGAIN and stamp - self._closures[0] <= AGAIN_S * NANOSECONDS:
+                self._learn_closure()
             self._open()
         elif settings.gate_timeout and stamp - self._closed_since > settings.gate_timeout * NANOSECONDS:
             self._follow_change()
             self._open()
             self.changes += 1
 
+
+    def _learn_closure(self) -> None:
+        """What was refused belongs to free motion."""
+        band, tail = self._bands[self._closed_at], self._tails[self._closed_at > 0]
+        band.restore(np.vstack([band.peaks, self._meanwhile.peaks, self._meanwhile.peak])[-SCALE_BLOCKS:])
+        tail.add(self._closed_ratio)
 
     def _follow_change(self) -> None:
         """What was refused is usual from now on, at rest or at every speed."""

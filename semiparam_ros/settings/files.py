@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import yaml
@@ -12,6 +13,7 @@ import yaml
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.parameter_table import BY_NAME, PARAMETERS, Parameter
+from semiparam_ros.settings.robot_description import PACKAGE_URI
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest
 
 WIDTH = 110
@@ -28,9 +30,27 @@ _Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(r'^[-+]?\d+[
 def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
     """Settings of one node from a ROS parameter file; sections ``node``, ``/ns/node`` and ``/**`` apply in order.
 
+    A robot description that lies beside the file is found there: see :func:`located`.
+
     Raises SemiparamError, naming the file, when it cannot be read or a parameter is refused.
     """
-    return Settings.from_mapping(read_params(path, node) if path is not None else {}, where=str(path or ''))
+    if path is None:
+        return Settings.from_mapping({})
+    return located(Settings.from_mapping(read_params(path, node), where=str(path)), [Path(path).parent])
+
+
+def located(settings: Settings, folders: Sequence[Path]) -> Settings:
+    """With ``robot_description_file`` in the first of the folders that has it, where it is a relative path.
+
+    Else it stays relative to the working folder.
+
+    :param folders: those of the parameter files.
+    """
+    name = settings.robot_description_file
+    if not name or name.startswith((PACKAGE_URI, '~')) or Path(name).is_absolute():
+        return settings
+    found = next((folder / name for folder in folders if (folder / name).is_file()), None)
+    return settings if found is None else replace(settings, robot_description_file=str(found))
 
 
 def read_params(path: str | Path, node: str = 'estimator') -> dict[str, object]:

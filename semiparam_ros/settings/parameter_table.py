@@ -149,8 +149,9 @@ class Table:
 
     # Robot
     robot_description_file: str = declare(
-        'robot_description_file', '', 'URDF file: a path, or package://PACKAGE/PATH. Empty: robot_description, the '
-        'latched topic robot_description, or the one recorded in the bag.')
+        'robot_description_file', '', 'URDF file: a path, or package://PACKAGE/PATH. A relative path counts from the '
+        'parameter file, else from the working folder. Empty: robot_description, the latched topic robot_description, '
+        'or the one recorded in the bag.')
     robot_description: str = declare(
         'robot_description', '', 'The URDF itself as text. Empty: see robot_description_file.')
     joints: tuple[str, ...] = declare(

@@ -126,6 +126,28 @@ def test_ten_times_the_speed_is_no_contact():
     assert not stand.judge(6.0 * white(RATE_HZ * 60, seed=1), speed=1.5).any()
 
 
+def test_what_comes_again_and_again_is_the_robots_own():
+    """Each turn of a circle has a jerk that the model does not know; else every turn would be a contact."""
+    stand, innovations = Stand(), white(RATE_HZ * 120)
+    for start in range(RATE_HZ * 30, len(innovations), RATE_HZ * 2):
+        innovations[start:start + 6, 1] += 15.0
+    refused = stand.judge(innovations)
+    assert refused[RATE_HZ * 30:RATE_HZ * 36].any() and not refused[RATE_HZ * 70:].any()
+    assert stand.gate.contacts <= 12
+
+
+def test_an_arm_that_sets_out_does_not_touch():
+    """Friction at the start is that of fast motion, which slow motion does not have."""
+    stand = Stand()
+    stand.judge(white(RATE_HZ * 40), speed=0.1)
+    stand.judge(5.0 * white(RATE_HZ * 40, seed=1), speed=1.0)
+    for seed in range(5):
+        stand.judge(0.01 * white(RATE_HZ * 10, seed=seed), speed=0.0)
+        start = white(RATE_HZ * 3, seed=seed)
+        start[:10, 0] += 300.0
+        assert not stand.judge(start, speed=0.1).any()
+
+
 def test_it_goes_on_where_it_was_saved():
     one, other = Stand(), Stand()
     one.judge(coloured(RATE_HZ * 60))

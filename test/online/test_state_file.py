@@ -100,7 +100,8 @@ SCRATCH = {
 LAYOUT = {
     6: {
         'meta': 'format gate joints known memory newest origin settings version window_left',
-        'gate': 'bands calm_since closed closed_at closed_since counts level mean newest resting speed tails',
+        'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts level mean newest '
+                'resting speed tails',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
                     'horizon.length initial.samples noise outputs variant',
@@ -117,8 +118,9 @@ LAYOUT = {
         'calibration.scales': 'f8 (5, 6)', 'calibration.log_weights': 'f8 (5, 6)', 'calibration.factor': 'f8 (6,)',
         'wandering.offsets': 'f8 (5, 6)', 'wandering.log_weights': 'f8 (5, 6)', 'wandering.parts': 'f8 (5, 6)',
         'wandering.offset': 'f8 (6,)',
-        'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (0, 6)', 'gate.3': 'f8 (0, 6)',  # level, mean, tails
-        **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 1 else 'f8 (6,)' for number in range(4, 22)},  # six bands
+        'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (6,)',  # level, mean, ratio of a closure
+        'gate.3': 'f8 (0, 6)', 'gate.4': 'f8 (0, 6)',  # tails
+        **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 2 else 'f8 (6,)' for number in range(5, 23)},  # six bands
         'window.rows': 'f8 (0, 144)', 'motion.place': 'f8 (2,)',
         'motion.nearby': 'f8 (2,)', 'motion.counts': 'i8 (3,)', 'motion.is_news': 'b1 ()',
     },

@@ -38,3 +38,26 @@ def test_the_plotjuggler_layout_plots_what_the_node_publishes(repository):
         horizon = re.fullmatch(r'/estimator/horizon_error/(\w+)/position', curve)
         wrench = re.fullmatch(r'(/[\w/]+)/wrench/(force|torque)/[xyz]', curve)
         assert (horizon and horizon[1] in names) or (wrench and wrench[1] in WRENCHES), curve
+
+
+EFFORTS = ('/joint_states', '/estimator/predicted_effort', '/estimator/residual')
+UR_JOINTS = ('shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', 'wrist_1_joint', 'wrist_2_joint',
+             'wrist_3_joint')
+
+
+def test_the_layouts_for_efforts_plot_what_the_node_publishes(repository):
+    layout = json.loads((repository / 'config' / 'foxglove_layout_efforts.json').read_text())
+    names = HorizonMessage(UR_JOINTS, wrench=False).names
+    curves = [path for panel in layout['configById'].values() for path in panel.get('paths', ())]
+    found = [re.fullmatch(r'(/[\w/]+)\.effort\[([0-5])\]', curve['value']) for curve in curves]
+    assert [match[1] for match in found if match] == [*EFFORTS] * 6
+    assert [match[2] for match in found if match] == [str(joint) for joint in range(6) for _ in EFFORTS]
+    horizon = {curve['label']: curve['value'] for curve, match in zip(curves, found, strict=True) if not match}
+    assert horizon == {'eps': f'/estimator/horizon_error.position[{names.index("eps")}]',
+                       'eps, mean removed': f'/estimator/horizon_error.position[{names.index("eps_centred")}]'}
+    assert set(panels(layout['layout'])) == set(layout['configById'])
+
+    root = ElementTree.parse(repository / 'config' / 'plotjuggler_layout_efforts.xml').getroot()
+    assert [curve.get('name') for curve in root.iter('curve')] == [
+        *(f'{topic}/{joint}/effort' for joint in UR_JOINTS for topic in EFFORTS),
+        *(f'/estimator/horizon_error/{name}/position' for name in ('eps', 'eps_centred'))]

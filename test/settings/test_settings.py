@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from dataclasses import FrozenInstanceError, fields, replace
+from pathlib import Path
 
 import pytest
 import yaml
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.ros.estimator.process import parameter_folders
 from semiparam_ros.settings import PARAMETERS, Settings, dump_params, load_params
 from semiparam_ros.settings.build import build_estimator, given_hyperparameters, hyperparameter_values
 from semiparam_ros.settings.documentation import page
@@ -233,3 +235,19 @@ def test_remarks_stand_above_the_items_of_a_list_and_change_no_value(tmp_path):
 def read_params_of(text, folder):
     (folder / 'other.yaml').write_text(text)
     return read_params(folder / 'other.yaml')
+
+
+def test_a_description_beside_the_parameter_file_is_found_there(tmp_path, monkeypatch):
+    """From whatever folder a command is started; a path that is not there counts from the working folder, as ever."""
+    (tmp_path / 'arms').mkdir()
+    (tmp_path / 'arms/arm.urdf').write_text('<robot/>')
+    section = '/**: {ros__parameters: {sensor_frame: ft, robot_description_file: arm.urdf}}'
+    path = write(tmp_path / 'arms/p.yaml', section)
+    monkeypatch.chdir(tmp_path)
+    assert load_params('arms/p.yaml').robot_description_file == 'arms/arm.urdf'
+    assert load_params(path).robot_description_file == str(tmp_path / 'arms/arm.urdf')
+    for name in ('arms/arm.urdf', 'package://semiparam_ros/config/icub_right_arm.urdf', '/arm.urdf', '~/arm.urdf', ''):
+        write(path, f"/**: {{ros__parameters: {{sensor_frame: ft, robot_description_file: '{name}'}}}}")
+        assert load_params(path).robot_description_file == name
+    assert parameter_folders(['--ros-args', '--params-file', '/a/p.yaml', '-r', 'x:=y', '--params-file', 'q.yaml']) == [
+        Path(), Path('/a')]

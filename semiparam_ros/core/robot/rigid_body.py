@@ -28,6 +28,7 @@ SENSOR = 'semiparam_sensor'
 ROOT = 'semiparam_root'
 
 OUTPUTS = ('wrench', 'effort')
+WRENCH_NAMES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
 RANK_TOLERANCE = 1e-8
 INDEPENDENT = 1e-6
@@ -171,7 +172,7 @@ class RigidBody:
     @property
     def output_names(self) -> tuple[str, ...]:
         """Channel labels: fx..tz, or the joints."""
-        return ('fx', 'fy', 'fz', 'tx', 'ty', 'tz') if self.outputs == 'wrench' else self.joints
+        return WRENCH_NAMES if self.outputs == 'wrench' else self.joints
 
     @property
     def output_units(self) -> tuple[str, ...]:

@@ -199,6 +199,19 @@ def learning_report(learner: Learner, news: str) -> Report:
     return Report(level, message, values)
 
 
+def stage_of(learner: Learner | None) -> str:
+    """The part of its life that the node is in, as a line for the log."""
+    if learner is None:
+        return 'waiting for a robot description.'
+    if learner.busy:
+        return f'estimating the hyperparameters of {learner.built.variant}.'
+    if not learner.estimator.ready:
+        return f'gathering the initial window of {learner.built.initial_samples} samples.'
+    if not learner.settings.learning:
+        return 'paused: predicting without learning.'
+    return f'ready: {learner.built.variant} predicts and learns.'
+
+
 def _learning_state(learner: Learner) -> tuple[bytes, str]:
     successor, estimator = learner.switcher.successor, learner.estimator
     if learner.lost:
@@ -291,7 +304,7 @@ class Reports:
     def __init__(self, node: Node, inputs: Inputs, rejections: Rejections, errors: InternalErrors,
                  learner: Callable[[], Learner | None], feedforward: Feedforward) -> None:
         self.tally = Tally(())
-        self._news = self._robot_name = ''
+        self._news = self._robot_name = self._stage = ''
         self._errors = errors
         self._node, self._inputs, self._learner = node, inputs, learner
         self._name = node.get_fully_qualified_name().lstrip('/')
@@ -334,9 +347,17 @@ class Reports:
         for topic in self._inputs.follow_reliability():
             self.say(f'{topic} is offered as best_effort only, and received so.')
         learner = self._learner()
+        self._log_stage(learner)
         if learner is None:
             return Report(WARN, 'waiting for a robot description.', {})
         return learning_report(learner, self._news)
+
+    def _log_stage(self, learner: Learner | None) -> None:
+        """A line whenever another part of the node's life begins."""
+        stage = stage_of(learner)
+        if stage != self._stage:
+            self._stage = stage
+            self._node.get_logger().info(stage)
 
     def _model(self) -> Report | None:
         learner = self._learner()

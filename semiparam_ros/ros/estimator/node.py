@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import JumpThreshold
@@ -33,6 +34,7 @@ from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Diagnosing, Services
 from semiparam_ros.ros.estimator.subscriptions import Inputs
+from semiparam_ros.settings.files import located
 from semiparam_ros.settings.parameter_table import BY_NAME
 from semiparam_ros.settings.snapshot import Settings, unknown_name
 
@@ -43,10 +45,11 @@ class EstimatorNode(Node):
     """Learns, predicts and publishes.
 
     :param later: see :data:`Later`.
+    :param folders: of the parameter files, see :func:`located`.
     Raises SemiparamError when the parameters do not describe an estimator.
     """
 
-    def __init__(self, later: Later) -> None:
+    def __init__(self, later: Later, folders: Sequence[Path] = ()) -> None:
         super().__init__(NAME)
         self.learner: Learner | None = None
         self.errors = InternalErrors(self.get_logger().error, self._complain)
@@ -58,7 +61,7 @@ class EstimatorNode(Node):
 
         guarded = partial(later, self._guarded, 'the background')
         self._background = ProcessBackground(guarded)
-        self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
+        self._robot = Robot(located(settings, folders), self._begin, partial(self._refuse, DESCRIPTION))
         self._inputs = Inputs(self, settings, self)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)

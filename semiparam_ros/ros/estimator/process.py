@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
 
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -46,7 +48,7 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
     try:
         # This executor takes a third of what rclpy's others take.
         executor = EventsExecutor()
-        node = _new_node(executor.create_task)
+        node = _new_node(executor.create_task, parameter_folders(ros_arguments))
         try:
             executor.add_node(node)
             refused = take_priority(node.settings.realtime_priority)
@@ -66,9 +68,15 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
     return 0
 
 
-def _new_node(later: Later) -> EstimatorNode:
+def parameter_folders(ros_arguments: Sequence[str]) -> list[Path]:
+    """Folders of the parameter files named on the command line, the last one first, for it has the last word."""
+    named = [value for option, value in pairwise(ros_arguments) if option == '--params-file']
+    return [Path(path).parent for path in reversed(named)]
+
+
+def _new_node(later: Later, folders: Sequence[Path]) -> EstimatorNode:
     try:
-        return EstimatorNode(later)
+        return EstimatorNode(later, folders)
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
 

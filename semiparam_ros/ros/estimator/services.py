@@ -125,6 +125,7 @@ def create_trigger(node: Node, name: str, action: Callable[[], str], errors: Int
     def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             response.message, response.success = action(), True
+            node.get_logger().info(f'{name}: {response.message}')
         except SemiparamError as error:
             response.message, response.success = str(error), False
         except Exception as error:
@@ -201,6 +202,7 @@ class Diagnosing:
         self._background.submit(worker.diagnose, learner.body, worker.thinned(samples), effects,
                                 done=partial(self._done, reply, effects))
         self._running = True
+        self._node.get_logger().info(f'diagnosing {len(samples)} samples in a process beside the node.')
 
     def _tell(self, sentence: str) -> None:
         self._progress.publish(String(data=sentence))
@@ -212,10 +214,13 @@ class Diagnosing:
             if error is not None and not isinstance(error, SemiparamError):
                 self._errors.add('~/diagnose', error)
             reply(f'{sentence_of(error)}.', success=False)
+            self._node.get_logger().info(f'the diagnosis is over: {sentence_of(error)}.')
             return
         self._outcome, self._examined = outcome, effects
         self._report.publish(String(data=json.dumps({'schema': 1, **outcome.report})))
-        reply(f'With {_listed(effects) or "no effects"} declared: {" ".join(outcome.words)}')
+        sentence = f'With {_listed(effects) or "no effects"} declared: {" ".join(outcome.words)}'
+        self._node.get_logger().info(f'the diagnosis is over. {sentence}')
+        reply(sentence)
 
 
 def _listed(effects: tuple[Effect, ...]) -> str:
