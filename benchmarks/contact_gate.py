@@ -186,7 +186,7 @@ def run(settings: Settings, samples: list[Sample]) -> Run:
     for sample in samples:
         prediction = estimator.predict(sample)
         closed.append(gate.judge(prediction, settings))
-        innovations.append(sample.outputs - prediction.mean)
+        innovations.append(sample.outputs - prediction.model_mean)
         estimator.observe(prediction, not closed[-1])
     return Run(1e-9 * np.array([sample.stamp for sample in samples]), np.array(innovations), np.array(closed))
 
