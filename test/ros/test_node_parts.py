@@ -3,8 +3,12 @@
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
+from semiparam_ros.ros.estimator.diagnostics import stage_of
 from semiparam_ros.ros.estimator.publishers import HorizonMessage
+from support.learner_stage import Stage
+from support.node_helpers import SETTINGS, motion
 
 AXES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 WRENCHES = ('/wrench', '/estimator/predicted_wrench', '/estimator/residual')
@@ -61,3 +65,18 @@ def test_the_layouts_for_efforts_plot_what_the_node_publishes(repository):
     assert [curve.get('name') for curve in root.iter('curve')] == [
         *(f'{topic}/{joint}/effort' for joint in UR_JOINTS for topic in EFFORTS),
         *(f'/estimator/horizon_error/{name}/position' for name in ('eps', 'eps_centred'))]
+
+
+def test_every_part_of_the_nodes_life_has_a_line():
+    assert stage_of(None) == 'waiting for a robot description.'
+    stage, lines = Stage(), []
+    for sample in motion(120):
+        stage.learner.offer(sample)
+        lines.append(stage_of(stage.learner))
+    stage.background.run()
+    lines.append(stage_of(stage.learner))
+    stage.learner.change(replace(SETTINGS, learning=False))
+    lines.append(stage_of(stage.learner))
+    assert list(dict.fromkeys(lines)) == [
+        'gathering the initial window of 60 samples of motion.', 'estimating the hyperparameters of SPK-ML.',
+        'ready: SPK-ML predicts and learns.', 'paused: predicting without learning.']

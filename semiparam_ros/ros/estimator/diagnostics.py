@@ -203,10 +203,10 @@ def stage_of(learner: Learner | None) -> str:
     """The part of its life that the node is in, as a line for the log."""
     if learner is None:
         return 'waiting for a robot description.'
-    if learner.busy:
+    if learner.estimating:
         return f'estimating the hyperparameters of {learner.built.variant}.'
     if not learner.estimator.ready:
-        return f'gathering the initial window of {learner.built.initial_samples} samples.'
+        return f'gathering the initial window of {learner.built.initial_samples} samples of motion.'
     if not learner.settings.learning:
         return 'paused: predicting without learning.'
     return f'ready: {learner.built.variant} predicts and learns.'
