@@ -238,6 +238,13 @@ class DiagnosisConfig:
     shortened_step: float = 0.1
     """Keeps the derivatives as long as each step is at most this share of the one before (chosen)."""
 
+    most_times_plausible: float = 5.0
+    """Refuses a load or a force of more than this many times what is plausible for the robot, a fifth of its own
+    weight (chosen)."""
+    unlike_a_body: float = 30.0
+    """Refuses a load whose inertial parameters lie this squared distance from any body's, in their own covariance: 1 in
+    1000 by chance with ten of them."""
+
     # --- search: several joint offsets, delay beside friction, elimination ---
 
     offset_felt: float = 1.0
@@ -375,6 +382,14 @@ class DiagnosisConfig:
     """Calls nothing longer a contact: a load or a force is an effect (chosen)."""
     most_contact_share: float = 0.2
     """Names no contacts when they would be more than this share of the recording (chosen)."""
+
+    # --- findings ---
+
+    own_share: float = 0.05
+    """Counts a later effect at the same joint, or of a kind mistaken for an earlier one at its place, as a refinement
+    of that one's form where it explains less than this share of what that one did (chosen)."""
+    related_share: float = 0.005
+    """Does the same elsewhere, where another cause is likelier (chosen)."""
 
     # --- verdict ---
 

@@ -19,7 +19,7 @@ from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_eac
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
-from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
+from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in, split_off_refinements
 from semiparam_ros.diagnosis.regression import Fit, refit_weights
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor
@@ -64,6 +64,7 @@ class Diagnosis:
     config: DiagnosisConfig
     verdict: str
     findings: list[Finding]
+    refinements: list[Finding]  # what only takes up what the form of a finding leaves; the final model holds it
     steps: list[Step]
     first: Fit
     final: Fit
@@ -89,7 +90,7 @@ class Diagnosis:
     def declared(self) -> list[Finding]:
         """The effects that were declared beforehand, with their fitted values."""
         offsets = own_offsets(self.first.body, self.recorded.samples)
-        return [finding for finding in declared_findings(self.everything, self.findings)
+        return [finding for finding in declared_findings(self.everything, [*self.findings, *self.refinements])
                 if finding.effect not in offsets]
 
     @property
@@ -126,6 +127,7 @@ class Diagnosis:
         return {'verdict': self.verdict, 'effects': [
                     finding.as_dict() | {'recordings': list(self.recordings_of(finding.effect))}
                     for finding in self.findings],
+                'refinements': [finding.as_dict() for finding in self.refinements],
                 'declared': [finding.as_dict() for finding in self.declared],
                 'recordings': list(self.names),
                 'before': self.before.as_dict(), 'after': self.after.as_dict(),
@@ -193,9 +195,10 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     everything = final
     if steps and other is None:
         everything = fitted_to_all(final, fitting | held_out, [index for index, _, _ in places_in(final, steps)])
+    found, refinements = split_off_refinements(findings(final, steps, everything), steps)
     return Diagnosis(
         config=config, verdict=verdict(first, final, steps, structure, setup),
-        findings=findings(final, steps, everything), steps=steps, first=first, final=final, everything=everything,
+        findings=found, refinements=refinements, steps=steps, first=first, final=final, everything=everything,
         held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),

@@ -96,6 +96,8 @@ class Effect:
     refine_link: ClassVar[bool] = False
     is_load: ClassVar[bool] = False
     """True for a body that the link carries: its coefficients are the ten inertial parameters in the link's frame."""
+    bounded_by_weight: ClassVar[bool] = False
+    """True for what the arm must bear: much more than its own weight is no finding."""
     needs_reference: ClassVar[bool] = False
     """True when the columns depend on the load that the rigid body predicts, with base parameters that stay fixed."""
     shows_against: ClassVar[Axis] = 'any'
@@ -192,6 +194,11 @@ class Effect:
 
     def physical(self, coefficients: Array) -> bool:
         """False for coefficients (c,) that this cause cannot have, such as a friction that drives the joint."""
+        return True
+
+    @property
+    def possible(self) -> bool:
+        """False for calibrations that no robot has, such as a gain that turns an effort's sign."""
         return True
 
     def doubt(self, body: RigidBody, samples: Samples) -> str:

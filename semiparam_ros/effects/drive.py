@@ -22,6 +22,8 @@ ORDERS = ORDER_STEP * np.arange(20, 2400)
 ORDER_REACH = 0.15
 """A line search looks so far [1/rad] on either side of an order: past its neighbours among ORDERS."""
 PEAKS = 3
+LEAST_GAIN = -0.9
+"""Below, an effort would hardly be measured, or with the wrong sign."""
 FLANK = 0.15
 """Share of half the gap over which a flank takes the load: teeth give."""
 
@@ -84,6 +86,10 @@ class EffortGain(Effect):
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         return body.joints
+
+    @property
+    def possible(self) -> bool:
+        return self.value('gain') > LEAST_GAIN
 
     def transform(self, body: RigidBody, regressors: Array) -> Array:
         gains = np.ones((body.n_outputs, 1))

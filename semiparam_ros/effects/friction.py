@@ -17,6 +17,8 @@ from semiparam_ros.effects.hysteresis import dahl_state
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
 PRESLIDING_SHARES = (0.0005, 0.002, 0.008)
+DRIVING_SHARE = 0.05
+"""Of a friction's coefficients, what one may be below zero by chance."""
 GRADUAL_SHARE = 0.3
 """Of a joint's usual speed: friction that turns over more slowly than that is hardly dry."""
 
@@ -166,6 +168,10 @@ class AsymmetricFriction(_Sliding):
     names: ClassVar[tuple[Coefficient, ...]] = (
         Coefficient('coulomb_forward', 'N m'), Coefficient('coulomb_backward', 'N m'),
         Coefficient('viscous_forward', 'N m s/rad'), Coefficient('viscous_backward', 'N m s/rad'))
+
+    def physical(self, coefficients: Array) -> bool:
+        """Each part resists: a viscous one that drives the joint makes up for a wrong shape."""
+        return bool(coefficients.min() > -DRIVING_SHARE * np.abs(coefficients).sum())
 
     def plainer(self) -> tuple[Effect, ...]:
         return CoulombFriction(self.where, self.parameters, start=self.start), ViscousFriction(self.where)

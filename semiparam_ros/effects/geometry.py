@@ -15,6 +15,9 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.effects.base import Axis, Coefficient, Effect, joint_index
 
+MOST_TURN = 0.8
+"""Angle [rad] beyond which a zero or a base is not off but another one: half a right angle."""
+
 
 class JointOffset(Effect):
     """The true angle is the encoder's plus ``offset``."""
@@ -31,6 +34,10 @@ class JointOffset(Effect):
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         return body.joints
 
+    @property
+    def possible(self) -> bool:
+        return abs(self.value('offset')) < MOST_TURN
+
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         position = samples.position.copy()
         position[:, joint_index(body, self.where)] += self.value('offset')
@@ -46,6 +53,10 @@ class GravityTilt(Effect):
     mistaken_for: ClassVar[tuple[str, ...]] = ('joint_offset', 'sensor_misalignment')
     separated_by: ClassVar[str] = 'a turn of the arm about a vertical axis, or a spirit level on the base'
     calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('tilt_x', 'rad'), Coefficient('tilt_y', 'rad'))
+
+    @property
+    def possible(self) -> bool:
+        return max(abs(self.value('tilt_x')), abs(self.value('tilt_y'))) < MOST_TURN
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         turn = pin.exp3(np.array([self.value('tilt_x'), self.value('tilt_y'), 0.0]))

@@ -32,6 +32,7 @@ class Payload(Effect):
     separated_by: ClassVar[str] = 'fast motion that turns the load about every axis: weight alone is only a force'
     must_start: ClassVar[bool] = True
     is_load: ClassVar[bool] = True
+    bounded_by_weight: ClassVar[bool] = True
     parameter_units: ClassVar[Mapping[str, str]] = dict(INERTIAL)
     positive: ClassVar[tuple[str, ...]] = ('mass',)
 
@@ -89,6 +90,7 @@ class ExternalForce(AtAnyLink):
     sentence: ClassVar[str] = 'something pulls or pushes the link with a constant force'
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'gravity_tilt', 'sensor_offset')
     separated_by: ClassVar[str] = 'faster motion: a load has inertia, a constant force has none'
+    bounded_by_weight: ClassVar[bool] = True
     may_start: ClassVar[bool] = True
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:

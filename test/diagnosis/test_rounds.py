@@ -10,12 +10,15 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.data.rest import counted_outputs, resting
 from semiparam_ros.diagnosis.data.splits import improves, unseen_score
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.findings import findings, split_off_refinements
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import candidates, held
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, pseudo_inertia
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial
-from semiparam_ros.diagnosis.search.stepwise import _first_that_helps, starting_fit
+from semiparam_ros.diagnosis.search.stepwise import Step, _first_that_helps, starting_fit
 from semiparam_ros.effects import kinds
+from semiparam_ros.effects.base import Start
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 from support.plain_model import nmse, plain_model
 
@@ -139,6 +142,73 @@ def test_friction_of_all_joints_is_found_in_one_round_and_every_round_improves_t
 def test_friction_of_one_joint_is_not_taken_for_friction_of_all():
     found = diagnose(BODY, rubbing(moving(2), np.zeros(4), np.array([0.0, 1.0, 0.0, 0.0])))
     assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [('viscous_friction', 'turn')]
+
+
+def found_one_by_one(samples, *effects):
+    """Findings as if each effect had been added in a round of its own."""
+    fit, steps = starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool)), []
+    for effect in effects:
+        after = declare(fit, [effect])
+        steps.append(Step(added=(Trial(effect, after.residual, 1, evidence=100.0),), rivals=((),), ranking=(),
+                          before=fit, after=after))
+        fit = after
+    kept, small = split_off_refinements(findings(fit, steps, fit), steps)
+    return [finding.effect.kind for finding in kept], [finding.effect.kind for finding in small]
+
+
+def test_what_the_form_of_friction_leaves_is_no_finding_of_its_own():
+    samples = moving(4)
+    samples.outputs[:, 1] += 3.0 * np.tanh(samples.velocity[:, 1] / 0.01) + 0.05 * samples.velocity[:, 1]
+    samples.outputs[:, 1] += 0.1 * np.sin(40.0 * samples.position[:, 1])
+    dry = kinds()['coulomb_friction']('turn', {'turn_speed': 0.01})
+    viscous, ripple = kinds()['viscous_friction']('turn'), kinds()['transmission_ripple']('turn', {'order': 40.0})
+    elsewhere = kinds()['transmission_ripple']('grip', {'order': 40.0})
+    assert found_one_by_one(samples, dry, viscous, ripple, elsewhere) == (
+        ['coulomb_friction', 'viscous_friction'], ['transmission_ripple'] * 2)
+    samples.outputs[:, 1] += 2.0 * np.sin(40.0 * samples.position[:, 1])
+    assert found_one_by_one(samples, dry, ripple) == (['coulomb_friction', 'transmission_ripple'], [])
+
+
+@pytest.mark.parametrize(('kind', 'where', 'possible', 'impossible'), [
+    ('effort_gain', 'turn', {'gain': -0.3}, {'gain': -1.3}), ('joint_offset', 'turn', {'offset': 0.1}, {'offset': 2.0}),
+    ('gravity_tilt', None, {'tilt_x': 0.1}, {'tilt_y': -1.0})])
+def test_calibrations_that_no_robot_has_are_known(kind, where, possible, impossible):
+    assert kinds()[kind](where, possible).possible and not kinds()[kind](where, impossible).possible
+
+
+def test_friction_that_drives_its_joint_in_one_direction_is_impossible():
+    friction = kinds()['asymmetric_friction']('turn', {'turn_speed': 0.01})
+    assert friction.physical(np.array([1.0, 0.5, 0.2, -0.01]))
+    assert not friction.physical(np.array([0.018, 0.030, -0.010, -0.003]))
+
+
+def with_load(theta, noise, seed=0):
+    samples = moving(seed)
+    load = kinds()['payload']('tool', start=Start(20.0))
+    columns = load.columns(BODY, samples, None)[0]
+    rng = np.random.default_rng(seed)
+    outputs = samples.outputs + columns @ theta + noise * rng.standard_normal(samples.outputs.shape)
+    fit = starting_fit(BODY, replace(samples, outputs=outputs), [], np.ones(COUNT, dtype=bool))
+    return fit, declare(fit, [load])
+
+
+def test_a_load_must_be_a_body_as_far_as_the_motion_shows():
+    body = np.array([0.4, 0.01, 0.0, 0.02, 3e-3, 0.0, 3e-3, 0.0, 0.0, 1e-3])
+    assert all_plausible(*with_load(body, 0.01))
+    assert np.linalg.eigvalsh(pseudo_inertia(body))[0] > 0.0
+    ghost = np.array([0.007, 0.0, 0.0, 0.0, -1.9, 0.0, -1.9, 0.0, 0.0, -1.9])
+    assert not all_plausible(*with_load(ghost, 0.01))
+
+
+def test_a_force_beyond_the_weight_of_the_arm_is_no_finding():
+    samples = moving()
+    push = kinds()['external_force']('tool')
+    columns = push.columns(BODY, samples, None)[0]
+    fit = starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool))
+    for force, expected in ((10.0, True), (500.0, False)):
+        pushed = replace(samples, outputs=samples.outputs + columns @ np.array([0.0, 0.0, -force]))
+        fit = starting_fit(BODY, pushed, [], np.ones(COUNT, dtype=bool))
+        assert all_plausible(fit, declare(fit, [push])) == expected
 
 
 @pytest.mark.slow

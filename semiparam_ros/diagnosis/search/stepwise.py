@@ -13,12 +13,13 @@ from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.splits import improves, unseen_score
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.ambiguity import Rival, rivals_of, simplest, tolerance
-from semiparam_ros.diagnosis.search.candidates import Place, candidates, others
+from semiparam_ros.diagnosis.search.candidates import Place, candidates, held, others
 from semiparam_ros.diagnosis.search.delay_with_friction import KIND as DELAY
 from semiparam_ros.diagnosis.search.delay_with_friction import delay_with_friction, reshaped
 from semiparam_ros.diagnosis.search.elimination import without_needless, worth_at_once
 from semiparam_ros.diagnosis.search.friction_everywhere import friction_of_all, friction_where_it_helps
 from semiparam_ros.diagnosis.search.joint_offsets import joint_offsets
+from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, refined, retried, score
 from semiparam_ros.effects import Effect
@@ -131,7 +132,7 @@ def ranked(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> list
     chosen = worth_refining(fit, trials)
     rest = [trial for trial in trials if trial not in chosen]
     best = [refined(fit, trial) for trial in chosen] + rest
-    noticeable = [trial for trial in best if trial.effect.is_noticeable(fit.samples)]
+    noticeable = [trial for trial in best if trial.effect.is_noticeable(fit.samples) and trial.effect.possible]
     return _by_evidence(fit, noticeable) if noticeable else []
 
 
@@ -162,7 +163,7 @@ def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> S
     if not ranking:
         return None
     found, after = joint_offsets(fit, kinds, ranking) or ([], fit)
-    if len(found) > 1 and improves(fit, after) \
+    if len(found) > 1 and all_plausible(fit, after) and improves(fit, after) \
             and found[0].evidence > ranking[0].evidence + tolerance(fit, found[0]):
         return Step(added=tuple(found), rivals=((),) * len(found), ranking=tuple(ranking), before=fit, after=after)
     first, after, ranking = _first_that_helps(fit, ranking, list(kinds))
@@ -175,7 +176,7 @@ def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> S
             if again.physical and again.evidence > max(fit.config.least_evidence,
                                                        fit.config.kept_share * trial.evidence):
                 further = declare(after, [again.effect])
-                if improves(after, further):
+                if all_plausible(after, further) and improves(after, further):
                     chosen, after = [*chosen, again], further
                     first_tried.append(trial)
                     break
@@ -198,7 +199,7 @@ def _first_that_helps(fit: Fit, ranking: list[Trial], order: Sequence[str]) -> t
     for _ in range(min(len(ranking), fit.config.most_tries)):
         first = simplest(fit, ranking, order)
         after = declare(fit, [first.effect])
-        if improves(fit, after):
+        if all_plausible(fit, after) and improves(fit, after):
             return first, after, ranking
         ranking = [trial for trial in ranking if trial is not first]
     return None, fit, ranking
@@ -208,9 +209,9 @@ def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
     """Plainer effects in place of one that the model holds, where they explain about as much; else none."""
     effect = trial.effect
     plainer = list(effect.plainer())
-    if not plainer or any((part.kind, part.where) in {(e.kind, e.where) for e in fit.effects} for part in plainer):
-        return [], fit
     without = with_effects(fit, others(fit, effect))
+    if not plainer or held(plainer) & held(without.effects):
+        return [], fit
     simpler = declare(without, plainer)
     saved = trial.n_parameters - len(plainer) - 1
     whole, parts = (score(without, Trial(effect, known.residual, n_parameters), fit.correlation)

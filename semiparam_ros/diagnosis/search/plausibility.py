@@ -1,0 +1,66 @@
+"""Whether a model holds values that its effects can have: positive masses, forces that this robot could bear."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.effects import Effect
+
+
+def all_plausible(before: Fit, after: Fit) -> bool:
+    """Whether no effect has impossible values in the second model that had none in the first."""
+    wrong = {(effect.kind, effect.where) for index, effect in enumerate(before.effects)
+             if not _plausible(before, index)}
+    return all(_plausible(after, index) or (effect.kind, effect.where) in wrong
+               for index, effect in enumerate(after.effects))
+
+
+def _plausible(fit: Fit, index: int) -> bool:
+    effect = fit.effects[index]
+    block = CoupledColumns(fit.body, fit.effects).blocks[str(index)]
+    theta = fit.theta[block]
+    if not effect.possible or not effect.physical(theta):
+        return False
+    if effect.bounded_by_weight and np.any(np.abs(theta) > fit.config.most_times_plausible * Effect.prior_scale(
+            effect, fit.body)):
+        return False
+    return not effect.is_load or _is_a_body(fit, theta, block)
+
+
+def _is_a_body(fit: Fit, theta: Array, block: slice) -> bool:
+    """Whether ten inertial parameters are, within their uncertainty, those of a body: its pseudo-inertia has no
+    negative eigenvalue (Wensing, Kim and Slotine 2018)."""
+    values, vectors = np.linalg.eigh(pseudo_inertia(theta))
+    if values[0] >= 0.0:
+        return True
+    covariance = fit.theta_covariance()[block, block] * float(fit.correlation.mean())
+    deviations = np.sqrt(np.diag(covariance))
+    weights = np.linalg.inv(np.linalg.cholesky(covariance / np.outer(deviations, deviations) + 1e-9 * np.eye(10)))
+    lower = np.tril_indices(4)
+
+    def away(root: Array) -> Array:
+        triangle = np.zeros((4, 4))
+        triangle[lower] = root
+        return np.asarray(weights @ ((_parameters(triangle @ triangle.T) - theta) / deviations))
+
+    near = np.linalg.cholesky((vectors * np.maximum(values, 1e-3 * np.abs(values).max())) @ vectors.T)
+    return 2.0 * float(least_squares(away, near[lower]).cost) < fit.config.unlike_a_body
+
+
+def pseudo_inertia(parameters: Array) -> Array:
+    """(4, 4) of mass, first moments, and inertias xx, xy, yy, xz, yz, zz about the link's origin."""
+    mass, x, y, z, xx, xy, yy, xz, yz, zz = parameters
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    return np.block([[moments, np.array([[x], [y], [z]])], [np.array([[x, y, z, mass]])]])
+
+
+def _parameters(pseudo: Array) -> Array:
+    moments = pseudo[:3, :3]
+    inertia = np.trace(moments) * np.eye(3) - moments
+    return np.array([pseudo[3, 3], *pseudo[3, :3], inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2],
+                     inertia[1, 2], inertia[2, 2]])
