@@ -244,6 +244,9 @@ class DiagnosisConfig:
     unlike_a_body: float = 30.0
     """Refuses a load whose inertial parameters lie this squared distance from any body's, in their own covariance: 1 in
     1000 by chance with ten of them."""
+    unlike_a_body_share: float = 0.05
+    """Lets that distance also be this share of the load's own from nothing: a model that is a little off bends it
+    (chosen)."""
 
     # --- search: several joint offsets, delay beside friction, elimination ---
 

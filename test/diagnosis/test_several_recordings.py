@@ -20,7 +20,7 @@ from semiparam_ros.simulation.scenario import Scenario
 from semiparam_ros.simulation.simulate import simulate
 from support.recordings import write_arm
 
-LOAD = np.array([0.15, 0.0, 0.01, 0.01, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3])
+LOAD = np.array([0.15, 0.0, 0.01, 0.01, 3e-3, 0.0, 2e-3, 0.0, 0.0, 2e-3])
 JUMP = np.array([1.0, -2.0, 0.5, 0.1, 0.2, 0.05])
 
 

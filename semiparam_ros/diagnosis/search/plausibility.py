@@ -48,7 +48,9 @@ def _is_a_body(fit: Fit, theta: Array, block: slice) -> bool:
         return np.asarray(weights @ ((_parameters(triangle @ triangle.T) - theta) / deviations))
 
     near = np.linalg.cholesky((vectors * np.maximum(values, 1e-3 * np.abs(values).max())) @ vectors.T)
-    return 2.0 * float(least_squares(away, near[lower]).cost) < fit.config.unlike_a_body
+    power = float(np.sum((weights @ (theta / deviations)) ** 2))
+    allowed = max(fit.config.unlike_a_body, fit.config.unlike_a_body_share * power)
+    return 2.0 * float(least_squares(away, near[lower]).cost) < allowed
 
 
 def pseudo_inertia(parameters: Array) -> Array:
