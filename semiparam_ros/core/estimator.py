@@ -333,13 +333,13 @@ class Estimator:
         """Forget half-finished horizons and what effects remember, as after a jump of the clock; keep the model."""
         self.horizon.clear()
         self._memory = None
-        self.motion = None
+        self.motion = self.motion.interrupted() if self.motion else None
         self.model.recursion.revise()
 
     def begin_recording(self, origin: int) -> None:
         """Go on with another recording, whose time starts at ``origin`` [ns]; what is learnt stays."""
         self.clear_pending()
-        self.origin, self._newest = origin, None
+        self.origin, self._newest, self.motion = origin, None, None
 
     def state(self) -> EstimatorState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""

@@ -38,15 +38,24 @@ class Motion(NamedTuple):
     """Whether this sample is worth learning: it belongs to a motion, and it is one of the first at its place."""
 
     def after(self, stamp: int, position: Array) -> Motion:
-        """With one sample more; it starts afresh when the clock has jumped."""
-        has_jumped = not 0 <= stamp - self.newest <= LONGEST_PAUSE_NS
-        if has_jumped or np.abs(position - self.place).max(initial=0.0) > STEP:
+        """With one sample more.
+
+        It starts afresh when the clock has jumped. The first sample after a jump is no news: where velocities and
+        accelerations are filtered, the filter has begun anew with it and knows no rate yet.
+        """
+        if not 0 <= stamp - self.newest <= LONGEST_PAUSE_NS:
+            return at_start(stamp, position)._replace(is_news=False)
+        if np.abs(position - self.place).max(initial=0.0) > STEP:
             return at_start(stamp, position)
         nearby, still = self.nearby, self.still + 1
         if np.abs(position - nearby).max(initial=0.0) > STILL:
             nearby, still = position, 1
         is_news = stamp - self.since <= REST_NS and still <= STILL_SAMPLES
         return Motion(self.place, self.since, stamp, nearby, still, is_news)
+
+    def interrupted(self) -> Motion:
+        """As if the clock had jumped, whatever the stamp of the next sample."""
+        return self._replace(newest=self.newest - 2 * LONGEST_PAUSE_NS)
 
 
 def at_start(stamp: int, position: Array) -> Motion:

@@ -540,6 +540,18 @@ def test_after_a_jump_of_the_clock_the_model_stays():
     assert [errors.origin for errors in stage.errors] == [sample.stamp for sample in samples[:25]]
 
 
+@pytest.mark.parametrize('jump', [-3600.0, 0.0, 365 * 86400.0])
+def test_the_first_sample_after_a_jump_of_the_clock_is_answered_and_not_learnt(jump):
+    """The filter that gives accelerations begins anew with it; it told of one 30 times too large, or of none."""
+    samples, stage = motion(200), Stage(SETTINGS, InlineBackground())
+    stage.offer(samples[:150])
+    stage.learner.clear_pending()
+    wrong = samples[150]._replace(acceleration=np.full(2, 1e3))
+    stage.offer(later([wrong, *samples[151:]], jump))
+    assert [answer.learnt for answer in stage.answers[150:]] == [False] + [True] * 49
+    assert np.abs([answer.residual for answer in stage.answers[151:]]).max() < 1.0
+
+
 def test_history_keeps_the_first_and_the_latest():
     history, samples = History(5, 10, 2, 6), motion(40)
     for sample in samples:
