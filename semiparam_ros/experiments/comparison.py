@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from semiparam_ros.bags.loading import LoadedBag
-from semiparam_ros.core.estimator import Estimator, EstimatorState
+from semiparam_ros.core.estimator import AUTO, Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.samples import Samples
@@ -69,10 +69,13 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
                   seeds: Sequence[int] = (0, 1, 2), estimation: Estimation | None = None) -> Scenario:
     """Check that the two recordings fit each other and are long enough.
 
+    The paper's models have no wandering offset: with ``forgetting: auto`` they forget nothing and have none here.
+
     :param subset_samples: length of each part of ``test``; by default all of it is divided.
     :param train_samples: how much of ``train`` to use; by default all. :param test_from: first row of ``test`` to use.
     """
     _require_same_robot(train, test)
+    settings = replace(settings, forgetting=1.0) if settings.forgetting == AUTO else settings
     if train_samples is not None and train_samples < 1:
         raise SemiparamError(f'{train_samples} samples of the first recording were asked for; expected at least 1.')
     learnt = train.samples[:train_samples]
