@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 from enum import Enum
+from itertools import takewhile
 from typing import Protocol
 
 from semiparam_ros.core.estimator import Estimator
@@ -80,10 +81,9 @@ class StandbyModel:
         self.state = State.BUILDING
         self.estimator: Estimator | None = None
         self._background, self._switcher = background, switcher
-        self._waiting: deque[tuple[Sample, bool]] = deque()
+        self._waiting: deque[tuple[Sample, bool] | None] = deque()  # None: the clock jumped
         self._job: Job | None = None
         self._in_background = False
-        self._must_clear = False
 
     def start(self, history: History, known: worker.Known | None) -> None:
         """Begin to build it."""
@@ -100,8 +100,8 @@ class StandbyModel:
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons, as after a jump of the clock."""
-        self._must_clear = True
-        self._clear()
+        self._waiting.append(None)
+        self._learn(FOR_EACH_ANSWER)
 
     def retire(self) -> None:
         """Nobody needs it any more; what the background still does for it is dropped."""
@@ -122,10 +122,11 @@ class StandbyModel:
             self._switcher.on_failed(self, error)
             return
         self.estimator, self.state = estimator, State.CATCHING_UP
-        if len(self._waiting) > BESIDE_AT_MOST:
-            batch = batch_of(list(self._waiting))
-            self._waiting.clear()
-            self._submit(worker.absorb, estimator, batch)
+        together = [each for each in takewhile(lambda each: each is not None, self._waiting) if each]
+        if len(together) > BESIDE_AT_MOST:
+            for _ in together:
+                self._waiting.popleft()
+            self._submit(worker.absorb, estimator, batch_of(together))
         else:
             self._go_on()
 
@@ -141,7 +142,11 @@ class StandbyModel:
         if estimator is None or self._in_background or self.state is State.RETIRED:
             return
         for _ in range(min(count, len(self._waiting))):
-            sample, learnt = self._waiting.popleft()
+            waiting = self._waiting.popleft()
+            if waiting is None:
+                estimator.clear_pending()
+                continue
+            sample, learnt = waiting
             try:
                 errors = estimator.observe(estimator.predict(sample), learnt, finish=False)
             except Exception as error:  # a model that breaks beside the active one must not keep that from answering
@@ -155,13 +160,7 @@ class StandbyModel:
                 return
         if not self._waiting and self.state is State.CATCHING_UP:
             self.state = State.LIVE
-            self._clear()
             self._switcher.on_live(self)
-
-    def _clear(self) -> None:
-        if self._must_clear and self.state is State.LIVE and self.estimator is not None:
-            self.estimator.clear_pending()
-            self._must_clear = False
 
 
 class ModelSwitcher:

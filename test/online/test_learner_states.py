@@ -255,3 +255,14 @@ def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
     life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, BODY))
     life.moves(40)
     life.comes_to_rest()
+
+
+def test_a_clock_that_jumps_while_a_model_is_built_jumps_for_it_at_the_same_sample():
+    """It used to forget what its effects remember after all that waited, the samples after the jump among them."""
+    life = Lives()
+    life.begin()
+    life.moves(21)
+    life.declares(['time_delay{"delay_s": 0.005}'])
+    life.clock_jumps(-YEAR_NS)
+    life.moves(3)
+    life.comes_to_rest()
