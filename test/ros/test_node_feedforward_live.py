@@ -38,6 +38,11 @@ def listen(client, outputs):
     client.listen(JointTrajectory, 'feedforward_trajectory')
 
 
+def await_the_model(client):
+    """Until then feedforward is withheld."""
+    client.wait_report('learning', lambda level, message, values: message == 'learning with P.')
+
+
 def answer(client, message):
     """Outputs and efforts of the first point, in the order a, b."""
     before = len(client.heard['feedforward_trajectory'])
@@ -72,6 +77,7 @@ def test_whatever_its_stamp_a_desired_state_is_one_of_now(start_node):
     client.wait_report('feedforward', lambda level, message, values: values['withheld'] == '1')
     samples = samples_of_this_year(150)
     client.play(samples, JOINTS)
+    await_the_model(client)
     now = samples[-1].stamp // 10**9
     answers = [answer(client, wish(seconds)) for seconds in (now, 0, now - 5, now - 1, now + 3600)]
     for outputs, efforts in answers:
@@ -100,7 +106,7 @@ def test_whatever_its_stamp_a_desired_state_is_one_of_now(start_node):
 
 
 def test_a_tare_takes_the_sensors_bias_out_of_the_efforts_on_both_topics(start_node):
-    _, client = start_node(replace(SETTINGS, outputs='effort', sensor_frame='', variant='P'))
+    _, client = start_node(replace(SETTINGS, outputs='effort', sensor_frame='', variant='P', forgetting=1.0))
     listen(client, 'effort')
     client.offer('joint_states', 'desired_trajectory')
 
@@ -111,6 +117,7 @@ def test_a_tare_takes_the_sensors_bias_out_of_the_efforts_on_both_topics(start_n
 
     samples = samples_of_this_year(200)
     play(samples[:120], 0.0)
+    await_the_model(client)
     assert client.pause(True).success
     before = answer(client, wish())
     play(samples[120:], 5.0)
