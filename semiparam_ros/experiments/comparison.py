@@ -171,7 +171,7 @@ def learn(scenario: Scenario, variant: str, seed: int) -> Learnt:
     seconds = time.perf_counter() - start
     estimator = build_estimator(settings, scenario.robot_description, scenario.train.origin)
     run_through(estimator, scenario.train[:initial], learning=True)
-    estimator.clear_pending()
+    estimator.horizon.clear()
     trace = run_through(estimator, scenario.train[initial:], learning=True)
     model = TrainedModel(variant, seed, settings, estimator.state())
     return Learnt(model, hyperparameters, seconds, trace)
