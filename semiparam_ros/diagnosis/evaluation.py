@@ -106,6 +106,7 @@ def evaluation_of(body: RigidBody, outputs: Array, residual: Array, valid: Mask,
                   config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Evaluation:
     """The errors (N, n) of the samples ``valid`` (N,), of these the outputs ``counted`` (N, n); all unless given."""
     counted = np.ones(outputs.shape, dtype=bool) if counted is None else counted
+    counted = counted | ~counted[valid].any(axis=0)  # of a joint that never moves there, everything is all there is
     parts, start = [], 0
     for low, high in ranges(valid):
         parts.append((start, start + high - low))

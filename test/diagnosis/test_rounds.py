@@ -10,6 +10,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.data.rest import counted_outputs, resting
 from semiparam_ros.diagnosis.data.splits import improves, unseen_score
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.findings import findings, split_off_refinements
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import candidates, held
@@ -69,6 +70,18 @@ def test_a_joint_at_rest_tells_nothing_while_others_move():
     assert counted[~still, 1].mean() > 0.5
     assert counted_outputs(RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft'),
                            replace(samples, outputs=np.zeros((COUNT, 6)))).all()
+
+
+def test_a_joint_that_rests_wherever_it_is_judged_is_judged_all_the_same():
+    """No error at all would pass for a perfect one."""
+    rng = np.random.default_rng(0)
+    outputs, residual = rng.standard_normal((2, 100, 4))
+    counted = np.ones((100, 4), dtype=bool)
+    counted[:, 2] = False
+    valid = np.arange(100) < 60
+    judged = evaluation_of(BODY, outputs, residual, valid, counted=counted)
+    assert judged.nmse == pytest.approx(np.mean(residual[valid] ** 2, axis=0) / outputs[valid].var(axis=0))
+    assert nmse(residual, outputs, valid[:, None] & counted) == pytest.approx(judged.nmse)
 
 
 def test_a_joint_that_never_moves_still_counts_and_one_that_turns_back_does_not_rest():

@@ -38,7 +38,9 @@ class PlainModel(NamedTuple):
 
 def nmse(residual: np.ndarray, outputs: np.ndarray, counted: np.ndarray) -> np.ndarray:
     """(n,) of the values that count: (N,) or (N, n)."""
+    judged = counted.reshape(len(counted), -1).any(axis=1, keepdims=True)
     counted = np.broadcast_to(counted.reshape(len(counted), -1), outputs.shape)
+    counted = np.where(counted.any(axis=0), counted, judged)
     return np.array([np.mean(left[use] ** 2) / np.var(values[use])
                      for left, values, use in zip(residual.T, outputs.T, counted.T, strict=True)])
 
