@@ -1,6 +1,8 @@
 """`semiparam evaluate` on recordings that the test writes, and on the measured iCub arm."""
 
 import json
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.experiments.evaluation import Scores, by_phase, normalised_errors, update_times
-from semiparam_ros.settings import Settings, dump_params
+from semiparam_ros.settings import Settings, dump_params, load_params
 from support import node_helpers
 from support.recordings import FRAME, JOINTS, PERIOD_NS, URDF, write_arm
 
@@ -35,11 +37,12 @@ def params(tmp_path_factory):
 @pytest.fixture
 def evaluate(params, tmp_path):
     """Runs the command and returns its JSON document."""
-    def run(*arguments):
-        path = tmp_path / 'result.json'
-        assert cli.main(['evaluate', *map(str, arguments), '--params', str(params), '--json', str(path)]) == 0
-        return json.loads(path.read_text())
-    return run
+    return partial(document_of, params, tmp_path / 'result.json')
+
+
+def document_of(params, path, *arguments):
+    assert cli.main(['evaluate', *map(str, arguments), '--params', str(params), '--json', str(path)]) == 0
+    return json.loads(path.read_text())
 
 
 def test_figures_of_each_variant(evaluate, recording, capsys):
@@ -87,7 +90,11 @@ def test_series_and_plot_on_request(evaluate, recording, tmp_path):
     assert (tmp_path / 'eps.svg').read_text().count('</svg>') == 1
 
 
-def test_frozen_after_training_scores_every_sample_and_learns_none(evaluate, recording, tmp_path):
+def test_frozen_after_training_scores_every_sample_and_learns_none(params, recording, tmp_path):
+    # With forgetting auto the offset of the last moment learnt ebbs away, so a second pass differs a little.
+    without = tmp_path / 'without.yaml'
+    dump_params(replace(load_params(params), forgetting=1.0), without)
+    evaluate = partial(document_of, without, tmp_path / 'result.json')
     test = write_arm(tmp_path / 'b.mcap', 200, seed=5, start=10**18)
     frozen = evaluate(test, '--train', recording, '--frozen', '--variant', 'P')['variants']['P']
     learning = evaluate(test, '--train', recording, '--variant', 'P')['variants']['P']
