@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import hypothesis
 import numpy as np
+import pytest
 from hypothesis import Phase
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -240,7 +241,7 @@ Lives.TestCase.settings = hypothesis.settings(max_examples=hypothesis.settings.d
                                               stateful_step_count=40, deadline=None,
                                               phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
                                               suppress_health_check=list(hypothesis.HealthCheck))
-TestLives = Lives.TestCase
+TestLives = pytest.mark.timeout(3600)(Lives.TestCase)  # the full form takes minutes
 
 
 def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
