@@ -185,7 +185,7 @@ def relieve(node):
 
 def _estimates_in_vain(folder, times, fault):
     chance, window = random.Random(1), BUSY.initial_samples
-    samples = motion(times * (2 * window + 20))
+    samples = motion(times * (4 * window + 20))
     with live(folder, BUSY, samples, worker_may_complain=fault is exhaust) as (node, client, robot):
         for number in range(times):
             client.wait_report('learning', lambda level, message, values: message.startswith('gathering'))
@@ -195,9 +195,8 @@ def _estimates_in_vain(folder, times, fault):
             robot.move(20)
             relieve(node)
             # A job is tried a second time; a window that is given up is followed by another one.
-            if client.wait_report('learning', _settled)[1].startswith('gathering'):
-                robot.move(window)
-                client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+            while client.wait_report('learning', _settled)[1] != 'learning with SPK-ML.':
+                robot.move(window // 2)
             assert client.trigger('reset').success
         given_up = node.output.count('gives no hyperparameters')
     return {'faults': times, 'windows given up': given_up, 'estimated at the second try': times - given_up,
