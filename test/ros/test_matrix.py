@@ -10,7 +10,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import new_estimator
 from support import settings_matrix as matrix
 
-SAMPLES = 260
+SAMPLES = 330
 
 
 def test_every_pair_of_settings_is_in_a_row_and_only_the_listed_ones_are_left_out():
