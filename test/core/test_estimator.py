@@ -128,7 +128,7 @@ def test_a_step_is_a_prediction_and_then_an_observation(trained, recording):
     for sample in recording[:30]:
         stepped = one.step(sample)
         predicted = other.predict(sample)
-        errors = other.observe(predicted)
+        errors = other.observe(predicted, predicted.motion.is_news)
         np.testing.assert_array_equal(stepped.mean, predicted.mean)
         np.testing.assert_array_equal(stepped.horizon.eps, errors.eps)
     assert all(np.array_equal(value, other.model.recursion.state()[name])
@@ -241,7 +241,7 @@ def test_a_prediction_of_the_provisional_model_is_stale_when_the_window_is_over(
 def test_a_prediction_goes_to_another_process_with_its_estimator(trained, recording):
     model = trained_copy(trained)
     there, prediction = pickle.loads(pickle.dumps((model, model.predict(recording[0]))))
-    there.observe(prediction)
+    there.observe(prediction, prediction.motion.is_news)
     model.step(recording[0])
     np.testing.assert_array_equal(there.predict(recording[1]).mean, model.predict(recording[1]).mean)
 

@@ -230,7 +230,7 @@ def test_only_kinds_that_need_a_reference_keep_one():
         effect = effect_from_text(name + '{"reference": [1, 2.5]}')
         assert effect.reference == ((1.0, 2.5) if kind.needs_reference else ())
         assert kind.from_values(None, {}, (1.0, 2.5)) == effect
-    assert [name for name, kind in kinds().items() if kind.needs_reference] == ['load_friction']
+    assert [name for name, kind in kinds().items() if kind.needs_reference] == ['load_friction', 'sensor_nonlinearity']
 
 
 def test_a_reference_model_stands_once_beside_the_texts():

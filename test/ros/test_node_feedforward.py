@@ -138,7 +138,8 @@ def test_what_was_measured_does_not_mix_with_a_desired_state(outputs, effect):
     row = np.random.default_rng(2).uniform(-1.0, 1.0, (3, body.n_joints))
     now = int(MOTION.stamps[-1])
     shown, needed = columns.desired(*row, now, MOTION.origin)
-    assert np.isfinite(shown).all() and np.abs(shown).max() < 1e4
+    # In outputs, N or N m: what a coefficient of its usual size brings about.
+    assert np.isfinite(shown).all() and np.abs(shown * columns.prior_scale).max() < 1e4
     sample = Sample(now, *row, np.full(body.n_outputs, np.nan))
     acting = CoupledColumns(body, [effect.desired()])
     fresh, memory = acting.one(sample, MOTION.origin)
