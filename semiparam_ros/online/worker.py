@@ -41,8 +41,6 @@ NICENESS = 5
 MOST_DEATHS = 2
 """A job whose process dies so many times is given up: it is the job that kills it, by its memory for instance."""
 
-STARTS_AT_MOST = 10
-
 EstimatorJob = Callable[..., Estimator]
 """Gives an estimator, in the background."""
 
@@ -119,13 +117,16 @@ class ProcessBackground:
                 future.add_done_callback(partial(self._later, self._finish))
 
     def _submitted(self, job: _ProcessJob) -> Future[object]:
-        """The process may have died while it had nothing to do, and the next one while it started."""
-        for _ in range(STARTS_AT_MOST):
+        """The process may have died while it had nothing to do; the next one, while it starts, dies of this job."""
+        for _ in range(2):
             try:
                 return self._pool.submit(job.function, *job.arguments)
-            except BrokenProcessPool:
+            except BrokenProcessPool as error:
+                died = error
                 self._pool = _new_pool(self._hear)
-        return self._pool.submit(job.function, *job.arguments)
+        future: Future[object] = Future()
+        future.set_exception(died)
+        return future
 
     def _finish(self, future: Future[object]) -> None:
         job, self._running = self._running, None

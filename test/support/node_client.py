@@ -229,6 +229,7 @@ class Client:
 
     def wait_report(self, title, condition, timeout_s=PATIENCE_S):
         """The first report from now on that fulfils a condition."""
+        self.heard['/diagnostics'].clear()
         self.wait(lambda: condition(*self.report(title)), f'report {title}', timeout_s)
         return self.report(title)
 

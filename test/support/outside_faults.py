@@ -242,6 +242,7 @@ def killed_while_diagnosing(folder, full):
     times, chance = 10 if full else 2, random.Random(1)
     with live(folder, LIVE, motion(400 + 10 * times)) as (node, client, robot):
         robot.move(400)
+        client.take_over()
         refused = 0
         for number in range(times):
             asked = client.begin(Trigger, 'diagnose', Trigger.Request())
@@ -253,6 +254,7 @@ def killed_while_diagnosing(folder, full):
             robot.move(10)
         answer = client.trigger('diagnose')
         assert answer.success, answer.message
+    assert refused
     return {'faults': times, 'refused in a sentence': refused, 'diagnosed at the second try': times - refused,
             'samples answered': robot.played}
 
