@@ -28,8 +28,9 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+# Three at a time on two cores: tests of live nodes mostly wait.
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST)
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(PYTEST)
 
 # Every pair of settings with 20000 samples each, where `make test` takes a few hundred: about 40 minutes of one core.
 matrix: setup
@@ -37,7 +38,7 @@ matrix: setup
 
 # The whole suite again, with the lines and branches that it reaches, those in other processes among them.
 coverage: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term $(PYTEST)
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --cov --cov-report=term $(PYTEST)
 
 # The oldest versions that pyproject.toml allows, in an environment of their own. pip would not choose a numpy before 2,
 # because pin's wheels declare none; Ubuntu 24.04 has one beside its own pinocchio, and the wheels work with it.

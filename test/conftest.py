@@ -121,3 +121,9 @@ def measured_icub(shared_data, repository, tmp_path_factory) -> Path:
                      '--columns', str(repository / 'config/icub_table.yaml')]) == 0
     (folder / 'icub.yaml').write_text(ICUB.format(urdf=source / 'iCubGenova01.urdf'))
     return folder
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first: begun last, one of them would keep one worker busy while the others have nothing."""
+    slow = {item.path for item in items if item.get_closest_marker('slow')}
+    items.sort(key=lambda item: item.path not in slow)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -16,6 +15,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
 from semiparam_ros.effects.friction import JointEffect
 from semiparam_ros.effects.hysteresis import play_place
+from semiparam_ros.effects.periodic import strongest_peaks
 
 ORDER_STEP, ORDER_BINS = 0.1, 2**18
 ORDERS = ORDER_STEP * np.arange(20, 2400)
@@ -162,9 +162,7 @@ class TransmissionRipple(JointEffect):
         if not len(orders):
             return ()
         power = _order_spectrum(position, left)[len(ORDERS) - len(orders):]
-        peaks, _ = find_peaks(power)
-        best = peaks[np.argsort(power[peaks])[::-1][:PEAKS]]
-        return [{'order': float(orders[index])} for index in best]
+        return [{'order': float(orders[index])} for index in strongest_peaks(power, PEAKS)]
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
         return self.value(name) - ORDER_REACH, self.value(name) + ORDER_REACH

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from semiparam_ros.core.columns import Absent, Memory
 from semiparam_ros.core.robot.frames import felt_links, frame_motion, loaded_links
@@ -94,6 +93,12 @@ def spectral_peaks(time: Array, signal: Array) -> list[float]:
     power = np.sum([np.abs(np.fft.rfft(column * window, padded)) ** 2 for column in columns], axis=0)
     frequencies = np.fft.rfftfreq(padded, step)
     power[frequencies < 2.0 / (time[-1] - time[0])] = 0.0
+    return [float(frequencies[index]) for index in strongest_peaks(power, PEAKS)]
+
+
+def strongest_peaks(power: Array, most: int) -> list[int]:
+    """Where a spectrum has its strongest local maxima, the strongest first."""
+    from scipy.signal import find_peaks  # loads scipy.stats too, for which a node need not wait when it starts
+
     peaks, _ = find_peaks(power)
-    best = peaks[np.argsort(power[peaks])[::-1][:PEAKS]]
-    return [float(frequencies[index]) for index in best]
+    return [int(index) for index in peaks[np.argsort(power[peaks])[::-1][:most]]]

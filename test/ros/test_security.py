@@ -53,7 +53,7 @@ def merged(*rules):
 def play_until_shadows(client, samples, variants):
     """Move until each of these variants has told its horizon errors as a shadow, however long building them takes."""
     def told():
-        return {name.split('/')[-2] for name, _ in client.node.get_topic_names_and_types() if '/shadow/' in name}
+        return {name.split('/')[-2] for name in offered(client)['topics', 'publish'] if '/shadow/' in name}
     while {variant.lower().replace('-', '_') for variant in variants} - told():
         client.play([next(samples)], JOINTS)
         time.sleep(0.01)

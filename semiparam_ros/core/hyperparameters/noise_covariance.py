@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
-from scipy.signal import lfilter
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -63,6 +62,8 @@ class Drift:
 
     @staticmethod
     def _both_ways(columns: Array, numerator: list[float], denominator: list[float]) -> Array:
+        from scipy.signal import lfilter  # loads all of scipy.stats, which a node need not wait for when it starts
+
         forwards = lfilter(numerator, denominator, columns, axis=0)
         return np.asarray(forwards + lfilter(numerator, denominator, columns[::-1], axis=0)[::-1])
 
