@@ -115,8 +115,16 @@ class Peer:
         def receive(raw):
             heard.append(raw)
             if not refuses(len(heard)):
-                output.publish(raw)
+                self._publish(output, raw)
         self.node.create_subscription(message_class(type_name), topic, receive, depth, raw=True)
+
+    def _publish(self, output, raw):
+        """Again while the listener's queue is full, of which DDS tells after a tenth of a second."""
+        while not self.closing:
+            try:
+                return output.publish(raw)
+            except RuntimeError:  # RCLError, which rclpy does not export
+                pass
 
     def wait_for(self, condition, what=''):
         """Until ``condition()`` holds, looked at whenever a message arrives and now and then."""
