@@ -137,5 +137,6 @@ def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
     waiting = f'{stream.pending} outputs have no joint state at or after their stamps.'
     reason = stream.last_fault or stream.last_stranger or waiting
-    remedy = ' semiparam convert --joint NAME=NEW renames joints.' if stream.faults['missing_joint'] else ''
+    renamed = stream.faults['missing_joint'] or stream.strangers
+    remedy = ' semiparam convert --joint NAME=NEW renames joints.' if renamed else ''
     return f'{str(bag.path)!r} holds no complete sample ({counts} messages): {reason}{remedy}'

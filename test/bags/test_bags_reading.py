@@ -362,6 +362,7 @@ def test_topics_of_other_names_are_named(tmp_path):
     ({'joints': ('a', 'c')}, "holds no complete sample .10 on /joint_states, 10 on /wrench messages.: joint state at "
                              "0.090000000 s must name joint 'c' once; it names a, b. semiparam convert --joint "
                              'NAME=NEW renames joints.'),
+    ({'joints': ('c', 'd')}, 'names a, b; expected c, d. semiparam convert --joint NAME=NEW renames joints.'),
     ({'sensor_frame': 'elsewhere'}, "is in frame 'ft'; expected 'elsewhere'"),
     ({'joints': ()}, 'bag.mcap.: no robot description'),
 ])
