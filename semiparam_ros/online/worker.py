@@ -87,7 +87,8 @@ class ProcessBackground:
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
         job = _ProcessJob(function, arguments, done)
-        self._queue.append(job)
+        # Those that were cancelled hold a history each, and may lie behind a job of many seconds.
+        self._queue = deque(waiting for waiting in (*self._queue, job) if not waiting.cancelled)
         self._start_next()
         return job
 

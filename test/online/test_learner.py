@@ -3,6 +3,7 @@
 import os
 import pickle
 import signal
+import weakref
 from dataclasses import replace
 from functools import partial
 
@@ -639,6 +640,8 @@ def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(t
                                 done=lambda result, error: results.append((result, error)))
         if name == 'dropped':
             job.cancel()
+            dropped = weakref.ref(job)
+    assert dropped() is None, 'what it holds is free as soon as the next one comes'
     while len(results) < 3:
         tasks.get(timeout=60)()
     background.close()
