@@ -91,6 +91,13 @@ def test_a_command_names_the_package_that_it_lacks(repository):
                              'installed: pip install mcap-ros2-support.\n')
 
 
+def test_the_peers_name_the_package_that_they_lack():
+    result = semiparam(('river',), 'bench', '--peers')
+    assert (result.returncode, result.stdout) == (2, '')
+    assert result.stderr == ("semiparam: this command needs the Python package 'river', which is not installed: "
+                             'pip install river.\n')
+
+
 def test_a_missing_module_of_our_own_is_an_internal_error(repository):
     code = "from semiparam_ros.cli.main import main\nsys.modules['semiparam_ros.cli.evaluate'] = None\nsys.exit(main())"
     result = without((), code, 'evaluate', repository / 'bags/icub_xy.mcap')

@@ -42,6 +42,7 @@ ROSDEP = {
     'lz4': None,  # comes with mcap
     'mcap-ros2-support': None,  # pip alone
     'rosbags': None,  # pip alone
+    'river': None,  # pip alone; its tests skip without it
     'rich': 'python3-rich',
     'matplotlib': 'python3-matplotlib',
     'joblib': 'python3-joblib',
@@ -112,7 +113,8 @@ def test_package_xml_depends_on_no_key_that_installs_with_pip():
 
 def test_every_dependency_has_a_lower_bound():
     """An old numpy would otherwise let pip choose pin 2.7, with which nothing works."""
-    unbounded = [each for each in [*declared()[''], *declared()['rosbags'], *declared()['dask']] if '>=' not in each]
+    unbounded = [each for each in [*declared()[''], *declared()['rosbags'], *declared()['dask'], *declared()['peers']]
+                 if '>=' not in each]
     assert unbounded == []
 
 
@@ -130,8 +132,8 @@ def test_versions_and_licence_agree():
     assert 'Apache License' in (REPOSITORY / 'LICENSE').read_text()[:200]
 
 
-@pytest.mark.parametrize('folder, extras', [('semiparam_ros', ['', 'rosbags', 'dask']),
-                                            ('test', ['', 'rosbags', 'test', 'dask'])])
+@pytest.mark.parametrize('folder, extras', [('semiparam_ros', ['', 'rosbags', 'dask', 'peers']),
+                                            ('test', ['', 'rosbags', 'test', 'dask', 'peers'])])
 def test_every_import_is_declared(folder, extras):
     """Each distribution that is imported is in pyproject.toml, or is what ros-jazzy-... stands for."""
     sources = list((REPOSITORY / folder).rglob('*.py'))

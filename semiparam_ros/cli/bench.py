@@ -1,4 +1,5 @@
-"""`semiparam bench`: what one sample costs, side by side with the recursions that one might use instead."""
+"""`semiparam bench`: what one sample costs, side by side with the recursions that one might use instead; and how our
+variants do beside learners of other packages."""
 
 from __future__ import annotations
 
@@ -7,10 +8,18 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from semiparam_ros.cli.options import add_json_option, console, output, progress_bar, write_json
+from semiparam_ros.cli.options import (
+    add_json_option,
+    add_params_option,
+    console,
+    output,
+    progress_bar,
+    write_json,
+)
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -18,11 +27,13 @@ if TYPE_CHECKING:
     from semiparam_ros.core.robot.rigid_body import RigidBody
     from semiparam_ros.core.samples import Sample
     from semiparam_ros.core.types import Array
+    from semiparam_ros.experiments.peers import Score
 
-HELP = 'Time one sample of SPK against a covariance update, a Potter update and the dense textbook recursion.'
+HELP = 'Time one sample of SPK against other recursions, or put all variants beside learners of other packages.'
 
 ARM = 'package://semiparam_ros/config/icub_right_arm.urdf'
 FRAME = 'r_arm_ft_sensor'
+BUNDLED, PARAMS = 'package://semiparam_ros/bags/icub_xy.mcap', 'package://semiparam_ros/config/icub_right_arm.yaml'
 RATIOS = {'SPK / (dsymv + dsyr)': 'of_covariance', 'SPK / Potter': 'of_potter', 'dense / SPK': 'dense_over_ours',
           'dense, in one pass / SPK': 'dense_together_over_ours'}
 SAMPLES, BATCH, WARM_UP = 1000, 50, 3
@@ -54,21 +65,32 @@ class Contender(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam bench`."""
-    parser.add_argument('--features', metavar='D', type=int, nargs='+', default=[200, 500, 1000],
-                        help='numbers of random features (default 200 500 1000)')
+    parser.add_argument('--features', metavar='D', type=int, nargs='+',
+                        help='numbers of random features (default 200 500 1000; with --peers one number, 200)')
     parser.add_argument('--rounds', metavar='N', type=int, default=15,
                         help='rounds in which the contenders take turns (default 15)')
     parser.add_argument('--urdf', metavar='FILE', type=Path, help='another arm than the bundled iCub arm')
     parser.add_argument('--frame', metavar='NAME', default=FRAME, help=f'its sensor frame (default {FRAME})')
     add_json_option(parser)
+    add_params_option(parser)
+    parser.add_argument('--peers', metavar='BAG', nargs='?', const=BUNDLED,
+                       help='predict, then learn, this recording (default: the bundled one) with our variants and with '
+                            'learners of river and scikit-learn: errors and times in one table')
+    parser.add_argument('--variant', metavar='V', action='append', dest='variants',
+                       help='with --peers: variant of ours instead of all; may be repeated')
 
 
 def run(args: argparse.Namespace) -> int:
     """Time every contender for every D in this one process, on one thread."""
     # Before numpy loads: several threads would favour the large dense recursion and hide what a node can afford.
     os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')
-    if args.rounds < 1 or any(count < 2 or count % 2 for count in args.features):
+    if args.rounds < 1 or any(count < 2 or count % 2 for count in args.features or ()):
         raise SemiparamError('expected at least one round, and even numbers of features from 2 on.')
+    return beside_peers(args) if args.peers else timing(args)
+
+
+def timing(args: argparse.Namespace) -> int:
+    """Every contender for every D."""
     from semiparam_ros.core.compiled import AVAILABLE
     from semiparam_ros.experiments.benchmark import arm
 
@@ -76,13 +98,64 @@ def run(args: argparse.Namespace) -> int:
         console.print('numba is not installed: SPK runs on numpy alone.')
     body = arm(args.urdf or ARM, args.frame)
     with progress_bar() as progress:
-        task = progress.add_task('timing', total=args.rounds * len(args.features))
-        sizes = [size(body, count, args.rounds, lambda: progress.advance(task)) for count in args.features]
+        counts = args.features or [200, 500, 1000]
+        task = progress.add_task('timing', total=args.rounds * len(counts))
+        sizes = [size(body, count, args.rounds, lambda: progress.advance(task)) for count in counts]
     show(sizes)
     if args.json:
         write_json(args.json, {'command': 'bench', 'threads': 1, 'compiled': AVAILABLE, 'outputs': body.n_outputs,
                                'inputs': 3 * body.n_joints, 'meaning': MEANING, 'sizes': sizes})
     return 0
+
+
+def beside_peers(args: argparse.Namespace) -> int:
+    """Our variants and other packages' learners on one recording."""
+    from semiparam_ros.cli.evaluate import chosen_variants, load_bags
+    from semiparam_ros.experiments.peers import compare_with_peers
+    from semiparam_ros.settings import load_params
+    from semiparam_ros.settings.robot_description import resolved
+
+    settings = load_params(args.params or (resolved(PARAMS) if args.peers == BUNDLED else None))
+    counts = args.features or [200]
+    if len(counts) > 1:
+        raise SemiparamError(f'--features holds {len(counts)} numbers; expected one with --peers.')
+    settings = replace(settings, features_count=counts[0])
+    bag = load_bags([resolved(args.peers)], settings)[0]
+    with progress_bar() as progress:
+        task = progress.add_task('learning', total=None)
+        scores = compare_with_peers(settings, bag.samples, bag.robot_description,
+                                    chosen_variants(args.variants or ['all'], settings),
+                                    lambda: progress.advance(task))
+    show_scores(scores)
+    if args.json:
+        write_json(args.json, {'command': 'bench', 'threads': 1, 'bag': args.peers, 'features': counts[0],
+                               'learners': [score._asdict() for score in scores]})
+    return 0
+
+
+def show_scores(scores: Sequence[Score]) -> None:
+    """One row for each learner, ours first."""
+    from rich import box
+    from rich.table import Table
+
+    from semiparam_ros.cli.evaluate import figure
+    from semiparam_ros.experiments.peers import REFITTED_EVERY, REFITTED_ON
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column('learner')
+    table.add_column('sees')
+    for heading in ('nMSE', 'us', 'window s'):
+        table.add_column(heading, justify='right')
+    for score in scores:
+        table.add_row(score.learner, score.sees, figure(score.nmse_mean), f'{score.microseconds:.0f}',
+                      f'{score.window_s:.2f}')
+    output.print(table)
+    for line in ('predict, then learn, from the end of the initial window on; one thread',
+                 'nMSE: squared error over the variance of each output, mean over the outputs',
+                 'us: prediction and learning of a sample, mean',
+                 'window s: learning the initial window, of ours with the hyperparameters',
+                 f'batch: fitted anew every {REFITTED_EVERY} samples, to the latest {REFITTED_ON}'):
+        output.print(line, highlight=False, soft_wrap=True)
 
 
 def size(body: RigidBody, count: int, rounds: int, tick: Callable[[], None]) -> dict[str, Any]:

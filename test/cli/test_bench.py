@@ -8,6 +8,8 @@ import pytest
 from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.bench import MEANING
 from semiparam_ros.experiments.benchmark import SIGMA, Covariance, Dense, Potter
+from semiparam_ros.settings import Settings, dump_params
+from support.recordings import FRAME, JOINTS, write_arm
 
 COLUMNS, FEATURES, OUTPUTS, SAMPLES = 4, 6, 3, 20
 
@@ -60,3 +62,85 @@ def test_bench_reports_every_contender_side_by_side(tmp_path, capsys):
 def test_bench_refuses_what_it_cannot_time(arguments, capsys):
     assert cli.main(['bench', *arguments]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+PEERS = ('river BayesianLinearRegression', 'sklearn SGDRegressor', 'sklearn BayesianRidge, batch',
+         'sklearn KernelRidge, batch')
+
+
+@pytest.fixture(scope='module')
+def recording(tmp_path_factory):
+    return write_arm(tmp_path_factory.mktemp('bench') / 'a.mcap', 400)
+
+
+@pytest.fixture(scope='module')
+def params(tmp_path_factory):
+    path = tmp_path_factory.mktemp('bench') / 'arm.yaml'
+    dump_params(Settings.from_mapping({'sensor_frame': FRAME, 'joints': list(JOINTS), 'features.count': 20,
+                                       'initial.samples': 100}), path)
+    return path
+
+
+def test_peers_get_the_same_samples_as_ours(recording, params, tmp_path, capsys):
+    pytest.importorskip('river')
+    path = tmp_path / 'peers.json'
+    assert cli.main(['bench', '--peers', str(recording), '--params', str(params), '--features', '20', '--variant', 'P',
+                     '--variant', 'SPK-ML', '--json', str(path)]) == 0
+    table, found = capsys.readouterr().out, json.loads(path.read_text())['learners']
+    assert cli.main(['evaluate', str(recording), '--params', str(params), '--variant', 'P', '--variant', 'SPK-ML',
+                     '--json', str(path)]) == 0
+    ours = json.loads(path.read_text())['variants']
+    for variant, learner in zip(('P', 'SPK-ML'), found, strict=False):
+        assert learner['learner'] == variant
+        assert learner['nmse'] == pytest.approx(ours[variant]['nmse'], rel=1e-9)
+    for peer in PEERS:
+        mine = [learner for learner in found if learner['learner'] == peer]
+        assert mine and peer in table
+        for learner in mine:
+            assert learner['microseconds'] > 0.0 and len(learner['nmse']) == 6
+            assert learner['nmse_mean'] == pytest.approx(np.mean(learner['nmse']))
+    assert max(map(len, table.splitlines()[:-5])) <= 80
+    errors = {(learner['learner'], learner['sees']): learner['nmse_mean'] for learner in found}
+    assert errors['river BayesianLinearRegression', 'rigid body'] < 0.1, 'the arm is a rigid body'
+    assert errors['sklearn BayesianRidge, batch', 'rigid body'] < 0.1
+
+
+@pytest.mark.parametrize('kind', ['River', 'Sgd', 'RefittedRidge', 'RefittedKernelRidge'])
+@pytest.mark.parametrize('seen', ['rigid body', 'features'])
+def test_a_peer_learns_what_it_sees(kind, seen):
+    peers = pytest.importorskip('semiparam_ros.experiments.peers')
+    if (kind, seen) == ('RefittedKernelRidge', 'rigid body'):
+        return
+    rng = np.random.default_rng(1)
+    inputs, columns = rng.normal(size=(600, 6)), rng.normal(size=(600, 2, 3))
+    outputs = columns @ [1.0, -2.0, 0.5] if seen == 'rigid body' else 3.0 + np.sin(inputs[:, :2])
+    outputs = outputs + 0.01 * rng.normal(size=outputs.shape)
+    view = peers.RigidBodyView() if seen == 'rigid body' else peers.InputView() if 'Kernel' in kind else \
+        peers.FeatureView(200)
+    peer = getattr(peers, kind)(view, 2)
+    peer.begin(peers.Window(inputs[:100], columns[:100], outputs[:100]))
+    errors = []
+    for index in range(100, 600):
+        errors.append(peer.predict(inputs[index], columns[index]) - outputs[index])
+        peer.learn(outputs[index])
+    late, early = (np.mean(np.square(part)) for part in (errors[-100:], errors[:100]))
+    share = {('Sgd', 'rigid body'): 0.1, ('Sgd', 'features'): 1.0}.get(  # slow with its usual steps
+        (kind, seen), 0.001 if seen == 'rigid body' else 0.3)
+    assert late < share * outputs.var()
+    assert seen == 'rigid body' or late < early
+
+
+@pytest.mark.parametrize(('arguments', 'sentence'), [
+    (['--features', '20', '40'], '--features holds 2 numbers; expected one with --peers'),
+    (['--variant', 'X'], "variant 'X' is unknown")])
+def test_peers_refuse_what_makes_no_sense(arguments, sentence, recording, params, capsys):
+    pytest.importorskip('river')
+    assert cli.main(['bench', '--peers', str(recording), '--params', str(params), *arguments]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_recording_hardly_longer_than_its_window_is_refused(params, tmp_path, capsys):
+    pytest.importorskip('river')
+    short = write_arm(tmp_path / 'short.mcap', 120)
+    assert cli.main(['bench', '--peers', str(short), '--params', str(params)]) == 2
+    assert 'expected at least 50 more' in capsys.readouterr().err
