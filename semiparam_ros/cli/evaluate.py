@@ -107,6 +107,10 @@ def run(args: argparse.Namespace) -> int:
     print_scores(output, results)
     channels = output_channels(settings.outputs, bags[0].joints)
     print_outputs(output, results, *channels)
+    if settings.features_count == 'auto':
+        chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()
+                           if result['features'])
+        output.print(f'random features: {chosen or "none"}', highlight=False, markup=False)
     write_outputs(args, results, scores, bags, channels[0])
     return 0
 

@@ -113,6 +113,8 @@ def _show(settings: Settings, found: Hyperparameters) -> None:
         values = value if isinstance(value, tuple) else (value,) if value else ()
         if values:
             rows.append((name, ' '.join(map(_short, values))))
+    if settings.features_count == 'auto' and found.features:
+        rows.append(('features', str(found.features)))
     if found.drift_share > 0.01:
         rows.append(('drift', f'{100 * found.drift_share:.0f} % of the noise variance is slow, with a memory of '
                               f'{figure(found.drift_memory)} samples'))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import isfinite, log
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from semiparam_ros.core.band_calibration import BandCalibration
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
 from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
+from semiparam_ros.core.hyperparameters.feature_count import MOST
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
 from semiparam_ros.core.initial_window import InitialWindow
 from semiparam_ros.core.motion import Motion, at_start
@@ -30,7 +31,8 @@ from semiparam_ros.errors import SemiparamError
 
 HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 AUTO = 'auto'
-"""Forgetting: the model forgets nothing, and what it leaves is followed at the pace that is seen."""
+"""Forgetting: the model forgets nothing, and what it leaves is followed at the pace that is seen. Number of features:
+as few as the initial window asks for."""
 
 EFFECT_GAMMA = 1.0
 """Standard deviation of effects over their prior scale, in the variants that have no gamma."""
@@ -103,21 +105,34 @@ def log_density(innovation: Array, covariance: Array) -> float:
     return float(-0.5 * white @ white - np.log(lower.diagonal()).sum() - len(white) * HALF_LOG_2PI)
 
 
+def information_gain(prior: Prior, sigma: float) -> float:
+    """What learning a sample can tell of the model at most [nat]: half the log of predictive over noise variance,
+    summed over the outputs, whose correlation is left out."""
+    return 0.5 * sum(map(log, prior.covariance.diagonal().tolist())) - len(prior.mean) * log(sigma)
+
+
 @dataclass(frozen=True)
 class ModelOptions:
     """What a user chooses of the model; see docs/parameters.md. ``hyperparameters`` None: from the initial window."""
 
     variant: str = 'SPK-ML'
-    features_count: int = 500
+    features_count: int | str = 500
     features_seed: int = 0
     length_scales: LengthScales = 'kind'
     noise: Noise = 'output'
     initial_samples: int = 1000
     horizon: int = 25
     forgetting: float | str = AUTO
+    learn_every: int = 1
+    learn_least_gain: float = 0.0
     hyperparameters: Hyperparameters | None = None
     input_mean: tuple[float, ...] = ()
     input_scale: tuple[float, ...] = ()
+
+    @property
+    def most_features(self) -> int:
+        """Features that hyperparameters are estimated with; ``auto`` then chooses of them."""
+        return self.features_count if isinstance(self.features_count, int) else MOST
 
 
 class Prediction(NamedTuple):
@@ -163,6 +178,7 @@ class EstimatorState(NamedTuple):
     calibration: dict[str, Array]
     wandering: dict[str, Array]  # empty where the forgetting is a number
     window_left: int  # samples
+    passed_over: tuple[int, int]  # samples passed over since the last one learnt, and altogether
     window: Mapping[str, Array | Stamps]
     origin: int | None  # [ns]
     newest: int | None  # [ns] stamp of the last sample
@@ -202,6 +218,9 @@ class Estimator:
         self.ready = given is not None
         self.model = self._provisional() if given is None else self._given(given)
         self.window_samples = self._window_left = window
+        self._since_learnt = 0
+        self.passed_over = 0
+        """Samples that were to be learnt but were not, by ``learn_every`` and ``learn_least_gain``."""
         self._begin_following()
 
     def step(self, sample: Sample, learn: bool = True) -> Prediction:
@@ -256,6 +275,8 @@ class Estimator:
     def observe(self, prediction: Prediction, learn: bool = True, finish: bool = True) -> HorizonErrors | None:
         """Charge a predicted sample to the horizon index, and learn it; the horizon it completed.
 
+        :param learn: let the model learn it, unless ``learn_every`` or ``learn_least_gain`` passes over it; the bands
+            and the wandering offset follow all the same.
         :param finish: end the initial window with the sample that makes it full; else the rigid body goes on, until
             :meth:`finish_window` is called.
 
@@ -273,8 +294,9 @@ class Estimator:
             x = sample.inputs
             known = self.inputs_learnt
             self.inputs_learnt = np.array([np.minimum(known[0], x), np.maximum(known[1], x)] if len(known) else [x, x])
-        correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if learn else None
-        if not learn:
+        due = learn and self._is_due(prediction.prior)
+        correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if due else None
+        if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
         if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
             self._follow(sample.outputs, prediction.model_mean, prediction.model_std, learn)
@@ -286,6 +308,23 @@ class Estimator:
         if finish and self.window_full:
             self.finish_window()
         return complete
+
+    def _is_due(self, prior: Prior) -> bool:
+        """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.
+
+        Never by its outputs: to learn the surprising ones alone would bias the model.
+        """
+        options = self.options
+        if not self.ready or self._window_left:
+            return True
+        self._since_learnt += 1
+        if self._since_learnt < options.learn_every or (
+                options.learn_least_gain and information_gain(prior, self.model.recursion.sigma)
+                < options.learn_least_gain):
+            self.passed_over += 1
+            return False
+        self._since_learnt = 0
+        return True
 
     @property
     def window_full(self) -> bool:
@@ -345,8 +384,8 @@ class Estimator:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
         wandering = {} if self.wandering is None else self.wandering.state()
         return EstimatorState(self.model.recursion.state(), self.horizon.state(), self.calibration.state(), wandering,
-                              self._window_left, self.window.state(), self.origin, self._newest, self._memory,
-                              self.inputs_learnt, self.motion)
+                              self._window_left, (self._since_learnt, self.passed_over), self.window.state(),
+                              self.origin, self._newest, self._memory, self.inputs_learnt, self.motion)
 
     def restore(self, state: EstimatorState) -> None:
         """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
@@ -359,11 +398,17 @@ class Estimator:
         if self.wandering is not None:
             self.wandering.restore(state.wandering)
         self._window_left = state.window_left
+        self._since_learnt, self.passed_over = state.passed_over
         self.window = self.new_window()
         self.window.restore(state.window)
         self._memory, self.motion = state.memory, state.motion
         self.origin, self._newest = state.origin, state.newest
         self.inputs_learnt = state.inputs_learnt
+
+    @property
+    def features_count(self) -> int:
+        """Number D of random features in use; 0 where the model has none."""
+        return self.model.features.count if self.model.features else 0
 
     def hyperparameters(self) -> Hyperparameters:
         """Those in use, with pi as it stands."""
@@ -384,12 +429,13 @@ class Estimator:
 
     def _estimate(self, window: InitialWindow, scaling: tuple[Array, Array]) -> Hyperparameters:
         options, inputs = self.options, (window.inputs - scaling[0]) / scaling[1]
-        omega = spectrum(inputs.shape[1], options.features_count, options.features_seed)
+        omega = spectrum(inputs.shape[1], options.most_features, options.features_seed)
         columns = window.columns
         known = columns[:, :, self.columns.n_own:] @ self.columns.known
         return estimate(options.variant, window.outputs - known, columns, inputs, omega,
                         length_scales=options.length_scales, noise=options.noise,
-                        prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects)
+                        prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects,
+                        fewest=options.features_count == AUTO)
 
     def _given(self, hyperparameters: Hyperparameters) -> Model:
         options, size = self.options, 3 * self.body.n_joints
@@ -397,6 +443,9 @@ class Estimator:
         if self.variant.features and not len(mean) == len(scale) == size:
             raise SemiparamError(f'hyperparameters.input_mean and .input_scale hold {len(mean)} and {len(scale)} '
                                  f'values; expected {size}, three for each joint.')
+        if self.variant.features and options.features_count == AUTO and not hyperparameters.features:
+            raise SemiparamError('features.count is auto, but hyperparameters are given; expected the number of '
+                                 'features that they were estimated with.')
         if self.variant.pi == 'fixed' and len(hyperparameters.pi or ()) != self.columns.n_own:
             raise SemiparamError(f'hyperparameters.pi holds {len(hyperparameters.pi or ())} values; expected '
                                  f'{self.columns.n_own} for {options.variant}: base parameters and offset.')
@@ -410,8 +459,10 @@ class Estimator:
         assert self.input_scaling is not None
         features = None
         if self.variant.features:
-            features = RandomFeatures(3 * self.body.n_joints, self.options.features_count, self.options.features_seed,
-                                      hyperparameters.tau, *self.input_scaling)
+            count = self.options.features_count
+            features = RandomFeatures(3 * self.body.n_joints, count if isinstance(count, int) else
+                                      hyperparameters.features, self.options.features_seed, hyperparameters.tau,
+                                      *self.input_scaling)
         mean = np.concatenate([np.zeros(self.columns.n_own), self.columns.known])
         given = self.options.forgetting
         return Model(self.variant, hyperparameters, features, self.columns.prior_scale, mean,

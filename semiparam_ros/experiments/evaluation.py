@@ -35,6 +35,8 @@ class Scores:
 
     def __init__(self, outputs: str) -> None:
         self.outputs = outputs
+        self.features = 0
+        """Number D of random features of the model that predicted last; 0 where it has none."""
         self._measured: list[Array] = []
         self._errors: list[Array] = []
         self._seconds: list[float] = []
@@ -75,7 +77,8 @@ class Scores:
         """All figures by name, in SI units; None where there is nothing to take the mean of."""
         nmse, rmse = normalised_errors(np.array(self._errors), np.array(self._measured))
         known = [value for value in nmse if value is not None]
-        figures: dict[str, object] = {'samples': len(self), 'nmse': nmse, 'nmse_mean': _mean(known), 'rmse': rmse}
+        figures: dict[str, object] = {'samples': len(self), 'features': self.features, 'nmse': nmse,
+                                      'nmse_mean': _mean(known), 'rmse': rmse}
         figures |= dict.fromkeys(('eps_force', 'eps_torque'))
         times, values = self.index_series()
         figures |= {name: by_phase(times, column) for name, column in zip(self.index_names, values.T, strict=True)}
@@ -155,6 +158,7 @@ class OfflineLearner:
             if not prediction.ready:
                 continue
             scores.add(sample.outputs, prediction.mean, elapsed)
+            scores.features = self.estimator.features_count
             if prediction.horizon is not None:
                 scores.add_horizon(prediction.horizon)
         if self._successor is not None:

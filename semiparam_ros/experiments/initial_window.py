@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.estimator import AUTO
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.validation import Grid
 from semiparam_ros.core.random_features import input_scaling, spectrum
@@ -40,11 +41,12 @@ def fitted_settings(settings: Settings, samples: Samples, robot_description: str
     coupled, _ = columns.batch(samples)
     mean, scale = input_scaling(samples.inputs)
     options = model_options(replace(settings, hyperparameters_sigma=()))
-    omega = spectrum(len(mean), options.features_count, options.features_seed)
+    omega = spectrum(len(mean), options.most_features, options.features_seed)
     found = estimate(
         options.variant, samples.outputs, np.asarray(coupled), (samples.inputs - mean) / scale, omega,
         length_scales=options.length_scales, noise=options.noise, drifting=estimation.drifting,
         method=estimation.method, prior_scale=columns.prior_scale, starts=estimation.starts, jobs=estimation.jobs,
-        grid=estimation.grid, progress=progress, n_effects=columns.n_effects)
+        grid=estimation.grid, progress=progress, n_effects=columns.n_effects,
+        fewest=options.features_count == AUTO)
     values = hyperparameter_values(found, tuple(mean.tolist()), tuple(scale.tolist()))
     return settings.changed(values), found

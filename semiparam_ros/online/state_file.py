@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeAlias, cast
@@ -25,7 +25,7 @@ from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 6
+FORMAT, VERSION = 'semiparam_ros state', 7
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
@@ -76,6 +76,7 @@ def snapshot(state: SavedState) -> Snapshot:
     memory: dict[str, Array] = {}
     gate: dict[str, Array] = {}
     meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'window_left': learnt.window_left,
+            'passed_over': learnt.passed_over,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate)}
     groups: dict[str, Mapping[str, Array | Stamps]] = {
         'history': arrays_of(state.batch), 'recursion': learnt.recursion, 'horizon': learnt.horizon,
@@ -234,10 +235,16 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
     estimator = new_estimator(settings, body, known)
     estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
                                      _group(arrays, 'calibration'), _group(arrays, 'wandering'),
-                                     int(meta['window_left']), _group(arrays, 'window'), meta['origin'], meta['newest'],
+                                     int(meta['window_left']), _counts(meta['passed_over']),
+                                     _group(arrays, 'window'), meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
                                      arrays['inputs_learnt'], _unstacked(_group(arrays, 'motion'), body.n_joints)))
     return estimator
+
+
+def _counts(values: Sequence[int]) -> tuple[int, int]:
+    since, total = map(int, values)
+    return since, total
 
 
 def _stacked(motion: Motion | None) -> Snapshot:

@@ -9,7 +9,7 @@ from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.settings import robot_description as description
-from semiparam_ros.settings.parameter_table import Table
+from semiparam_ros.settings.parameter_table import Table, Value
 
 if TYPE_CHECKING:
     from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
@@ -41,6 +41,7 @@ def model_options(settings: Table) -> ModelOptions:
         variant=settings.variant, features_count=settings.features_count, features_seed=settings.features_seed,
         length_scales=cast('LengthScales', settings.features_length_scales), noise=cast('Noise', settings.noise),
         initial_samples=settings.initial_samples, horizon=settings.horizon_length, forgetting=settings.forgetting,
+        learn_every=settings.learn_every, learn_least_gain=settings.learn_least_gain,
         hyperparameters=given_hyperparameters(settings), input_mean=settings.hyperparameters_input_mean,
         input_scale=settings.hyperparameters_input_scale)
 
@@ -57,13 +58,14 @@ def given_hyperparameters(settings: Table) -> Hyperparameters | None:
 
 
 def hyperparameter_values(hyperparameters: Hyperparameters, input_mean: tuple[float, ...],
-                          input_scale: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+                          input_scale: tuple[float, ...]) -> dict[str, Value]:
     """The parameters that hand hyperparameters on to the next start; the inverse of :func:`given_hyperparameters`."""
     scalars = {name: float(getattr(hyperparameters, name)) for name in ('gamma', 'rho', 'sigma')}
     values: dict[str, tuple[float, ...]] = {name: (value,) if value > 0.0 else () for name, value in scalars.items()}
     values |= {'tau': hyperparameters.tau, 'output_scale': hyperparameters.output_scale,
                'pi': hyperparameters.pi or (), 'input_mean': input_mean, 'input_scale': input_scale}
-    return {f'hyperparameters.{name}': value for name, value in values.items()}
+    found: dict[str, Value] = {f'hyperparameters.{name}': value for name, value in values.items()}
+    return found | ({'features.count': hyperparameters.features} if hyperparameters.features else {})
 
 
 def declared_effects(settings: Table) -> Sequence[Effect]:

@@ -14,8 +14,8 @@ from semiparam_ros.core.variants import VARIANTS
 
 Value: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
-KINDS = {'bool': 'bool', 'int': 'integer', 'float': 'double', 'float | str': 'double', 'str': 'string',
-         'tuple[str, ...]': 'string_array', 'tuple[float, ...]': 'double_array'}
+KINDS = {'bool': 'bool', 'int': 'integer', 'int | str': 'integer', 'float': 'double', 'float | str': 'double',
+         'str': 'string', 'tuple[str, ...]': 'string_array', 'tuple[float, ...]': 'double_array'}
 """ROS parameter type of each annotation in the table."""
 
 EXPECTED = {'bool': 'true or false', 'integer': 'an integer', 'double': 'a number', 'string': 'a text',
@@ -187,6 +187,12 @@ class Table:
         'effects_reference', (), 'Base parameters that predict the load on which effects such as load_friction depend; '
         'a diagnosis writes them. Empty: those of the robot description.', live=True)
     learning: bool = declare('learning', True, 'Learn from every sample; false: predict only.', live=True)
+    learn_every: int = declare(
+        'learn.every', 1, 'Of the samples to learn, after the initial window, each so-many-th is learnt; all are '
+        'answered. For fast robots, whose next sample tells little more.', minimum=1, maximum=1000)
+    learn_least_gain: float = declare(
+        'learn.least_gain', 0.0, 'A sample that tells the model less than this, by how sure it is of its answer, is '
+        'answered but not learnt. 0: all are learnt.', unit='nat', minimum=0.0, maximum=100.0)
     forgetting: float | str = declare(
         'forgetting', 'auto', 'auto: the model forgets nothing, and what it leaves is followed by an offset that '
         'wanders at the pace that is seen. Or a forgetting factor for each sample: 1.0 forgets nothing, 0.999 has a '
@@ -200,9 +206,9 @@ class Table:
         minimum=20, maximum=1000000)
 
     # Random features
-    features_count: int = declare(
-        'features.count', 500, 'Number D of random features (cosines and sines, hence even).',
-        minimum=2, maximum=20000)
+    features_count: int | str = declare(
+        'features.count', 500, 'Number D of random features (cosines and sines, hence even). auto: the fewest, up to '
+        '500, that explain the initial window as well as 500.', minimum=2, maximum=20000, words=('auto',))
     features_seed: int = declare('features.seed', 0, 'Seed of the random frequencies.', minimum=0, maximum=2**31 - 1)
     features_length_scales: str = declare(
         'features.length_scales', 'kind', 'One length scale for all inputs, one for each kind (position, velocity, '

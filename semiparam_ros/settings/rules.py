@@ -57,7 +57,7 @@ def locked_joints_have_positions(table: Table) -> str | None:
 
 def features_come_in_pairs(table: Table) -> str | None:
     """Each frequency gives a cosine and a sine."""
-    if table.features_count % 2:
+    if isinstance(table.features_count, int) and table.features_count % 2:
         return f'features.count is {table.features_count}; expected an even number, a cosine and a sine each.'
     return None
 
@@ -105,6 +105,14 @@ def hyperparameters_suffice(table: Table) -> str | None:
     return None
 
 
+def given_hyperparameters_know_their_features(table: Table) -> str | None:
+    """With given hyperparameters there is no initial window that could tell how many features it takes."""
+    if table.features_count == 'auto' and table.hyperparameters_sigma and table.variant != 'P':
+        return ('features.count is auto, but hyperparameters are given; expected the number of features that they were '
+                'estimated with.')
+    return None
+
+
 def effects_are_known(table: Table) -> str | None:
     """Each is kind, kind@where, or either with {json}, and its kind acts on the outputs."""
     if (repeated := _repeated(table.effects)) is not None:
@@ -123,7 +131,8 @@ def state_file_is_a_plain_name(table: Table) -> str | None:
 RULES: tuple[Callable[[Table], str | None], ...] = (
     sensor_frame_is_named, one_robot_description, joints_are_distinct, locked_joints_have_positions,
     features_come_in_pairs, shadow_variants_are_distinct, hyperparameters_have_sizes,
-    input_scaling_is_whole, hyperparameters_suffice, effects_are_known, state_file_is_a_plain_name)
+    input_scaling_is_whole, hyperparameters_suffice, given_hyperparameters_know_their_features, effects_are_known,
+    state_file_is_a_plain_name)
 
 
 def broken_rule(table: Table) -> str | None:

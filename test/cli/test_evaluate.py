@@ -64,6 +64,19 @@ def test_figures_of_each_variant(evaluate, recording, capsys):
     assert max(map(len, table.splitlines())) <= 80
 
 
+def test_the_number_of_features_is_chosen_and_told(params, tmp_path, recording, capsys):
+    auto = tmp_path / 'auto.yaml'
+    dump_params(replace(load_params(params), features_count='auto', sensor_frame=FRAME), auto)
+    document = document_of(auto, tmp_path / 'a.json', recording, '--variant', 'P', '--variant', 'SPK-ML')
+    chosen = document['variants']['SPK-ML']['features']
+    assert chosen in (50, 100, 200, 300, 400, 500)
+    assert document['variants']['P']['features'] == 0
+    assert f'random features: {chosen} (SPK-ML)' in capsys.readouterr().out
+    document = document_of(params, tmp_path / 'b.json', recording, '--variant', 'SPK-ML')
+    assert document['variants']['SPK-ML']['features'] == 20
+    assert 'random features' not in capsys.readouterr().out
+
+
 def test_figures_are_those_of_the_estimator(evaluate, recording):
     from semiparam_ros.bags.loading import load_samples
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.estimator import Estimator, ModelOptions, log_density
+from semiparam_ros.core.estimator import Estimator, ModelOptions, information_gain, log_density
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.motion import STILL_SAMPLES, at_start
@@ -521,6 +521,7 @@ GIVEN = Hyperparameters(gamma=0.3, rho=1.0, tau=(3.0,), sigma=0.1, output_scale=
     ('SPK-ML', {'sigma': 0.0}, {}, 'sigma 0.0'),
     ('SPK-ML', {'gamma': 0.0}, {}, 'expected positive finite ones'),
     ('SPK-ML', {}, {'features_count': 61}, 'features.count is 61'),
+    ('SPK-ML', {}, {'features_count': 'auto'}, 'features.count is auto, but hyperparameters are given'),
     ('SPK-ML', {}, {'forgetting': 0.0}, 'forgetting is 0.0'),
     ('SPK-ML', {}, {'horizon': 0}, 'horizon.length is 0'),
 ])
@@ -528,6 +529,35 @@ def test_impossible_choices_are_refused(arm, variant, changes, options, sentence
     scaling = {'input_mean': (0.0,) * 12, 'input_scale': (1.0,) * 12}
     with pytest.raises(SemiparamError, match=re.escape(sentence)):
         estimator(arm, variant, **({'hyperparameters': replace(GIVEN, **changes)} | scaling | options))
+
+
+@pytest.mark.parametrize('variant', ['P', 'SPK-ML'])
+def test_each_third_sample_is_learnt_and_all_are_followed(arm, recording, variant):
+    samples = list(recording)
+    model, by_hand = (estimator(arm, variant, learn_every=every) for every in (3, 1))
+    for index, sample in enumerate(samples[:WINDOW + 60]):
+        predictions = model.step(sample), by_hand.predict(sample)
+        by_hand.observe(predictions[1], learn=index < WINDOW or (index - WINDOW) % 3 == 2)
+        np.testing.assert_array_equal(predictions[0].model_mean, predictions[1].model_mean)
+    for name, values in model.model.recursion.state().items():
+        np.testing.assert_array_equal(values, by_hand.model.recursion.state()[name], err_msg=name)
+    assert model.passed_over == 40 and by_hand.passed_over == 0
+    assert np.abs(model.wandering.offset - by_hand.wandering.offset).max() > 0.0, 'the offset follows every sample'
+
+
+def test_what_tells_too_little_is_not_learnt(arm, recording):
+    least = 0.3
+    model, learnt = estimator(arm, 'SPK-ML', learn_least_gain=least), []
+    for sample in recording:
+        prediction = model.predict(sample)
+        sigma, ready, passed_over = model.model.recursion.sigma, model.ready, model.passed_over
+        gain, covariance = information_gain(prediction.prior, sigma), prediction.prior.covariance / sigma**2
+        assert gain >= 0.5 * np.linalg.slogdet(covariance)[1] - 1e-9
+        if ready:
+            learnt.append(gain >= least)
+        model.observe(prediction)
+        assert model.passed_over == passed_over + (ready and not learnt[-1])
+    assert 0.05 < np.mean(learnt) < 0.95
 
 
 def test_log_density_is_that_of_scipy():

@@ -1,12 +1,15 @@
 """Hyperparameters found again in data drawn from the model, whatever the start, the method or the class."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from semiparam_ros.core.hyperparameters.estimation import estimate, plain_least_squares
-from semiparam_ros.core.hyperparameters.marginal_likelihood import Window, harmonics
-from semiparam_ros.core.hyperparameters.maximisation import maximise, maximise_evidence
-from semiparam_ros.core.hyperparameters.validation import Grid
+from semiparam_ros.core.hyperparameters.feature_count import FEW_NAT, fewest_features
+from semiparam_ros.core.hyperparameters.marginal_likelihood import Window, evidence, harmonics
+from semiparam_ros.core.hyperparameters.maximisation import maximise, maximise_evidence, maximise_from
+from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
 from semiparam_ros.core.hyperparameters.window import input_groups
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.errors import SemiparamError
@@ -71,6 +74,41 @@ def test_pi_of_sp_is_the_truth_and_that_of_sp2_is_least_squares(draw):
     expected = np.linalg.lstsq(rows, draw.outputs.ravel(), rcond=None)[0]
     assert draw.estimate('SP2-ML').pi == pytest.approx(expected)
     assert plain_least_squares(draw.outputs, draw.coupled, 'one') == pytest.approx(expected)
+
+
+def wide(tau):
+    """A window of a function that is rougher for smaller tau, with features of another seed than its own."""
+    draw = Draw(tau=tau, sigma=(0.02, 0.02))
+    return replace(draw.window(), spectrum=np.random.default_rng(5).standard_normal((150, 6)))
+
+
+def test_a_rougher_function_gets_more_features():
+    smooth, rough = (estimate('SPK-ML', window.outputs, window.coupled, window.inputs, window.spectrum, fewest=True,
+                              starts=1).features for window in map(wide, (8.0, 1.5)))
+    assert 50 <= smooth < rough <= 300
+
+
+@pytest.mark.parametrize('tau', [3.0, 8.0])
+def test_validation_takes_the_fewest_features_that_are_hardly_worse(tau):
+    window, grid = replace(wide(tau), coupled=np.zeros((STEPS, 2, 0)), prior_scale=np.zeros(0)), Grid((2.0, 8.0))
+    many, few = (select_by_validation(window, False, 'one', grid, fewest=fewest) for fewest in (False, True))
+    assert few.score <= 1.01 * many.score and few.features <= many.features == 300
+    for count in (50, 100, 200):
+        less = replace(window, spectrum=window.spectrum[:count // 2])
+        score = select_by_validation(less, False, 'one', replace(grid, tau=many.tau)).score
+        assert count >= few.features or score > 1.01 * many.score
+
+
+def test_as_few_features_as_are_enough_lose_no_evidence_to_speak_of():
+    window = wide(8.0)
+    many = maximise_evidence(window, 'one', False, 'quasi-newton', 1, 1)
+    few, found = fewest_features(window, many, 'one', False, 'quasi-newton')
+    assert 25 < len(few.spectrum) < 150 and np.array_equal(few.spectrum, window.spectrum[:len(few.spectrum)])
+    least = many.value - FEW_NAT
+    assert found.value >= least
+    assert found.value == pytest.approx(evidence(few, found.at, gradient=False).value)
+    less = replace(window, spectrum=window.spectrum[:25])
+    assert maximise_from(less, many.at, 'one', False, 'quasi-newton').value < least
 
 
 def test_each_output_has_its_own_noise():

@@ -43,9 +43,10 @@ class Lives(RuleBasedStateMachine):
         self.stamp, self.place = MOTION[0].stamp, 0
         self.learner, self.feedforward = None, Feedforward()
 
-    @initialize()
-    def begin(self):
-        self.learner = Learner(SMALL, BODY, self.background, self)
+    @initialize(count=st.sampled_from([4, 'auto']), every=st.sampled_from([1, 3]), gain=st.sampled_from([0.0, 0.1]))
+    def begin(self, count=4, every=1, gain=0.0):
+        settings = replace(SMALL, features_count=count, learn_every=every, learn_least_gain=gain)
+        self.learner = Learner(settings, BODY, self.background, self)
 
     # What the learner tells
 

@@ -98,11 +98,11 @@ SCRATCH = {
 
 
 LAYOUT = {
-    6: {
-        'meta': 'format gate joints known memory newest origin settings version window_left',
+    7: {
+        'meta': 'format gate joints known memory newest origin passed_over settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts level mean newest '
                 'resting speed tails',
-        'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory',
+        'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
                     'horizon.length initial.samples noise outputs variant',
         'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)', 'inputs_learnt': 'f8 (2, 6)',
@@ -147,7 +147,7 @@ def test_other_versions_are_refused(tmp_path):
     meta = json.loads(str(arrays['meta']))
     for version in (1, state_file.VERSION - 1, state_file.VERSION + 1, None):
         np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
-        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 6'):
+        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 7'):
             state_file.load(path, SETTINGS, BODY)
 
 

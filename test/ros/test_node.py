@@ -134,6 +134,25 @@ def test_every_parameter_of_the_table_is_declared(client):
         assert found.description == row.description and found.read_only == (not row.live)
 
 
+def test_a_number_of_features_chosen_by_itself_and_samples_passed_over_are_told(ros_domain, tmp_path):
+    settings = replace(LIVE, features_count='auto', learn_every=3)
+    dump_params(settings, tmp_path / 'p.yaml')
+    samples, estimator = motion(160), build_estimator(settings)
+    for sample in samples:
+        estimator.step(sample)
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
+        client.connect()
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+        client.play(samples, JOINTS)
+        _, _, values = client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+        assert client.get('features.count')[0].string_value == 'auto'
+        assert values['random features'] == str(estimator.features_count)
+        client.wait_report('learning', lambda level, message, values: values['samples passed over'] == str(
+            estimator.passed_over))
+        code, _ = node.stop()
+    assert code == 0 and 50 <= estimator.features_count <= 500 and estimator.passed_over > 50
+
+
 def test_refused_values_leave_everything_as_it_was_and_say_why(client):
     def refusal(**values):
         results = client.set(**values)

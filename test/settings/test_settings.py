@@ -131,6 +131,11 @@ BROKEN = {
     'hyperparameters_have_sizes': {'hyperparameters.gamma': [1.0, 2.0]},
     'input_scaling_is_whole': {'hyperparameters.input_mean': [0.0, 0.0, 0.0], 'joints': ['a']},
     'hyperparameters_suffice': {'hyperparameters.sigma': [1.0]},
+    'given_hyperparameters_know_their_features': {
+        'variant': 'SPK-ML', 'features.count': 'auto', 'hyperparameters.gamma': [1.0], 'hyperparameters.rho': [1.0],
+        'hyperparameters.tau': [1.0, 1.0, 1.0], 'hyperparameters.sigma': [1.0],
+        'hyperparameters.output_scale': [1.0] * 6, 'hyperparameters.input_mean': [0.0] * 3,
+        'hyperparameters.input_scale': [1.0] * 3, 'joints': ['a']},
     'state_file_is_a_plain_name': {'state_file': '../x.npz'},
     'effects_are_known': {'effects': ['payload{"a": }']},
 }
@@ -191,6 +196,17 @@ def test_given_hyperparameters_survive_the_parameters():
                                    settings.hyperparameters_input_scale)
     assert settings.changed(values) == settings
     assert build_estimator(settings).ready
+
+
+def test_the_number_of_features_is_a_number_or_auto(tmp_path):
+    path = write(tmp_path / 'p.yaml', 'estimator: {ros__parameters: {sensor_frame: ft, features: {count: auto}}}')
+    assert load_params(path).features_count == 'auto'
+    dump_params(load_params(path), path)
+    assert load_params(path).features_count == 'auto'
+    assert Settings.from_mapping({'sensor_frame': 'ft', 'features.count': 100}).features_count == 100
+    for wrong in (1, 100.0, 'automatic'):
+        with pytest.raises(SemiparamError, match=r'features.count is .*2 to 20000, or auto'):
+            Settings.from_mapping({'sensor_frame': 'ft', 'features.count': wrong})
 
 
 def test_robot_description_is_looked_for_in_one_order(tmp_path):

@@ -60,6 +60,9 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'forgetting': ('auto', 1.0, 0.999, 0.9),
     'noise': ('output', 'one'),
     'length_scales': ('kind', 'one', 'input'),
+    'features': (10, 'auto'),
+    'learn_every': (1, 3),
+    'least_gain': (0.0, 0.05),
     'gate': (True, False),
     'tare': (True, False),
     'horizon': (25, 1, 200),
@@ -79,7 +82,8 @@ background: hyperparameters are estimated at once, or while further samples come
 TRIPLES: tuple[tuple[str, ...], ...] = (
     ('effect', 'outputs', 'values'), ('effect', 'outputs', 'place'), ('effect', 'values', 'start'),
     ('variant', 'outputs', 'forgetting', 'still', 'background'), ('variant', 'forgetting', 'gate', 'tare'),
-    ('variant', 'forgetting', 'horizon'), ('variant', 'outputs', 'motion'), ('variant', 'noise', 'length_scales'))
+    ('variant', 'forgetting', 'horizon'), ('variant', 'outputs', 'motion'),
+    ('variant', 'noise', 'length_scales'), ('variant', 'forgetting', 'features'))
 """Groups of factors of which any three values meet: they cost hardly a row more, as each variant meets each effect."""
 
 IMPOSSIBLE: dict[tuple[str, str, str], str] = {
@@ -89,12 +93,13 @@ IMPOSSIBLE: dict[tuple[str, str, str], str] = {
        for name, kind in kinds().items() for start in ('late', 'stamp') if kind.calibrations}}
 """(effect, factor, value) that cannot be together; they are refused, and a test asks for this part of the sentence."""
 
-FEATURES, WINDOW = 10, 24
+WINDOW = 24
 PERIOD_NS, START_NS = 10_000_000, 5_000_000_000
 CONTACT_EVERY_S, CONTACT_S = 20.0, 0.4
 RUN_BACKGROUND_EVERY = 25
 LARGEST_PREDICTION = 1e4
-"""[N], [N m] The outputs stay within 70; a model from a poor window may err, but must not burst."""
+"""[N], [N m] The outputs stay within 70; a model from a poor window may err, but must not burst. With a memory of ten
+samples for hundreds of features it does (docs/mathematics.md, Forgetting): there predictions need only be finite."""
 
 Row = dict[str, object]
 
@@ -175,7 +180,8 @@ def settings_of(row: Row, count: int) -> Settings:
         'robot_description': URDF, 'joints': list(JOINTS), 'sensor_frame': 'ft' if wrench else '',
         'outputs': row['outputs'], 'variant': row['variant'],
         'effects': [effect_to_text(effect)] if effect else [], 'forgetting': row['forgetting'], 'noise': row['noise'],
-        'features.length_scales': row['length_scales'], 'features.count': FEATURES, 'initial.samples': WINDOW,
+        'features.length_scales': row['length_scales'], 'features.count': row['features'],
+        'learn.every': row['learn_every'], 'learn.least_gain': row['least_gain'], 'initial.samples': WINDOW,
         'gate.enabled': row['gate'], 'horizon.length': row['horizon'], 'retained.samples': max(count // 10, 20)})
 
 
@@ -372,7 +378,8 @@ def check(row: Row, count: int) -> dict[str, object]:
     assert whole.provisional_answers is not None, 'the initial window is not over'
     assert (whole.provisional_answers > 0) == (row['background'] == 'delayed')
     expected = offline(settings, recorded, tares, whole.provisional_answers)
-    assert_finite(expected)
+    short = row['forgetting'] == 0.9 and row['features'] == 'auto'
+    assert_finite(expected, np.inf if short else LARGEST_PREDICTION)
     assert expected.answers[-1][3], 'the initial window is not over'
     assert not expected.failed_windows, 'a window of motion gives no hyperparameters'
     assert expected.horizons, 'no horizon was completed'
@@ -389,11 +396,11 @@ def assert_same_samples(one: list[Sample], other: list[Sample]) -> None:
         assert np.array_equal(mine, theirs), 'samples depend on how topics interleave'
 
 
-def assert_finite(record: Record) -> None:
+def assert_finite(record: Record, largest: float = LARGEST_PREDICTION) -> None:
     for index, (_, _, _, _, mean, std) in enumerate(record.answers):
         assert np.isfinite([*mean, *std]).all(), f'sample {index} is predicted as {mean} +- {std}'
         assert min(std) > 0.0, f'sample {index} has a standard deviation of {min(std)}'
-        assert max(map(abs, mean)) < LARGEST_PREDICTION, f'sample {index} is predicted as {mean}'
+        assert max(map(abs, mean)) < largest, f'sample {index} is predicted as {mean}'
     for name, values in record.final.items():
         assert np.isfinite(values).all(), f"the final '{name}' is not finite"
 

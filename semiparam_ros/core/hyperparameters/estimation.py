@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from semiparam_ros.core.hyperparameters.feature_count import fewest_features
 from semiparam_ros.core.hyperparameters.marginal_likelihood import Window
 from semiparam_ros.core.hyperparameters.maximisation import EvidenceMaximum, maximise_evidence
 from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
@@ -34,6 +35,7 @@ class Hyperparameters:
     :param sigma: noise standard deviation; of output k it is sigma * output_scale[k].
     :param output_scale: (n,), geometric mean one; ones when all outputs share one noise.
     :param pi: coefficients of the rigid body and the offset, for SP and SP2.
+    :param features: number D of random features that these are for; 0: the class has none, or it is not known.
     :param drift_share: part of sigma^2 that is a slow drift, 0 to 1. :param drift_memory: its e-folding time
         [samples]; both only say what the window showed, predictions take all of sigma for white.
     """
@@ -46,17 +48,19 @@ class Hyperparameters:
     pi: tuple[float, ...] | None = None
     drift_share: float = 0.0
     drift_memory: float = 0.0
+    features: int = 0
 
 
 def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectrum: Array, *,
              length_scales: LengthScales = 'one', noise: Noise = 'one', drifting: bool = True,
              method: str = 'quasi-newton', prior_scale: Array | None = None, starts: int = 4, jobs: int = 1,
              grid: Grid | None = None, progress: Callable[[int, int], None] | None = None,
-             n_effects: int = 0) -> Hyperparameters:
+             n_effects: int = 0, fewest: bool = False) -> Hyperparameters:
     """Estimate the hyperparameters of a variant from its initial window.
 
     :param outputs: Y (t, n). :param coupled: C (t, n, p), offset columns included. NP has the effects' columns alone.
     :param inputs: scaled inputs (t, m). :param spectrum: omega (d, m) of the random features; ignored by P.
+    :param fewest: take as few features as are enough (see ``feature_count``), from the first on.
     :param length_scales: one, one for each kind of input, or one for each input (VS then tries one for each kind).
     :param noise: one standard deviation, or one for each output.
     :param drifting: the evidence allows for slowly drifting noise; False: white noise, as in the paper.
@@ -76,29 +80,33 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
                           inputs.shape[1])
     window = Window(outputs, coupled, inputs, spectrum, groups, scale, n_effects=n_effects)
     if selection == 'VS':
-        found = _by_validation(kind, window, noise, grid, progress)
+        found = _by_validation(kind, window, noise, grid, progress, fewest)
         by_input = tuple(np.array(found.tau)[groups].tolist())
         return replace(found, tau=by_input) if length_scales == 'input' else found
     pi = _mean_first(window, noise) if kind == 'SP2' else None
-    maximum = maximise_evidence(_window_of_kind(kind, window, pi), noise, drifting, method, starts, jobs)
-    return _by_evidence(kind, maximum, maximum.theta[:_n_own(window)] if kind == 'SP' else pi)
+    of_kind = _window_of_kind(kind, window, pi)
+    maximum = maximise_evidence(of_kind, noise, drifting, method, starts, jobs)
+    if fewest and len(of_kind.spectrum):
+        of_kind, maximum = fewest_features(of_kind, maximum, noise, drifting, method)
+    return _by_evidence(kind, maximum, maximum.theta[:_n_own(window)] if kind == 'SP' else pi,
+                        2 * len(of_kind.spectrum))
 
 
-def _by_evidence(kind: str, found: EvidenceMaximum, pi: Array | None) -> Hyperparameters:
+def _by_evidence(kind: str, found: EvidenceMaximum, pi: Array | None, features: int) -> Hyperparameters:
     """The online model knows one noise: white part and drift together, so that its bands cover both."""
     at = found.at
     tau = () if kind == 'P' else tuple(at.tau.tolist())
     return Hyperparameters(at.gamma, at.rho, tau, at.sigma * float(np.sqrt(1.0 + at.kappa)),
                            tuple(at.output_scale.tolist()), None if pi is None else tuple(pi.tolist()),
-                           at.kappa / (1.0 + at.kappa), at.memory if at.kappa else 0.0)
+                           at.kappa / (1.0 + at.kappa), at.memory if at.kappa else 0.0, features)
 
 
 def _by_validation(kind: str, window: Window, noise: Noise, grid: Grid | None,
-                   progress: Callable[[int, int], None] | None) -> Hyperparameters:
-    choice = select_by_validation(window, kind == 'SP2', noise, grid or Grid(), progress)
+                   progress: Callable[[int, int], None] | None, fewest: bool) -> Hyperparameters:
+    choice = select_by_validation(window, kind == 'SP2', noise, grid or Grid(), progress, fewest)
     pi = _mean_first(window, noise) if kind == 'SP2' else None
     return Hyperparameters(0.0, choice.rho, choice.tau, choice.sigma, choice.output_scale,
-                           None if pi is None else tuple(pi.tolist()))
+                           None if pi is None else tuple(pi.tolist()), features=choice.features)
 
 
 def _window_of_kind(kind: str, window: Window, pi: Array | None) -> Window:

@@ -96,7 +96,20 @@ def maximise_evidence(window: Window, noise: str, drifting: bool, method: str, s
         chosen = [ends[0].point]
     else:
         chosen = [end.point for end in _distinct(ends)]
-    best = maximise(_Objective(window, coordinates), chosen, box, method, jobs=jobs)[0]
+    return _best(window, coordinates, chosen, box, method, jobs)
+
+
+def maximise_from(window: Window, start: Point, noise: str, drifting: bool, method: str) -> EvidenceMaximum:
+    """The maximum that a single search finds from a start, such as the maximum of a window much like this one."""
+    guess = first_guess(window, noise, drifting)
+    coordinates, bounds = _coordinates(window, guess, noise), _bounds(window, guess)
+    begin = coordinates.vector(start._replace(gamma=start.gamma or guess.gamma))
+    return _best(window, coordinates, [begin], bounds[coordinates.free], method)
+
+
+def _best(window: Window, coordinates: Coordinates, starts: Sequence[Array], box: Array, method: str,
+          jobs: int = 1) -> EvidenceMaximum:
+    best = maximise(_Objective(window, coordinates), starts, box, method, jobs=jobs)[0]
     at = coordinates.point(best.point)
     result = evidence(window, at, gradient=False)
     present = at._replace(gamma=at.gamma * _has_prior(window), rho=at.rho * (len(window.spectrum) > 0))

@@ -184,10 +184,12 @@ def learning_report(learner: Learner, news: str) -> Report:
     """Which model answers, and whether it learns."""
     level, message = _learning_state(learner)
     values = {
-        'variant': learner.built.variant, 'effects': ', '.join(learner.built.effects),
+        'variant': learner.built.variant, 'random features': learner.estimator.features_count,
+        'effects': ', '.join(learner.built.effects),
         'shadow variants': ', '.join(name for name, shadow in learner.switcher.shadows.items()
                                      if shadow.state is State.LIVE),
         'samples answered': learner.answered, 'samples learnt': learner.learnt,
+        'samples passed over': learner.estimator.passed_over,
         'samples of motion in the initial window': '' if learner.estimator.ready else len(learner.estimator.window),
         'samples from the initial window to takeover': '' if learner.provisional_answers is None
         else learner.provisional_answers,
