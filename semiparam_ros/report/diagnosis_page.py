@@ -14,7 +14,7 @@ from semiparam_ros.diagnosis.findings import Finding
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.formula import Formula
 from semiparam_ros.diagnosis.residual.structure import Structure
-from semiparam_ros.diagnosis.text_report import text_report
+from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.report import diagnosis_figures as figures
@@ -156,6 +156,7 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantFigures],
     structure = diagnosis.structure if diagnosis.structure and diagnosis.structure.significant else None
     return environment().get_template('diagnosis.html.j2').render(
         version=__version__, title=title, verdict=diagnosis.verdict, opening=opening, words=words,
+        summary=table_rows(diagnosis), next=next_step(diagnosis),
         headline=_headline(diagnosis), outputs=_outputs(diagnosis), rows=output_rows(diagnosis),
         rounds=round_rows(diagnosis), over_time=_over_time(diagnosis), findings=_against_variables(diagnosis),
         structure=structure, unexplained=_unexplained(diagnosis.final, structure) if structure else None,

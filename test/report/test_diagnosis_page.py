@@ -17,7 +17,7 @@ from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step
-from semiparam_ros.diagnosis.text_report import text_report
+from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Start
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
@@ -129,6 +129,9 @@ def test_the_words_stand_at_the_top(any_diagnosis):
     top = text[:text.index('<main>')]
     for line in text_report(any_diagnosis):
         assert line.strip() in top
+    for row in table_rows(any_diagnosis):
+        assert f'<td class="text">{row.kind}</td><td class="text">{row.values}</td>' in top
+    assert f'Next: {next_step(any_diagnosis)}' in top
 
 
 def test_the_figures_are_those_of_the_report(any_diagnosis):
