@@ -216,6 +216,18 @@ def test_regressors_of_many_samples_are_those_of_each():
     assert body.regressors(motion[:0]).shape == (0, 6, body.n_parameters)
 
 
+@pytest.mark.parametrize(('joints', 'options'), [
+    (ODD_JOINTS, ('wrench', 'mid_link_ft', 'reaction')), (ODD_JOINTS[::-1], ('wrench', 'mid_link_ft')),
+    (ODD_JOINTS, ('effort',)), (ODD_JOINTS[::-1], ('effort',))])
+@pytest.mark.parametrize('gravity', [(0.0, 0.0, -9.81), (1.0, -0.5, -9.0)])
+def test_predictions_are_those_of_the_regressors_for_any_base_parameters(joints, options, gravity):
+    body = RigidBody.from_urdf(ODD_ARM, joints, *options).with_gravity(np.array(gravity))
+    motion = smooth_motion(len(joints), 50)
+    for parameters in (np.random.default_rng(0).normal(size=body.n_parameters), np.zeros(body.n_parameters)):
+        expected = body.regressors(motion) @ parameters
+        np.testing.assert_allclose(body.predictions(motion, parameters), expected, atol=1e-11)
+
+
 def test_a_description_without_inertias_still_has_a_regressor():
     bare = re.sub(r'<inertial>.*?</inertial>', '', ODD_ARM)
     given = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft')

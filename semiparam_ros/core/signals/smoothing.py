@@ -22,6 +22,8 @@ TUNING_SAMPLES = 1200
 BAND = 2 * ORDER
 LONGEST_STEP = 20.0
 """A gap in the recording counts as this many steps: beyond it the blocks would be singular."""
+LEAST_SIZE = 1e-24
+"""Least squared size of the noise, over that of third differences: exact numbers have no noise at all."""
 LEAST_STEP = 0.2
 """Steps shorter than this share of the median add noise as if they were not: their precision would overflow."""
 
@@ -51,8 +53,7 @@ def _smooth_joint(time: Array, position: Array, velocity: Array,
     steps = np.minimum(np.diff(time) / step, LONGEST_STEP)
     problem = _Problem(steps, position - centre, velocity * step, with_velocities)
     short = problem.liveliest(TUNING_SAMPLES)
-    best = minimize(short.cost, short.start(), method='Nelder-Mead', options={'maxfev': 160, 'fatol': 0.1})
-    states = problem.states(best.x)
+    states = problem.states(short.best())
     return states[:, 0] + centre, states[:, 1] / step, states[:, 2] / step**2
 
 
@@ -75,24 +76,40 @@ class _Problem:
         part = slice(first, first + count)
         return _Problem(self.steps[part][:count - 1], self.position[part], self.velocity[part], bool(self.use[1]))
 
-    def start(self) -> Array:
-        """Logarithms of the three standard deviations: snap, position, velocity."""
-        rough = np.diff(self.velocity, 3)
-        noise = float(np.sqrt(np.mean(rough**2) / 20.0)) + 1e-12
-        return np.log([3.0 * noise, 0.3 * noise, noise])
+    def best(self) -> Array:
+        """Logarithms of the standard deviations of greatest likelihood: snap, position, velocity.
 
-    def cost(self, logs: Array) -> float:
-        """Negative log marginal likelihood, up to a constant."""
+        Their common size follows from the misfit in closed form, so a search over their ratios is left: of two, of one
+        without velocities.
+        """
+        rough = np.diff(self.velocity, 3)
+        noise = np.log(float(np.sqrt(np.mean(rough**2) / 20.0)) + 1e-12)
+        searched = 1 + int(self.use[1])
+        first, held = np.split(np.log([3.0, 0.3, 1.0]), [searched])
+
+        def at(ratios: Array) -> Array:
+            return noise + np.concatenate([ratios, held])
+
+        found = minimize(lambda ratios: self.cost(at(ratios))[0], first, method='Nelder-Mead', options={
+            'fatol': 0.01, 'xatol': 0.001, 'initial_simplex': np.vstack([first, first + np.eye(searched)])})
+        best = at(found.x)
+        return best + self.cost(best)[1]
+
+    def cost(self, logs: Array) -> tuple[float, float]:
+        """Negative log marginal likelihood, up to a constant, at the best common size of the standard deviations, and
+        the logarithm of that size."""
         logs = np.clip(logs, -40.0, 20.0)
         try:
             factor, states = self._solve(logs)
         except np.linalg.LinAlgError:  # noise so small that rounding spoils the factor
-            return float('inf')
+            return float('inf'), 0.0
         determinant = 2.0 * float(np.log(factor[-1]).sum())
         count = len(self.position)
         snap = self._noise_logdet + 2.0 * ORDER * (count - 1) * float(logs[0])
         measured = 2.0 * count * float(logs[1] * self.use[0] + logs[2] * self.use[1])
-        return 0.5 * (determinant + snap + measured + self._misfit(states, logs))
+        freedom = count * sum(self.use) - ORDER
+        size = max(self._misfit(states, logs) / freedom, LEAST_SIZE)
+        return 0.5 * (determinant + snap + measured + freedom * (float(np.log(size)) + 1.0)), 0.5 * float(np.log(size))
 
     def _misfit(self, states: Array, logs: Array) -> float:
         """Squares of the measurements' errors and of the snap, over their variances.
