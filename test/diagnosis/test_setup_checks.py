@@ -19,6 +19,7 @@ from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support.arms import ICUB_OWN, ICUB_SENSOR, as_recorded, smooth_motion
 
 ICUB = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 UR3 = ('shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', 'wrist_1_joint', 'wrist_2_joint', 'wrist_3_joint')
@@ -246,6 +247,17 @@ def test_stamps_that_repeat_or_jump_do_no_harm():
     body, samples = simulated()
     setup_problems(body, replace(samples, stamps=np.repeat(samples.stamps[::2], 2)))
     assert setup_problems(body, samples[np.sort(np.random.default_rng(0).choice(1000, 150, replace=False))]) == []
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+@pytest.mark.parametrize('seed', [0, 1])
+def test_fast_motion_at_a_low_rate_is_no_other_robot(outputs, seed):
+    """Accelerations that nobody measured make most of the outputs here."""
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
+    samples = as_recorded(body, smooth_motion(4, 1000, speed=3.0, seed=seed))
+    assert setup_problems(body, samples) == []
+    opposite = setup_problems(body, replace(samples, outputs=-samples.outputs))
+    assert [problem.what for problem in opposite] == [f'{outputs}_sign']
 
 
 def test_too_short_a_recording_is_not_judged():

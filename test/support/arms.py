@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,17 @@ def smooth_motion(n_joints: int, count: int, rate: float = 20.0, seed: int = 0, 
     sine, cosine = np.sin(frequency * time + phase), np.cos(frequency * time + phase)
     return Samples((np.arange(count) * round(1e9 / rate)).astype(np.int64), (size * sine).sum(2),
                    (size * frequency * cosine).sum(2), -(size * frequency**2 * sine).sum(2), np.zeros((count, 1)), 0)
+
+
+def as_recorded(body: RigidBody, motion: Samples, seed: int = 0, noise: float = 0.01) -> Samples:
+    """The motion as encoders and tachometers show it, without accelerations, and the outputs of an arm a little heavier
+    than its description, with a share of noise."""
+    rng = np.random.default_rng(seed)
+    exact = body.regressors(motion) @ (1.15 * body.base_parameters)
+    return replace(motion, position=motion.position + 5e-5 * rng.standard_normal(motion.position.shape),
+                   velocity=motion.velocity + 2e-3 * rng.standard_normal(motion.velocity.shape),
+                   acceleration=np.zeros_like(motion.acceleration),
+                   outputs=exact + noise * exact.std(axis=0) * rng.standard_normal(exact.shape))
 
 
 def pinocchio_link_wrench(urdf: str, joints: Sequence[str], sensor_joint: str, locked: Mapping[str, float], q: Array,

@@ -20,9 +20,10 @@ import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, typical_step
+from semiparam_ros.diagnosis.data.preparation import Inputs, working_factor
 from semiparam_ros.diagnosis.setup.prior_misfit import channel_scale, dissipation, equations, misfit, nuisances
 
 DEGREE = float(np.pi / 180.0)
@@ -65,8 +66,27 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
     usable = np.flatnonzero(~excluded(samples, config))
     if len(usable) < config.setup_least_samples:
         return found
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, config.setup_samples).astype(int))]
-    return found + layout_problems(body, right[chosen], config)
+    layout = layout_problems(body, right[_spread(usable, config)], config)
+    return found + (_confirmed(body, samples, right, layout, config) if layout else [])
+
+
+def _spread(usable: Stamps, config: DiagnosisConfig) -> Stamps:
+    """Some of these sample numbers, evenly spread."""
+    return usable[np.unique(np.linspace(0, len(usable) - 1, config.setup_samples).astype(int))]
+
+
+def _confirmed(body: RigidBody, samples: Samples, right: Samples, layout: list[SetupProblem],
+               config: DiagnosisConfig) -> list[SetupProblem]:
+    """The problems that stay with accelerations out of the whole recording.
+
+    Those at hand may be zero, or filtered as samples came: of fast motion at a low rate, neither says what the arm did.
+    """
+    inputs = Inputs('smoothed', working_factor(right, config), config.smoothing_ends)
+    usable = np.flatnonzero(inputs.mask(~excluded(samples, config)))
+    if len(usable) < config.setup_least_samples:
+        return layout
+    again = layout_problems(body, inputs.prepare(right)[_spread(usable, config)], config)
+    return layout if any(problem.what == NO_MATCH for problem in again) else again
 
 
 def _constant(body: RigidBody) -> SetupProblem:
