@@ -19,6 +19,7 @@ from semiparam_ros.core.horizon_error import HorizonIndex
 from semiparam_ros.core.recursion import SemiParametricRecursion
 from semiparam_ros.core.square_root_filter import SquareRootFilter
 from semiparam_ros.core.wandering_offset import DECAY
+from semiparam_ros.effects import hysteresis
 
 pytestmark = pytest.mark.skipif(not compiled.AVAILABLE, reason='numba is not installed')
 N, TOLERANCE = 6, {'rtol': 1e-12, 'atol': 1e-12}
@@ -97,6 +98,24 @@ def test_the_columns(monkeypatch, columns):
         for name in ('mean', 'covariance', 'columns_left'):
             np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-11)
         np.testing.assert_allclose(fast.theta, readable.theta, rtol=1e-10, atol=1e-11)
+
+
+@pytest.mark.parametrize('follow', [
+    lambda travel, memory: hysteresis.dahl_state(travel, 0.05, memory),
+    lambda travel, memory: hysteresis.play_place(travel[:, 1], 0.1, memory)], ids=['dahl', 'play'])
+def test_what_remembers_the_way_travelled(monkeypatch, follow):
+    travel = np.cumsum(0.02 * np.random.default_rng(4).standard_normal((200, 3)), axis=0)
+    travel[50:60] = travel[50]
+    fast, remembered = follow(travel, None)
+    halves = [follow(travel[:80], None)]
+    halves.append(follow(travel[80:], halves[0][1]))
+    with monkeypatch.context() as without:
+        without.setattr(hysteresis, 'AVAILABLE', False)
+        readable, expected = follow(travel, None)
+    np.testing.assert_allclose(fast, readable, **TOLERANCE)
+    np.testing.assert_array_equal(np.concatenate([states for states, _ in halves]), fast)
+    for mine, theirs in zip(remembered, expected, strict=True):
+        np.testing.assert_allclose(mine, theirs, **TOLERANCE)
 
 
 def test_without_numba_the_forms_in_numpy_run():
