@@ -57,7 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scoreboard.add_argument('--outputs', choices=('wrench', 'effort'), default='wrench', help='what is simulated')
     scoreboard.add_argument('--sizes', metavar='S', type=float, nargs='+', default=[0.5, 1.0, 2.0])
     scoreboard.add_argument('--seeds', metavar='N', type=int, default=10, help='recordings of each kind and size')
+    scoreboard.add_argument('--first-seed', metavar='N', type=int, default=0, help='seed of the first of them')
     scoreboard.add_argument('--samples', metavar='N', type=int, default=4000)
+    scoreboard.add_argument('--estimate-accelerations', action='store_true', help='record none')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -198,7 +200,8 @@ def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures]) -> None:
 def _benchmark(args: argparse.Namespace) -> int:
     from semiparam_ros.experiments.scoreboard import Plan, print_scoreboard, scoreboard
 
-    plan = Plan(args.outputs, tuple(args.kinds), tuple(args.sizes), args.seeds, args.samples)
+    plan = Plan(args.outputs, tuple(args.kinds), tuple(args.sizes), args.seeds, args.samples, args.first_seed,
+                not args.estimate_accelerations)
     with progress_bar() as bar:
         task = bar.add_task('diagnoses', total=plan.count)
         result = scoreboard(plan, args.jobs, lambda done: bar.update(task, completed=done))

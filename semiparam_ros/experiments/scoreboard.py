@@ -24,24 +24,33 @@ from semiparam_ros.simulation.simulate import simulate
 
 NOTHING = 'nothing'
 MOTION = 'circle_xy'
+TOGETHER = '+'
+"""Between kinds that are hidden at once."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Which recordings to simulate: every kind at every size with every seed, and as many with nothing missing."""
+    """Which recordings to simulate: every kind at every size with every seed, and as many with nothing missing.
+
+    :param kinds: those to hide, or several at once as ``viscous_friction+time_delay``; each one unless given.
+    :param accelerations: whether they are measured; a diagnosis estimates them otherwise.
+    """
 
     outputs: str
     kinds: tuple[str, ...]
     sizes: tuple[float, ...]
     seeds: int
     samples: int
+    first_seed: int = 0
+    accelerations: bool = True
 
     @property
     def cases(self) -> list[tuple[str, float, int]]:
         """(kind, size, seed); the kind ``nothing`` has no hidden effect."""
         names = self.kinds or tuple(name for name in kinds(self.outputs) if name in CAUSES)
-        hidden = [(name, size, seed) for name in names for size in self.sizes for seed in range(self.seeds)]
-        return hidden + [(NOTHING, 0.0, seed) for seed in range(self.seeds * len(self.sizes))]
+        first = self.first_seed
+        hidden = [(name, size, first + seed) for name in names for size in self.sizes for seed in range(self.seeds)]
+        return hidden + [(NOTHING, 0.0, first + seed) for seed in range(self.seeds * len(self.sizes))]
 
     @property
     def count(self) -> int:
@@ -69,6 +78,7 @@ class Summary(TypedDict):
 
     right_first: float | None
     right_or_in_group: float | None
+    exactly: float | None
     false_alarms: float | None
     removed_median: float | None
     by_kind: dict[str, float]
@@ -96,8 +106,10 @@ def scoreboard(plan: Plan, jobs: int, progress: Callable[[int], None]) -> Scores
 
 def case(plan: Plan, kind: str, size: float, seed: int) -> Row:
     """One recording: what was hidden, what was found, and the share of the removable error that was removed."""
-    hidden = () if kind == NOTHING else (EffectRequest(kind, size=size),)
-    clean = Scenario(motion=MOTION, samples=plan.samples, seed=seed, outputs=plan.outputs)
+    hidden = () if kind == NOTHING else tuple(
+        EffectRequest(name, size=size) for name in kind.split(TOGETHER))
+    clean = Scenario(motion=MOTION, samples=plan.samples, seed=seed, outputs=plan.outputs,
+                     accelerations=plan.accelerations)
     recording = simulate(replace(clean, effects=hidden))
     found = diagnose(body_of(recording), samples_of(recording))
     truth = recording.truth[0] if recording.truth else {}
@@ -145,8 +157,9 @@ def summary(rows: Sequence[Row]) -> Summary:
     names = list(dict.fromkeys(row['kind'] for row in hidden))
     confusion = {name: dict(Counter(_first(row) or row['verdict'] for row in hidden if row['kind'] == name))
                  for name in names}
-    return {'right_first': _share([_first(row) == row['kind'] for row in hidden]),
+    return {'right_first': _share([_first(row) in row['kind'].split(TOGETHER) for row in hidden]),
             'right_or_in_group': _share([named(row) for row in hidden]),
+            'exactly': _share([exactly(row) for row in hidden]),
             'false_alarms': _share([row['verdict'] != 'nothing_missing' for row in clean]),
             'removed_median': float(np.median([row['removed'] for row in hidden])) if hidden else None,
             'by_kind': {name: float(np.mean([named(row) for row in hidden if row['kind'] == name])) for name in names},
@@ -155,7 +168,13 @@ def summary(rows: Sequence[Row]) -> Summary:
 
 def named(row: Row) -> bool:
     """The hidden kind was found first, or stands in the group that the first one cannot be told from."""
-    return row['kind'] == _first(row) or (_first(row) is not None and row['kind'] in row['group'])
+    causes = row['kind'].split(TOGETHER)
+    return _first(row) is not None and any(kind in causes for kind in (_first(row), *row['group']))
+
+
+def exactly(row: Row) -> bool:
+    """What was hidden was found, and nothing beside it."""
+    return row['verdict'] == 'effect_found' and sorted(row['found']) == sorted(row['kind'].split(TOGETHER))
 
 
 def _first(row: Row) -> str | None:
@@ -178,6 +197,7 @@ def print_scoreboard(console: Console, result: Scores) -> None:
     console.print(table)
     for label, share in (('right kind first', totals['right_first']),
                          ('right kind first or in its group', totals['right_or_in_group']),
+                         ('exactly the hidden kinds, and nothing beside them', totals['exactly']),
                          ('false alarms', totals['false_alarms']),
                          ('removable error removed, median', totals['removed_median'])):
         if share is not None:

@@ -33,7 +33,17 @@ def test_only_a_report_that_names_the_kind_counts_as_right():
     counted = summary(rows)
     assert counted['right_first'] == pytest.approx(1 / 5)
     assert counted['right_or_in_group'] == pytest.approx(2 / 5)
+    assert counted['exactly'] == 0.0
     assert counted['false_alarms'] == pytest.approx(2 / 3)
     assert counted['removed_median'] == 1.0
     assert counted['by_kind'] == {'a': 0.5, 'b': 0.0}
     assert counted['confusion'] == {'a': {'a': 1, 'b': 2, 'unexplained': 1}, 'b': {'nothing_missing': 1}}
+
+
+def test_exactly_the_hidden_kinds_is_all_of_them_and_nothing_beside_them():
+    rows = [row('a', 'effect_found', ['a']), row('a', 'effect_found', ['a', 'b']), row('a', 'unexplained', ['a']),
+            row('a+b', 'effect_found', ['b', 'a']), row('a+b', 'effect_found', ['a']),
+            row('a+b', 'effect_found', ['c', 'a', 'b'], ['b'])]
+    counted = summary(rows)
+    assert counted['exactly'] == pytest.approx(2 / 6)
+    assert counted['right_first'] == pytest.approx(4 / 6) and counted['right_or_in_group'] == pytest.approx(5 / 6)
