@@ -20,7 +20,7 @@ from semiparam_ros.effects.periodic import strongest_peaks
 ORDER_STEP, ORDER_BINS = 0.1, 2**18
 ORDERS = ORDER_STEP * np.arange(20, 2400)
 ORDER_REACH = 0.15
-"""A line search looks so far [1/rad] on either side of an order: past its neighbours among ORDERS."""
+"""A line search looks at least so far [1/rad] on either side of an order: past its neighbours among ORDERS."""
 PEAKS = 3
 LEAST_GAIN = -0.9
 """Below, an effort would hardly be measured, or with the wrong sign."""
@@ -165,7 +165,9 @@ class TransmissionRipple(JointEffect):
         return [{'order': float(orders[index])} for index in strongest_peaks(power, PEAKS)]
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
-        return self.value(name) - ORDER_REACH, self.value(name) + ORDER_REACH
+        reach = float(np.ptp(samples.position[:, joint_index(body, self.where)]))
+        width = max(ORDER_REACH, np.pi / max(reach, 1e-6))  # a peak of the spectrum is about twice as wide
+        return max(self.value(name) - width, ORDER_STEP), self.value(name) + width
 
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         angle = self.value('order', 1.0) * position

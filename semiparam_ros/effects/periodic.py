@@ -18,7 +18,7 @@ PEAKS = 4
 
 
 class PeriodicDisturbance(Effect):
-    """A sine and a cosine: in the sensor's axes, at a link along its own or the base's axes, or on a joint."""
+    """A sine and a cosine: in the sensor's axes, on a joint's effort, or a force on a link along its own or the base's axes."""
 
     kind: ClassVar[str] = 'periodic_disturbance'
     shows_against: ClassVar[Axis] = 'phase'
@@ -32,11 +32,11 @@ class PeriodicDisturbance(Effect):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return (None, *loaded_links(body)) if body.outputs == 'wrench' else body.joints
+        return (*_own_axes(body), *loaded_links(body))
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
-        return (None, *felt_links(body)) if body.outputs == 'wrench' else body.joints
+        return (*_own_axes(body), *felt_links(body))
 
     def desired(self) -> Absent:
         """Its phase when the state will be reached is not known; its mean over all of them is zero."""
@@ -44,7 +44,7 @@ class PeriodicDisturbance(Effect):
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
-        turning = (0.0, 1.0) if where is not None and body.outputs == 'wrench' else (0.0,)
+        turning = (0.0,) if where in _own_axes(body) else (0.0, 1.0)
         found: list[Values] = []
         for along in turning:
             directions = cls._directions(body, samples, where, along)
@@ -58,7 +58,7 @@ class PeriodicDisturbance(Effect):
         return self.value(name) - width, self.value(name) + width
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        if body.outputs == 'effort':
+        if self.where in body.joints:
             names = [Coefficient('', 'N m')]
         elif self.where is None:
             names = [Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True)]
@@ -76,11 +76,16 @@ class PeriodicDisturbance(Effect):
         """(N, n, k) outputs of a unit disturbance in each of its k directions."""
         if where is None:
             return np.broadcast_to(np.eye(body.n_outputs), (len(samples), body.n_outputs, body.n_outputs))
-        if body.outputs == 'wrench':
-            motion = frame_motion(body, samples, where)
-            return motion.force_map @ motion.rotation if link_axes else motion.force_map
-        column = np.eye(body.n_outputs)[:, joint_index(body, where), None]
-        return np.broadcast_to(column, (len(samples), *column.shape))
+        if where in body.joints:
+            column = np.eye(body.n_outputs)[:, joint_index(body, where), None]
+            return np.broadcast_to(column, (len(samples), *column.shape))
+        motion = frame_motion(body, samples, where)
+        return motion.force_map @ motion.rotation if link_axes else motion.force_map
+
+
+def _own_axes(body: RigidBody) -> Sequence[str | None]:
+    """Places that shake the outputs themselves, not a link: the sensor, or the drives of the joints."""
+    return (None,) if body.outputs == 'wrench' else body.joints
 
 
 def spectral_peaks(time: Array, signal: Array) -> list[float]:

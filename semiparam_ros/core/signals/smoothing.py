@@ -19,6 +19,8 @@ from semiparam_ros.core.types import Array
 
 ORDER = 4
 TUNING_SAMPLES = 1200
+SEEN = 150
+"""Samples on either side that an acceleration's error is computed from: many more than it depends on."""
 BAND = 2 * ORDER
 LONGEST_STEP = 20.0
 """A gap in the recording counts as this many steps: beyond it the blocks would be singular."""
@@ -55,6 +57,21 @@ def _smooth_joint(time: Array, position: Array, velocity: Array,
     short = problem.liveliest(TUNING_SAMPLES)
     states = problem.states(short.best())
     return states[:, 0] + centre, states[:, 1] / step, states[:, 2] / step**2
+
+
+def acceleration_errors(samples: Samples, with_velocities: bool = True, times: float = 1.0) -> Array:
+    """(n_joints,) standard deviations [rad/s^2] of the smoothed accelerations' errors, as the model of the motion has
+    them; if the same motion were recorded at ``times`` the rate, with encoders as good.
+
+    :param with_velocities: as for :func:`smoothed`.
+    """
+    step = float(np.median(np.diff(samples.time)))
+    errors = []
+    for position, velocity in zip(samples.position.T, samples.velocity.T, strict=True):
+        problem = _Problem(np.ones(len(position) - 1), position - position.mean(), velocity * step, with_velocities)
+        logs = problem.liveliest(TUNING_SAMPLES).best()
+        errors.append(problem.acceleration_error(logs, times) / step**2)
+    return np.array(errors)
 
 
 class _Problem:
@@ -126,6 +143,16 @@ class _Problem:
     def states(self, logs: Array) -> Array:
         """(N, ORDER) smoothed position and derivatives, in units of the step."""
         return self._solve(np.clip(logs, -40.0, 20.0))[1]
+
+    def acceleration_error(self, logs: Array, times: float) -> float:
+        """Standard deviation of an acceleration far from the ends, of measurements at ``times`` the rate."""
+        finer = logs - np.log(times) * np.array([ORDER - 0.5, 0.0, 1.0])  # in units of the shorter step
+        count = 2 * SEEN + 1
+        problem = _Problem(np.ones(count - 1), np.zeros(count), np.zeros(count), bool(self.use[1]))
+        one = np.zeros(count * ORDER)
+        one[SEEN * ORDER + 2] = 1.0
+        variance = cho_solve_banded((problem._solve(finer)[0], False), one)[SEEN * ORDER + 2]
+        return float(np.sqrt(variance)) * times**2
 
     def _solve(self, logs: Array) -> tuple[Array, Array]:
         """Cholesky factor of the states' precision, and their posterior mean (N, ORDER)."""

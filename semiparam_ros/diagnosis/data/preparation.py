@@ -9,6 +9,7 @@ the smoother fewer steps to reach over.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -55,7 +56,7 @@ class Inputs(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _prepared(inputs: Inputs, samples: Samples) -> Samples:
-    return moved(averaged(samples, inputs.factor), inputs.motion)
+    return replace(moved(averaged(samples, inputs.factor), inputs.motion), whole=True)
 
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
