@@ -35,8 +35,8 @@ class Sample(NamedTuple):
 class Samples:
     """N samples in order of time; ``origin`` [ns] is where ``time`` starts, and slices keep it.
 
-    ``breaks`` [ns]: where several recordings are one, the first stamp of each but the first. ``whole``: the recording is
-    there as a whole, so what belongs to one sample may be read from those after it too.
+    ``breaks`` [ns]: where several recordings are one, the first stamp of each but the first. ``whole``: nothing comes
+    in later, so what belongs to one sample may be read from those after it too.
 
     Two are the same only when they are one object, so that what is computed of them can be cached.
     """

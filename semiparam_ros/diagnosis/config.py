@@ -235,6 +235,8 @@ class DiagnosisConfig:
     """Settles calibrations in at most so many Gauss-Newton steps (chosen)."""
     settled_step: float = 1e-4
     """Ends the Gauss-Newton steps once the largest change [rad, s or 1] is below this: it no longer matters."""
+    reference_rounds: int = 2
+    """Refers friction that grows with the load so many times to the load of the model that holds it (chosen)."""
     shortened_step: float = 0.1
     """Keeps the derivatives as long as each step is at most this share of the one before (chosen)."""
 

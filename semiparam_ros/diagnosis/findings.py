@@ -80,7 +80,8 @@ def split_off_refinements(found: list[Finding], steps: list[Step]) -> tuple[list
 
 
 def _refines(one: Finding, other: Finding, steps: list[Step]) -> bool:
-    plain = not one.effect.searched or one.effect.kind == 'coulomb_friction'  # dry and viscous friction go together
+    together = {one.effect.kind, other.effect.kind} <= {'coulomb_friction', 'viscous_friction'}
+    plain = not one.effect.searched or together
     if plain or one.effect.is_calibration or one.round_number <= other.round_number:
         return False
     body, config = steps[0].before.body, steps[0].before.config

@@ -14,7 +14,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
 from semiparam_ros.effects.friction import JointEffect
-from semiparam_ros.effects.hysteresis import play_place
+from semiparam_ros.effects.hysteresis import Way, play_place
 from semiparam_ros.effects.periodic import strongest_peaks
 
 ORDER_STEP, ORDER_BINS = 0.1, 2**18
@@ -193,8 +193,9 @@ class Backlash(JointEffect):
         return [{'gap': reach * share} for share in (0.03, 0.06, 0.1, 0.16, 0.3)]
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        travel = samples.position[:, joint_index(body, self.where)]
-        place, memory = play_place(travel, self.value('gap', 0.01), memory)
+        joint = joint_index(body, self.where)
+        way = Way(samples.stamps, samples.position[:, joint], samples.velocity[:, joint])
+        place, memory = play_place(way, self.value('gap', 0.01), memory)
         contact = np.sign(place) * np.maximum(np.abs(place) - 1.0 + FLANK, 0.0) / FLANK
         return on_joint(body, self.where, contact[:, None]), memory
 

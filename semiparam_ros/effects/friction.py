@@ -13,7 +13,7 @@ from semiparam_ros.core.robot.size import plausible, size_beyond
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
-from semiparam_ros.effects.hysteresis import dahl_state
+from semiparam_ros.effects.hysteresis import Way, bristle
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
 PRESLIDING_SHARES = (0.0005, 0.002, 0.008)
@@ -70,11 +70,11 @@ class _Sliding(JointEffect):
         return [*({'turn_speed': fastest * share} for share in SPEED_SHARES),
                 *({'presliding': reach * share} for share in PRESLIDING_SHARES)]
 
-    def direction(self, position: Array, velocity: Array, memory: Memory) -> tuple[Array, Memory]:
+    def direction(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
         """(N,) direction of sliding in [-1, 1]: of the velocity, or of a bristle that bends before it slides."""
+        velocity = samples.velocity[:, joint]
         if 'presliding' in self.parameters:
-            state, memory = dahl_state(position[:, None], self.value('presliding'), memory)
-            return state[:, 0], memory
+            return bristle(Way(samples.stamps, samples.position[:, joint], velocity), self.value('presliding'), memory)
         return np.tanh(velocity / self.value('turn_speed', 0.01)), None
 
     def doubt(self, body: RigidBody, samples: Samples) -> str:
@@ -94,9 +94,8 @@ class _Sliding(JointEffect):
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         joint = joint_index(body, self.where)
-        velocity = samples.velocity[:, joint]
-        direction, memory = self.direction(samples.position[:, joint], velocity, memory)
-        return on_joint(body, self.where, self.sliding(direction, velocity)), memory
+        direction, memory = self.direction(samples, joint, memory)
+        return on_joint(body, self.where, self.sliding(direction, samples.velocity[:, joint])), memory
 
 
 class ViscousFriction(JointEffect):
@@ -196,5 +195,5 @@ class LoadFriction(_Sliding):
         joint = joint_index(body, self.where)
         parameters = np.array(self.reference) if self.reference else body.base_parameters
         load = body.regressors(samples)[:, joint] @ parameters
-        direction, memory = self.direction(samples.position[:, joint], samples.velocity[:, joint], memory)
+        direction, memory = self.direction(samples, joint, memory)
         return on_joint(body, self.where, (np.abs(load) * direction)[:, None]), memory

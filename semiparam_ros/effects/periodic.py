@@ -18,7 +18,7 @@ PEAKS = 4
 
 
 class PeriodicDisturbance(Effect):
-    """A sine and a cosine: in the sensor's axes, on a joint's effort, or a force on a link along its own or the base's axes."""
+    """A sine and a cosine: in the sensor's axes, on a joint, or of a force on a link along its or the base's axes."""
 
     kind: ClassVar[str] = 'periodic_disturbance'
     shows_against: ClassVar[Axis] = 'phase'

@@ -101,21 +101,33 @@ def test_the_columns(monkeypatch, columns):
 
 
 @pytest.mark.parametrize('follow', [
-    lambda travel, memory: hysteresis.dahl_state(travel, 0.05, memory),
-    lambda travel, memory: hysteresis.play_place(travel[:, 1], 0.1, memory)], ids=['dahl', 'play'])
+    lambda travel, way, memory: hysteresis.dahl_state(travel, 0.05, memory),
+    lambda travel, way, memory: hysteresis.bristle(way, 0.02, memory),
+    lambda travel, way, memory: hysteresis.play_place(way, 0.1, memory)], ids=['dahl', 'bristle', 'play'])
 def test_what_remembers_the_way_travelled(monkeypatch, follow):
     travel = np.cumsum(0.02 * np.random.default_rng(4).standard_normal((200, 3)), axis=0)
     travel[50:60] = travel[50]
-    fast, remembered = follow(travel, None)
-    halves = [follow(travel[:80], None)]
-    halves.append(follow(travel[80:], halves[0][1]))
+    way = hysteresis.Way(np.arange(200) * 10**8, travel[:, 1], np.gradient(travel[:, 1], 0.1))
+    fast, remembered = follow(travel, way, None)
+    halves = [follow(travel[:80], hysteresis.Way(*(part[:80] for part in way)), None)]
+    halves.append(follow(travel[80:], hysteresis.Way(*(part[80:] for part in way)), halves[0][1]))
     with monkeypatch.context() as without:
         without.setattr(hysteresis, 'AVAILABLE', False)
-        readable, expected = follow(travel, None)
+        readable, expected = follow(travel, way, None)
     np.testing.assert_allclose(fast, readable, **TOLERANCE)
     np.testing.assert_array_equal(np.concatenate([states for states, _ in halves]), fast)
-    for mine, theirs in zip(remembered, expected, strict=True):
-        np.testing.assert_allclose(mine, theirs, **TOLERANCE)
+    np.testing.assert_allclose(remembered[0], expected[0], **TOLERANCE)
+
+
+def test_friction_turns_over_where_the_joint_does_between_two_samples():
+    """A bristle along a fine path, and along every fiftieth sample of it."""
+    time = np.arange(0.0, 20.0, 1e-3)
+    position, velocity = 0.3 * np.sin(3.1 * time), 0.93 * np.cos(3.1 * time)
+    fine = hysteresis.Way((time * 1e9).astype(np.int64), position, velocity)
+    coarse = hysteresis.Way(*(part[::50] for part in fine))
+    true, seen = (hysteresis.bristle(way, 2e-3, None)[0] for way in (fine, coarse))
+    straight = hysteresis.dahl_state(coarse.position[:, None], 2e-3, None)[0][:, 0]
+    assert np.abs(seen - true[::50]).max() < 0.05 < 0.5 < np.abs(straight - true[::50]).max()
 
 
 def test_without_numba_the_forms_in_numpy_run():

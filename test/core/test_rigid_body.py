@@ -225,7 +225,7 @@ def test_predictions_are_those_of_the_regressors_for_any_base_parameters(joints,
     motion = smooth_motion(len(joints), 50)
     for parameters in (np.random.default_rng(0).normal(size=body.n_parameters), np.zeros(body.n_parameters)):
         expected = body.regressors(motion) @ parameters
-        np.testing.assert_allclose(body.predictions(motion, parameters), expected, atol=1e-11)
+        np.testing.assert_allclose(body.outputs_of(motion, parameters), expected, atol=1e-11)
 
 
 def test_a_description_without_inertias_still_has_a_regressor():

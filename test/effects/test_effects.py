@@ -263,13 +263,15 @@ def test_values_go_where_they_belong():
 
 def test_each_kind_bounds_its_own_line_search():
     span = float(MOTION.time[-1] - MOTION.time[0])
+    reach = float(np.ptp(MOTION.position[:, BODIES['wrench'].joints.index('r_elbow')]))
     residual = np.zeros((len(MOTION), 6))
 
     def bounds(text, name):
         return effect_from_text(text).bounds(name, BODIES['wrench'], MOTION, residual)
 
     assert bounds('periodic_disturbance{"frequency_hz": 3}', 'frequency_hz') == (3.0 - 0.5 / span, 3.0 + 0.5 / span)
-    assert bounds('transmission_ripple@r_elbow{"order": 40}', 'order') == (40.0 - 0.15, 40.0 + 0.15)
+    assert bounds('transmission_ripple@r_elbow{"order": 40}', 'order') == (
+        pytest.approx(40.0 - np.pi / reach), pytest.approx(40.0 + np.pi / reach))
     assert bounds('thermal_drift{"time_constant_s": 10}', 'time_constant_s') == (4.0, 25.0)
     assert bounds('external_force@r_hand{"x": -1}', 'x') == (-2.5, -0.4)
     assert bounds('external_force@r_hand{"x": 0}', 'x') == (0.0, 0.0)

@@ -211,7 +211,7 @@ class RigidBody:
         """(N, n, p) one regressor for each sample, to read alone: the latest few are remembered."""
         return _regressors(self, samples)
 
-    def predictions(self, samples: Samples, parameters: Array) -> Array:
+    def outputs_of(self, samples: Samples, parameters: Array) -> Array:
         """(N, n) ``regressors(samples) @ parameters`` for base parameters (p,), several times as fast.
 
         Recursive Newton-Euler (Featherstone 2008) over all samples at once. Base parameters need not be bodies:

@@ -80,7 +80,7 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
 def rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
     """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it."""
     body, inputs, _ = CoupledColumns(fit.body, effects).corrected(fit.samples)
-    load = body.predictions(inputs, fit.rigid_part)[:, :, None] + _carried(fit, body, inputs)
+    load = body.outputs_of(inputs, fit.rigid_part)[:, :, None] + _carried(fit, body, inputs)
     for effect in effects:
         load = effect.transform(body, load)
     return load

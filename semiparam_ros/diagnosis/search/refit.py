@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
@@ -53,9 +55,26 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
         known = [one for one in (fit.effects if effect.must_start else others(fit, effect))
                  if (one.kind, one.where) not in replaced]
         fit = with_effects(fit, [*known, effect])
-    fit = _relocated(refit_weights(fit))
+    fit = _with_own_load(_relocated(refit_weights(fit)))
     calibrations = [effect for effect in fit.effects if effect.is_calibration]
     return refit_weights(gauss_newton(fit, calibrations)) if calibrations else fit
+
+
+def _with_own_load(fit: Fit) -> Fit:
+    """The same model with effects that depend on the load referred to the load as the model with them has it.
+
+    Before they were in the model, they bent the rigid body's fit.
+    """
+    for _ in range(fit.config.reference_rounds):
+        own = tuple(fit.rigid_part.tolist())
+        effects = [replace(effect, reference=own) if effect.needs_reference else effect for effect in fit.effects]
+        if effects == list(fit.effects):
+            break
+        other = with_effects(fit, effects)
+        if other.loss >= fit.loss:
+            break
+        fit = refit_weights(other)
+    return fit
 
 
 def _relocated(fit: Fit) -> Fit:
