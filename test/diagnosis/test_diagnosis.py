@@ -67,6 +67,16 @@ def test_noise_in_the_inputs_is_no_delay(seed, encoder_noise):
     assert not found_in(clean, only=['time_delay']).findings
 
 
+@pytest.mark.parametrize('kind', ['viscous_friction', 'coulomb_friction'])
+def test_friction_stands_alone_where_accelerations_are_estimated(kind):
+    """A small delay averaged the noise of estimated accelerations, and coarse samples bent the turning over."""
+    made = simulate(Scenario(samples=2000, outputs='effort', effects=(EffectRequest(kind),), seed=1,
+                             accelerations=False))
+    found = diagnose(body_of(made), samples_of(made))
+    named = [(finding.effect.kind, finding.effect.where) for finding in found.findings]
+    assert named == [(kind, made.truth[0]['where'])] and found.refinements == []
+
+
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 @pytest.mark.parametrize('force', [[0.6, -0.3, 0.3], [6.0, 3.0, -5.0]])
 def test_a_push_beside_every_link_is_found_and_is_no_wrong_description(outputs, force):
