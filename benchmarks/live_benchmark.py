@@ -115,7 +115,7 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
     messages = Motion(build_rigid_body(settings), rate_hz).serialised()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
-    with _node_process(settings) as process, _peer(messages) as peer:
+    with node_process(settings) as process, connected(messages, rate_hz) as peer:
         gc.disable()  # a pause of this process would send a burst, and count as the node's latency
         peer.wait_for_estimator(process)
         peer.send(WINDOW, rate_hz)
@@ -134,16 +134,19 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
 class Peer(Node):
     """Publishes the motion and times the predictions."""
 
-    def __init__(self, context: Context, messages: list[tuple[bytes, bytes]]) -> None:
+    def __init__(self, context: Context, messages: list[tuple[bytes, bytes]], rate_hz: float) -> None:
         super().__init__('live_benchmark', context=context, start_parameter_services=False)
-        self._messages = messages
+        self._messages, self._step = messages, round(NANOSECONDS / rate_hz)
         self.sent = 0
         self._states = self.create_publisher(JointState, 'joint_states', KEEP_ALL)
         self._wrenches = self.create_publisher(WrenchStamped, 'wrench', KEEP_ALL)
-        self._sent_at: dict[int, int] = {}
-        self._latency: dict[int, float] = {}
+        self.sent_at: dict[int, int] = {}
+        """[ns] by stamp."""
+        self.latency: dict[int, float] = {}
+        """[s] by stamp."""
         self._memory: list[float] = []
-        self._learning = False
+        self.state = ''
+        """What the node says of its learning."""
         self.create_subscription(WrenchStamped, 'estimator/predicted_wrench', self._receive, KEEP_ALL, raw=True)
         self.create_subscription(DiagnosticArray, '/diagnostics', self._note_state, KEEP_ALL)
 
@@ -159,7 +162,7 @@ class Peer(Node):
 
     def wait_for_answers(self, process: subprocess.Popen[bytes], timeout_s: float, complain: bool = True) -> None:
         """Until everything sent is answered."""
-        self._wait(lambda: len(self._latency) >= self.sent, process, timeout_s, 'the node does not answer', complain)
+        self._wait(lambda: len(self.latency) >= self.sent, process, timeout_s, 'the node does not answer', complain)
 
     def send(self, count: int, rate_hz: float, watch: Any = None) -> None:
         """Publish ``count`` joint states and wrenches, evenly in time; ``watch`` is called once a second."""
@@ -176,20 +179,22 @@ class Peer(Node):
     def send_until_learning(self, process: subprocess.Popen[bytes], rate_hz: float) -> None:
         """Go on until the variant has its hyperparameters and has taken over."""
         end = time.monotonic() + READY_S
-        while not self._learning:
+        while not self.state.startswith('learning with'):
             if process.poll() is not None or time.monotonic() > end:
                 raise SemiparamError(f'the variant did not take over within {READY_S:g} s.')
             self.send(max(1, round(0.1 * rate_hz)), rate_hz)
 
     def _note_state(self, message: DiagnosticArray) -> None:
-        self._learning = self._learning or any(status.message.startswith('learning with') for status in message.status)
+        for status in message.status:
+            if status.name == 'estimator: learning':
+                self.state = status.message
 
     def account(self, first: int, before: tuple[float, float], after: tuple[float, float], rate_hz: float,
                 features: int) -> dict[str, Any]:
         """The result, of the messages from number ``first`` on."""
-        stamps = [stamp for number, stamp in enumerate(self._sent_at) if number >= first]
-        latency = np.array([self._latency[stamp] for stamp in stamps if stamp in self._latency]) * 1e3
-        span = (self._sent_at[stamps[-1]] - self._sent_at[stamps[0]]) * 1e-9
+        stamps = [stamp for number, stamp in enumerate(self.sent_at) if number >= first]
+        latency = np.array([self.latency[stamp] for stamp in stamps if stamp in self.latency]) * 1e3
+        span = (self.sent_at[stamps[-1]] - self.sent_at[stamps[0]]) * 1e-9
         half = len(self._memory) // 2
         return {
             'rate_hz': rate_hz, 'reached_rate_hz': (len(stamps) - 1) / span, 'features': features,
@@ -200,17 +205,17 @@ class Peer(Node):
 
     def _send_one(self) -> None:
         state, wrench = self._messages[self.sent % CYCLE]
-        stamp = NANOSECONDS + self.sent * 1_000_000
+        stamp = NANOSECONDS + self.sent * self._step
         self._states.publish(with_stamp(state, stamp))
         self.sent += 1
         wrench = with_stamp(wrench, stamp)
-        self._sent_at[stamp] = time.perf_counter_ns()
+        self.sent_at[stamp] = time.perf_counter_ns()
         self._wrenches.publish(wrench)
 
     def _receive(self, message: bytes) -> None:
         now = time.perf_counter_ns()
         stamp = read_stamp(message)
-        self._latency[stamp] = (now - self._sent_at[stamp]) * 1e-9
+        self.latency[stamp] = (now - self.sent_at[stamp]) * 1e-9
 
     def _wait(self, condition: Any, process: subprocess.Popen[bytes], timeout_s: float, complaint: str,
               complain: bool = True) -> None:
@@ -226,7 +231,8 @@ class Peer(Node):
 
 
 @contextmanager
-def _node_process(settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
+def node_process(settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
+    """The estimator in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, 'live.yaml')
         dump_params(settings, path)
@@ -240,10 +246,11 @@ def _node_process(settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def _peer(messages: list[tuple[bytes, bytes]]) -> Iterator[Peer]:
+def connected(messages: list[tuple[bytes, bytes]], rate_hz: float) -> Iterator[Peer]:
+    """A peer that receives in a thread of its own."""
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    peer, executor = Peer(context, messages), EventsExecutor(context=context)
+    peer, executor = Peer(context, messages, rate_hz), EventsExecutor(context=context)
     executor.add_node(peer)
     stop = threading.Event()
 
