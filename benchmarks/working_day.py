@@ -2,6 +2,7 @@
 
     python benchmarks/working_day.py                         the iCub arm with its wrist sensor
     python benchmarks/working_day.py --urdf ur3.urdf         an arm of joint efforts, with friction in every joint
+    python benchmarks/working_day.py --offline --seeds 3     several days without DDS, by the same learner in this process
 
 It rests, moves slowly, then fully; is pushed thirty times (5 to 80 N, 0.3 to 2 s); picks up a load and puts it down;
 stops in an emergency (brakes: motors give nothing), rests, and the node is started anew; then a joint moves that never
@@ -18,6 +19,7 @@ import argparse
 import itertools
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -37,10 +39,13 @@ from scipy.interpolate import CubicSpline
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.cli.simulate import write_bag
+from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.worker import InlineBackground
 from semiparam_ros.settings import Settings, dump_params
-from semiparam_ros.settings.build import build_estimator
+from semiparam_ros.settings.build import build_estimator, build_rigid_body
 from semiparam_ros.settings.robot_description import moving_joints
 from semiparam_ros.simulation.arm import Arm, home_posture
 from semiparam_ros.simulation.motions import fourier
@@ -191,6 +196,54 @@ def live(day: Day, folder: Path, rate: float) -> Path:
     return folder / 'answers.mcap'
 
 
+def offline(day: Day, folder: Path) -> Answers:
+    """The same learner in this process; the new start in the middle goes on with its state."""
+    write_bag(folder / 'day.mcap', day.recording)
+    row = {int(stamp): index for index, stamp in enumerate(day.recording.stamps)}
+    listener = Listener(row, *(np.full(shape, np.nan) for shape in (len(day.times), *2 * [day.recording.outputs.shape])))
+    body, background = build_rigid_body(day.settings), InlineBackground()
+    learner = Learner(day.settings, body, background, listener)
+    restarted = False
+    for sample in load_samples(folder / 'day.mcap', day.settings).samples:
+        if not restarted and day.times[row[sample.stamp]] >= day.begins[RESTART]:
+            saved, restarted = pickle.dumps(learner.state()), True
+            learner = Learner(day.settings, body, background, listener)
+            learner.restore(pickle.loads(saved))
+        listener.now = float(day.times[row[sample.stamp]])
+        learner.offer(sample)
+    return Answers(listener.late_ms, listener.residuals, listener.level)
+
+
+class Listener:
+    """Keeps what a learner has to tell."""
+
+    def __init__(self, row: dict[int, int], late_ms: Array, residuals: Array, level: Array) -> None:
+        self._row, self.late_ms, self.residuals, self.level = row, late_ms, residuals, level
+        self.now = 0.0
+
+    def answered(self, answer: Answer) -> None:
+        index = self._row[answer.prediction.sample.stamp]
+        self.late_ms[index], self.residuals[index], self.level[index] = 0.0, answer.residual, answer.contact_level
+
+    def horizon_completed(self, errors: HorizonErrors) -> None:
+        pass
+
+    def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
+        pass
+
+    def told(self, sentence: str) -> None:
+        print(f'{self.now:.1f} s: {sentence}', file=sys.stderr)
+
+    def model_switched(self, success: bool, sentence: str) -> None:
+        self.told(sentence)
+
+    def settings_reverted(self, settings: Settings) -> None:
+        pass
+
+    def failed(self, place: str, error: BaseException) -> None:
+        raise SystemExit(f'{place} failed: {error}') from error
+
+
 def command(*words: object) -> list[str]:
     return [sys.executable, '-m', 'semiparam_ros.cli.main', *map(str, words)]
 
@@ -303,18 +356,22 @@ def main() -> int:
     parser.add_argument('--rate', type=float, default=50.0, help='samples a second of the recording')
     parser.add_argument('--speed', type=float, default=10.0, help='times real time')
     parser.add_argument('--variant', default='SPK-ML')
-    parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--seed', type=int, default=0, help='of the first day')
+    parser.add_argument('--seeds', type=int, default=1, help='days')
+    parser.add_argument('--offline', action='store_true', help='without DDS, in this process')
     parser.add_argument('--folder', type=Path, default=Path('output/working_day'))
     parser.add_argument('--json', type=Path)
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
-    day = lived(given.urdf, 60.0 * given.minutes, given.rate, given.seed)
-    day = day._replace(settings=day.settings.changed({'variant': given.variant}))
-    path = live(day, given.folder, given.speed)
-    result = figures(day, answers(day, path), reference(day, given.folder))
-    print(json.dumps(result, indent=1))
+    days = []
+    for seed in range(given.seed, given.seed + given.seeds):
+        day = lived(given.urdf, 60.0 * given.minutes, given.rate, seed)
+        day = day._replace(settings=day.settings.changed({'variant': given.variant}))
+        found = offline(day, given.folder) if given.offline else answers(day, live(day, given.folder, given.speed))
+        days.append({'seed': seed, **figures(day, found, reference(day, given.folder))})
+        print(json.dumps(days[-1], indent=1), flush=True)
     if given.json:
-        given.json.write_text(json.dumps(result, indent=1) + '\n', encoding='utf-8')
+        given.json.write_text(json.dumps(days, indent=1) + '\n', encoding='utf-8')
     return 0
 
 
