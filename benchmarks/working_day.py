@@ -2,7 +2,7 @@
 
     python benchmarks/working_day.py                         the iCub arm with its wrist sensor
     python benchmarks/working_day.py --urdf ur3.urdf         an arm of joint efforts, with friction in every joint
-    python benchmarks/working_day.py --offline --seeds 3     several days without DDS, by the same learner in this process
+    python benchmarks/working_day.py --offline --seeds 3     several days, by the same learner in this process alone
 
 It rests, moves slowly, then fully; is pushed thirty times (5 to 80 N, 0.3 to 2 s); picks up a load and puts it down;
 stops in an emergency (brakes: motors give nothing), rests, and the node is started anew; then a joint moves that never
@@ -200,7 +200,8 @@ def offline(day: Day, folder: Path) -> Answers:
     """The same learner in this process; the new start in the middle goes on with its state."""
     write_bag(folder / 'day.mcap', day.recording)
     row = {int(stamp): index for index, stamp in enumerate(day.recording.stamps)}
-    listener = Listener(row, *(np.full(shape, np.nan) for shape in (len(day.times), *2 * [day.recording.outputs.shape])))
+    shapes = len(day.times), day.recording.outputs.shape, day.recording.outputs.shape
+    listener = Listener(row, *(np.full(shape, np.nan) for shape in shapes))
     body, background = build_rigid_body(day.settings), InlineBackground()
     learner = Learner(day.settings, body, background, listener)
     restarted = False

@@ -19,7 +19,7 @@ from semiparam_ros.core.hyperparameters.feature_count import MOST
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
 from semiparam_ros.core.initial_window import InitialWindow
 from semiparam_ros.core.motion import Motion, at_start
-from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
+from semiparam_ros.core.random_features import LEAST_SHARE, RandomFeatures, input_scaling, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
@@ -151,6 +151,8 @@ class Prediction(NamedTuple):
     output_scale: Array
     memory: Memories
     motion: Motion
+    beyond: float
+    """How far the farthest position or velocity lies outside of those learnt, as a share of their range; 0 within."""
 
     @property
     def log_density(self) -> float:
@@ -243,10 +245,10 @@ class Estimator:
         scale = self.model.output_scale
         model_mean, model_std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
         mean = model_mean if self.wandering is None else model_mean + self.wandering.offset
-        motion = self.motion.after(sample.stamp, sample.position) if self.motion else \
-            at_start(sample.stamp, sample.position)
+        motion = self.motion.after(sample.stamp, sample.position, sample.outputs) if self.motion else \
+            at_start(sample.stamp, sample.position, sample.outputs)
         return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None, sample,
-                          prior, learnt, fixed, scale, memory, motion)
+                          prior, learnt, fixed, scale, memory, motion, self._beyond(x))
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -414,6 +416,18 @@ class Estimator:
         """Those in use, with pi as it stands."""
         pi = tuple(self.model.part(slice(0, self.columns.n_own)).tolist())
         return replace(self.model.hyperparameters, pi=pi or None)
+
+    def _beyond(self, x: Array) -> float:
+        """See :attr:`Prediction.beyond`. A range counts as at least a fifth of the largest of its kind."""
+        if not len(self.inputs_learnt):
+            return 0.0
+        known = self.inputs_learnt[:, :2 * self.body.n_joints]
+        outside = np.maximum(known[0] - x[:known.shape[1]], x[:known.shape[1]] - known[1])
+        if outside.max() <= 0.0:
+            return 0.0
+        ranges = (known[1] - known[0]).reshape(2, -1)
+        ranges = np.maximum(ranges, LEAST_SHARE * ranges.max(axis=1, keepdims=True)).ravel()
+        return float((outside / np.maximum(ranges, 1e-9)).max())
 
     def _has_jumped(self, stamp: int) -> bool:
         return self._newest is not None and not 0 <= stamp - self._newest <= LONGEST_PAUSE_NS

@@ -101,8 +101,8 @@ def gathered_from(samples: Samples, wanted: int) -> Gathered:
     """The initial window of a recording that is learnt from its first sample on."""
     taken: list[int] = []
     motion: Motion | None = None
-    for index, (stamp, position) in enumerate(zip(samples.stamps.tolist(), samples.position, strict=True)):
-        motion = at_start(stamp, position) if motion is None else motion.after(stamp, position)
+    for index, row in enumerate(zip(samples.stamps.tolist(), samples.position, samples.outputs, strict=True)):
+        motion = at_start(*row) if motion is None else motion.after(*row)
         if motion.is_news:
             taken.append(index)
         if len(taken) == wanted:

@@ -34,30 +34,34 @@ class Motion(NamedTuple):
     newest: int  # [ns] stamp of this sample
     nearby: Array  # (n_joints,) at the first of the last samples that are within STILL of it
     still: int  # how many these are
+    outputs: Array  # (n,) of this sample
     is_news: bool
-    """Whether this sample is worth learning: it belongs to a motion, and it is one of the first at its place."""
+    """Whether this sample is worth learning: it belongs to a motion, it is one of the first at its place, and there its
+    outputs are neither all zero nor exactly those of the sample before, as of motors that are off behind brakes."""
 
-    def after(self, stamp: int, position: Array) -> Motion:
+    def after(self, stamp: int, position: Array, outputs: Array) -> Motion:
         """With one sample more.
 
         It starts afresh when the clock has jumped. The first sample after a jump is no news: where velocities and
         accelerations are filtered, the filter has begun anew with it and knows no rate yet.
         """
         if not 0 <= stamp - self.newest <= LONGEST_PAUSE_NS:
-            return at_start(stamp, position)._replace(is_news=False)
+            return at_start(stamp, position, outputs)._replace(is_news=False)
         if np.abs(position - self.place).max(initial=0.0) > STEP:
-            return at_start(stamp, position)
+            return at_start(stamp, position, outputs)
         nearby, still = self.nearby, self.still + 1
         if np.abs(position - nearby).max(initial=0.0) > STILL:
             nearby, still = position, 1
         is_news = stamp - self.since <= REST_NS and still <= STILL_SAMPLES
-        return Motion(self.place, self.since, stamp, nearby, still, is_news)
+        if is_news and still > 1:
+            is_news = bool(outputs.any() and (outputs != self.outputs).any())
+        return Motion(self.place, self.since, stamp, nearby, still, outputs, is_news)
 
     def interrupted(self) -> Motion:
         """As if the clock had jumped, whatever the stamp of the next sample."""
         return self._replace(newest=self.newest - 2 * LONGEST_PAUSE_NS)
 
 
-def at_start(stamp: int, position: Array) -> Motion:
+def at_start(stamp: int, position: Array, outputs: Array) -> Motion:
     """Of the first sample, and of a step."""
-    return Motion(position, stamp, stamp, position, 1, True)
+    return Motion(position, stamp, stamp, position, 1, outputs, True)

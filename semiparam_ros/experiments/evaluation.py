@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -14,9 +15,10 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate
-from semiparam_ros.online.history import batch_of
+from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.model_switcher import sentence_of
-from semiparam_ros.online.worker import absorb, finish_window
+from semiparam_ros.online.renewal import Renewal
+from semiparam_ros.online.worker import absorb, finish_window, renew
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator
 
@@ -127,12 +129,12 @@ class OfflineLearner:
     """The estimator of the settings behind the contact gate, as in the node.
 
     An initial window that gives no hyperparameters is followed by another one; ``failed_windows`` holds a sentence for
-    each.
+    each. Where later motion leaves the window, they are estimated again (:mod:`semiparam_ros.online.renewal`).
 
     :param bags: the first one that carries a robot description gives it, where the settings do not.
     :param tick: called after each sample.
-    :param takeover_after: samples from the end of the initial window until the variant takes over. The node estimates
-        hyperparameters meanwhile, and the provisional model answers; here it need not.
+    :param takeover_after: samples from the end of a window until the variant takes over. The node estimates
+        hyperparameters meanwhile, and the model that it has answers; here it need not.
     """
 
     def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None],
@@ -143,13 +145,18 @@ class OfflineLearner:
         self.gate = ContactGate(self.estimator.body.n_outputs)
         self.failed_windows: list[str] = []
         self._takeover_after = takeover_after
-        self._successor: Estimator | None = None
+        body = self.estimator.body
+        self.history = History(settings.initial_samples, settings.retained_samples, body.n_joints, body.n_outputs)
+        self.renewals = 0
+        self._renewal = Renewal(settings.initial_samples, body.n_outputs)
+        self._successor: Callable[[], Estimator] | None = None
         self._waiting: list[tuple[Sample, bool]] = []
 
     def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
         scores.start_recording(bag.samples.origin)
         self.estimator.begin_recording(bag.samples.origin)
+        self.history.origin = bag.samples.origin if self.history.origin is None else self.history.origin
         for sample in bag.samples:
             start = time.perf_counter()
             prediction = self.step(sample, learning)
@@ -169,13 +176,18 @@ class OfflineLearner:
     def step(self, sample: Sample, learning: bool) -> Prediction:
         """One sample: a contact, and a robot at rest, are predicted but not learnt."""
         prediction = self.estimator.predict(sample)
-        contact = self.gate.judge(prediction, self.settings)
+        contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
         learn = learning and not contact and prediction.motion.is_news
         errors = self.estimator.observe(prediction, learn, finish=False)
+        self.history.append(sample, learn, prediction.motion.is_news)
+        due = learn and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
         if self._successor is not None:
             self._waiting.append((sample, learn))
         elif self.estimator.window_full:
-            self._successor = self.estimator.with_window_alone()
+            self._successor = partial(finish_window, self.estimator.with_window_alone())
+        elif due:
+            self._successor = partial(renew, self.settings, self.estimator.body, self.history.batch(),
+                                      self.history.origin, self._renewal.begin())
         if self._successor is not None and len(self._waiting) == self._takeover_after:
             self._take_over()
         return prediction._replace(horizon=errors)
@@ -185,11 +197,18 @@ class OfflineLearner:
         assert self._successor is not None
         successor, batch = self._successor, batch_of(self._waiting)
         self._successor, self._waiting = None, []
+        before = self.estimator
         try:
-            self.estimator = absorb(finish_window(successor), batch)
+            self.estimator = absorb(successor(), batch)
         except SemiparamError as error:
-            self.failed_windows.append(sentence_of(error))
-            self.estimator.discard_window()
+            if not before.ready:
+                self.failed_windows.append(sentence_of(error))
+                before.discard_window()
+                self.history.discard()
+            return
+        if before.ready:
+            self.estimator.origin = before.origin
+            self.renewals += 1
 
     def finish(self, training: Sequence[LoadedBag], frozen: bool) -> None:
         """After training: a model must stand if nothing more is learnt, from however short a window."""

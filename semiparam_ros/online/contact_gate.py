@@ -33,6 +33,10 @@ from semiparam_ros.settings.parameter_table import Table
 BLOCK_S = 0.5
 LONGEST_STEP_S = 0.1
 """What a sample adds to a block at most: a pause is no time under observation."""
+BEYOND = 0.1
+"""A position or velocity so far outside of those learnt, as a share of their range, is unseen motion."""
+UNSEEN_S, UNSEEN_FACTOR = 2.0, 3.0
+"""For so long after unseen motion, and until hyperparameters follow it, thresholds are so many times as high."""
 SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
 TAIL_BLOCKS = 600
 
@@ -159,11 +163,15 @@ class ContactGate:
         self._open()
         self._newest: int | None = None
         self._speed = self._awake = 0.0
+        self._familiar = UNSEEN_S
         for band in self._bands:
             band.clear()
 
-    def judge(self, prediction: Prediction, settings: Table) -> bool:
-        """True when a predicted sample must not be learnt."""
+    def judge(self, prediction: Prediction, settings: Table, unseen: bool = False) -> bool:
+        """True when a predicted sample must not be learnt.
+
+        :param unseen: it belongs to motion that the model has not seen, whatever its range.
+        """
         if not settings.gate_enabled:
             if self.closed or self._newest is not None:
                 self.reset()
@@ -182,6 +190,10 @@ class ContactGate:
         thresholds, levels = tail.thresholds(settings.gate_false_alarms_per_hour)
         ratio = np.zeros(self._n_outputs) if usual is None else size / np.maximum(
             usual, SMALLEST_SCALE * prediction.model_std)
+        unseen = unseen or prediction.beyond > BEYOND
+        self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
+        familiar = self._familiar >= UNSEEN_S
+        thresholds = thresholds * (1.0 if familiar else UNSEEN_FACTOR)
         self.level = ratio / thresholds
         if self.closed:
             self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
@@ -199,7 +211,7 @@ class ContactGate:
             return True
         self._rest(innovation, seconds, moving)
         ratios = self._bands[at].add(size, ratio, seconds)
-        if ratios is not None:
+        if ratios is not None and familiar:
             tail.add(ratios)
         return False
 
@@ -213,7 +225,8 @@ class ContactGate:
         return {'closed': self.closed, 'counts': (self.refused, self.contacts, self.changes), 'level': self.level,
                 'closed_since': self._closed_since, 'closed_at': self._closed_at, 'calm_since': self._calm_since,
                 'newest': self._newest, 'speed': self._speed, 'mean': self._mean, 'resting': self._resting,
-                'awake': self._awake, 'closures': self._closures, 'closed_ratio': self._closed_ratio,
+                'awake': self._awake, 'familiar': self._familiar, 'closures': self._closures,
+                'closed_ratio': self._closed_ratio,
                 'tails': tuple(tail.ratios for tail in self._tails),
                 'bands': tuple((band.peaks, band.peak.copy(), band.ratio.copy(), band.seconds)
                                for band in (*self._bands, self._meanwhile))}
@@ -227,6 +240,7 @@ class ContactGate:
         self.refused, self.contacts, self.changes = state['counts']
         self._calm_since, self._newest, self._speed = state['calm_since'], state['newest'], state['speed']
         self._resting, self._awake, self._closures = state['resting'], state['awake'], state['closures']
+        self._familiar = float(state['familiar'])
         self._closed_ratio = self._sized(state['closed_ratio'], 1)
         self.level, self._mean = self._sized(state['level'], 1), self._sized(state['mean'], 1)
         for tail, ratios in zip(self._tails, state['tails'], strict=True):

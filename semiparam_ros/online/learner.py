@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.estimator import Estimator, Prediction
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -29,6 +30,7 @@ from semiparam_ros.online.model_switcher import (
     same_model,
     sentence_of,
 )
+from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.online.state_file import SavedState
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import Background
@@ -92,9 +94,14 @@ class Learner:
         self.switcher = ModelSwitcher(body, background, self)
         self._begin(settings, worker.new_estimator(settings, body))
 
-    def _begin(self, settings: Settings, estimator: Estimator, past: SampleBatch | None = None) -> None:
+    def _begin(self, settings: Settings, estimator: Estimator, past: SampleBatch | None = None,
+               renewal: Memory = None) -> None:
         """Go on with an estimator that has seen a past, and with nothing else."""
         self.switcher.retire_all(forget_hyperparameters=True)
+        self._renewal = Renewal(settings.initial_samples, self.body.n_outputs)
+        if renewal is not None:
+            self._renewal.restore(renewal)
+            self.switcher.renewed = self._renewal.done
         self.gate.forget()
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
@@ -125,7 +132,7 @@ class Learner:
             self.lost += 1
             return
         changes = self.gate.changes
-        contact = self.gate.judge(prediction, self.settings)
+        contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
         if self.gate.changes > changes:
             self._listener.told(f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                                 'a change of the robot, and is learnt.')
@@ -137,6 +144,8 @@ class Learner:
             self.switcher.offer(sample, learn)
             if self._window_end is None and self.estimator.window_full:
                 self._end_window()
+            elif learn and not self.settings.hyperparameters_sigma:
+                self._perhaps_renew(prediction)
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons after a jump of the clock; the models stay."""
@@ -204,6 +213,19 @@ class Learner:
         self._listener.told(f'{self.built.variant} has its hyperparameters and takes over from the provisional model, '
                             f'{self.provisional_answers} samples after the end of the initial window.')
 
+    def _perhaps_renew(self, prediction: Prediction) -> None:
+        """Estimate the hyperparameters again where motion has left what they are from, and no successor is built."""
+        if self._renewal.see(self.estimator, prediction) and self.switcher.successor is None:
+            self._listener.told('the robot moves otherwise than in the window that the hyperparameters of '
+                                f'{self.built.variant} are from: they are estimated again; it answers on.')
+            self.switcher.renew(self.built, self.history, self._renewal.begin())
+
+    def _renewed(self, estimator: Estimator) -> None:
+        """The model with hyperparameters of a later window takes over, between two samples."""
+        self.estimator, self._renewal.done = estimator, True
+        self.switcher.follow_renewed(self.settings, estimator, self.history)
+        self._listener.told(f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples.')
+
     def _discard_window(self, reason: str) -> None:
         """Gather another initial window; nothing is built from the one that gave no hyperparameters."""
         self._listener.told(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
@@ -236,7 +258,7 @@ class Learner:
     def _change_model(self, settings: Settings) -> str:
         successor = self.switcher.successor
         if successor is not None and same_model(settings, successor.settings):
-            return '' if self.estimating else f'{settings.variant} is being built already.'
+            return '' if same_model(settings, self.built) else f'{settings.variant} is being built already.'
         self.switcher.retire_successor()
         if same_model(settings, self.built):
             self._follow_settings()
@@ -255,12 +277,13 @@ class Learner:
         """Go on with a state that was saved."""
         self.settings = saved.settings
         self.tare = Tare(self.body.n_outputs, saved.bias)
-        self._begin(saved.settings, saved.estimator, saved.batch)
+        self._begin(saved.settings, saved.estimator, saved.batch, saved.renewal)
         self.gate.restore(saved.gate)
 
     def state(self) -> SavedState:
         """What :meth:`restore` needs."""
-        return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state())
+        return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state(),
+                          self._renewal.state())
 
     def _fall_back(self, error: Exception) -> None:
         """The active model is broken: go on with the last checkpoint, else with P and no effects."""
@@ -289,7 +312,10 @@ class Learner:
         """It takes over, between two samples."""
         self._failures = 0
         if same_model(settings, self.built):
-            self._window_live(estimator)
+            if self.estimator.ready:
+                self._renewed(estimator)
+            else:
+                self._window_live(estimator)
             return
         before, self.built, self.estimator = self.built, settings, estimator
         self._window_end = None
@@ -300,7 +326,11 @@ class Learner:
     def successor_failed(self, settings: Settings, sentence: str) -> None:
         """The active model goes on, and so do its settings."""
         if same_model(settings, self.built):
-            self._discard_window(sentence)
+            if self.estimator.ready:
+                self._listener.told(f'the later window gives no hyperparameters ({sentence}); {settings.variant} goes '
+                                    'on with those it has.')
+            else:
+                self._discard_window(sentence)
             return
         self.settings = replace(self.settings, **{name: getattr(self.built, name) for name in MODEL_PARAMETERS})
         self._listener.settings_reverted(self.settings)

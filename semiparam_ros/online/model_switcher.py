@@ -15,6 +15,7 @@ from collections import deque
 from dataclasses import replace
 from enum import Enum
 from itertools import takewhile
+from math import inf
 from typing import Protocol
 
 from semiparam_ros.core.estimator import Estimator
@@ -88,6 +89,10 @@ class StandbyModel:
     def start(self, history: History, known: worker.Known | None) -> None:
         """Begin to build it."""
         self._submit(worker.build, self.settings, self.body, history.batch(), known, history.origin)
+
+    def start_renewed(self, history: History, to_beat: float = inf) -> None:
+        """Begin to build it with hyperparameters from a later window."""
+        self._submit(worker.renew, self.settings, self.body, history.batch(), history.origin, to_beat)
 
     def start_with(self, estimator: Estimator) -> None:
         """Begin with an estimator whose initial window is full: its hyperparameters are estimated."""
@@ -171,6 +176,8 @@ class ModelSwitcher:
         self.shadows: dict[str, StandbyModel] = {}
         self._failed_shadows: set[str] = set()
         self._known: dict[tuple[object, ...], worker.Known] = {}
+        self.renewed = False
+        """Whether hyperparameters are from a later window than the initial one."""
         self._body, self._background, self._listener = body, background, listener
 
     @property
@@ -198,6 +205,20 @@ class ModelSwitcher:
         """Build the successor of a provisional model whose initial window is full."""
         self.successor = StandbyModel(settings, self._body, self._background, self)
         self.successor.start_with(estimator)
+
+    def renew(self, settings: Settings, history: History, to_beat: float) -> None:
+        """Build a successor of the same settings with hyperparameters from a later window."""
+        self.successor = StandbyModel(settings, self._body, self._background, self)
+        self.successor.start_renewed(history, to_beat)
+
+    def follow_renewed(self, settings: Settings, estimator: Estimator, history: History) -> None:
+        """It has taken over: nothing else is to be built from the initial window."""
+        self.renewed = True
+        self._known.clear()
+        self.remember(settings, estimator)
+        for name in list(self.shadows):
+            self.shadows.pop(name).retire()
+        self.set_shadows(settings, history)
 
     def appoint(self, settings: Settings, history: History) -> bool:
         """Let a shadow that learns this very model succeed, or build a successor; True when it took over at once."""
@@ -239,6 +260,7 @@ class ModelSwitcher:
         self.shadows.clear()
         if forget_hyperparameters:
             self._known.clear()
+            self.renewed = False
 
     def on_live(self, model: StandbyModel) -> None:
         """A model has seen every sample."""
@@ -268,7 +290,11 @@ class ModelSwitcher:
             self._listener.shadow_horizon(model.settings.variant, errors)
 
     def _start(self, model: StandbyModel, history: History) -> None:
-        model.start(history, self._known.get(_key(model.settings)))
+        known = self._known.get(_key(model.settings))
+        if known is None and self.renewed:
+            model.start_renewed(history)
+        else:
+            model.start(history, known)
 
 
 def sentence_of(error: BaseException | None) -> str:

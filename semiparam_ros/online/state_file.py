@@ -22,10 +22,11 @@ from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
+from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 7
+FORMAT, VERSION = 'semiparam_ros state', 8
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
@@ -39,13 +40,15 @@ Snapshot: TypeAlias = dict[str, Array | Stamps]
 
 
 class SavedState(NamedTuple):
-    """A learner's model, the settings it was built with, the samples it keeps, the bias (n,) of the tare, the gate."""
+    """A learner's model, the settings it was built with, the samples it keeps, the bias (n,) of the tare, the gate,
+    and when the hyperparameters are estimated again."""
 
     settings: Settings
     estimator: Estimator
     batch: SampleBatch
     bias: Array
     gate: Memory
+    renewal: Memory
 
 
 def folder_of(settings: Settings) -> Path:
@@ -75,13 +78,15 @@ def snapshot(state: SavedState) -> Snapshot:
     learnt = state.estimator.state()
     memory: dict[str, Array] = {}
     gate: dict[str, Array] = {}
+    renewal: dict[str, Array] = {}
     meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'window_left': learnt.window_left,
             'passed_over': learnt.passed_over,
-            'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate)}
+            'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate),
+            'renewal': _as_json(state.renewal, renewal)}
     groups: dict[str, Mapping[str, Array | Stamps]] = {
         'history': arrays_of(state.batch), 'recursion': learnt.recursion, 'horizon': learnt.horizon,
         'calibration': learnt.calibration, 'wandering': learnt.wandering,
-        'memory': memory, 'gate': gate, 'window': learnt.window, 'motion': _stacked(learnt.motion)}
+        'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window, 'motion': _stacked(learnt.motion)}
     return {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
             'inputs_learnt': learnt.inputs_learnt, 'probe': probe(state.estimator.body),
             **{f'{group}.{name}': values for group, arrays in groups.items() for name, values in arrays.items()}}
@@ -143,7 +148,9 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
             raise SemiparamError(f"{path} holds a 'bias' of shape {bias.shape}; expected ({body.n_outputs},).")
         gate = _from_json(meta['gate'], _group(arrays, 'gate'))
         ContactGate(body.n_outputs).restore(gate)  # which checks it
-        return SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate)
+        renewal = _from_json(meta['renewal'], _group(arrays, 'renewal'))
+        Renewal(settings.initial_samples, body.n_outputs).restore(renewal)
+        return SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate, renewal)
     except SemiparamError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
@@ -238,7 +245,7 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
                                      int(meta['window_left']), _counts(meta['passed_over']),
                                      _group(arrays, 'window'), meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
-                                     arrays['inputs_learnt'], _unstacked(_group(arrays, 'motion'), body.n_joints)))
+                                     arrays['inputs_learnt'], _unstacked(_group(arrays, 'motion'), body)))
     return estimator
 
 
@@ -250,16 +257,17 @@ def _counts(values: Sequence[int]) -> tuple[int, int]:
 def _stacked(motion: Motion | None) -> Snapshot:
     if motion is None:
         return {}
-    return {'place': motion.place, 'nearby': motion.nearby,
+    return {'place': motion.place, 'nearby': motion.nearby, 'outputs': motion.outputs,
             'counts': np.array([motion.since, motion.newest, motion.still]), 'is_news': np.array(motion.is_news)}
 
 
-def _unstacked(arrays: Mapping[str, Array], n_joints: int) -> Motion | None:
+def _unstacked(arrays: Mapping[str, Array], body: RigidBody) -> Motion | None:
     if not arrays:
         return None
     since, newest, still = arrays['counts'].tolist()
-    place, nearby = (arrays[name].reshape(n_joints) for name in ('place', 'nearby'))
-    return Motion(place, since, newest, nearby, still, bool(arrays['is_news']))
+    place, nearby = (arrays[name].reshape(body.n_joints) for name in ('place', 'nearby'))
+    outputs = arrays['outputs'].reshape(body.n_outputs)
+    return Motion(place, since, newest, nearby, still, outputs, bool(arrays['is_news']))
 
 
 def _as_json(memory: Memory, arrays: dict[str, Array]) -> object:

@@ -28,6 +28,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
+from semiparam_ros.online.renewal import MOST_WORSE, Errors, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
 
@@ -257,6 +258,32 @@ def build(settings: Settings, body: RigidBody, batch: SampleBatch, known: Known 
           origin: int | None) -> Estimator:
     """A new estimator that has seen all samples of a batch; time counts from ``origin`` [ns]."""
     return absorb(new_estimator(settings, body, known, origin), batch)
+
+
+def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int | None,
+          to_beat: float = np.inf) -> Estimator:
+    """The same with hyperparameters from a later window, see :mod:`semiparam_ros.online.renewal`.
+
+    :param to_beat: root mean square over that window, and over the outputs in their own scale, of the errors of the
+        model in force.
+
+    Raises SemiparamError when the window holds too little to estimate from, or the model predicts it worse than that.
+    """
+    gathering = new_estimator(settings, body, origin=origin)
+    window = later_window(batch.learnt.astype(bool), settings.initial_samples)
+    for (sample, _), chosen in zip(batch.pairs(), window.tolist(), strict=True):
+        gathering.observe(gathering.predict(sample), chosen, finish=False)
+    gathering.finish_window()
+    estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
+    for (sample, learnt), chosen in zip(batch.pairs(), window.tolist(), strict=True):
+        prediction = estimator.predict(sample)
+        if chosen:
+            errors.add(prediction)
+        estimator.observe(prediction, learnt)
+    if errors.size > MOST_WORSE * to_beat:
+        raise SemiparamError(f'the model that follows has errors of {errors.size:.3g} over that window where the model '
+                             f'in force has {to_beat:.3g}.')
+    return estimator
 
 
 def new_estimator(settings: Settings, body: RigidBody, known: Known | None = None,

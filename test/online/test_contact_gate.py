@@ -25,15 +25,16 @@ class Stand:
     def __init__(self, settings=ON):
         self.gate, self.settings, self.stamp = ContactGate(3), settings, 10**9
 
-    def judge(self, innovations, speed=0.5, std=1.0):
+    def judge(self, innovations, speed=0.5, std=1.0, beyond=0.0):
         """Whether each of (N, 3) innovations is refused."""
-        return np.array([self._one(row, speed, std) for row in innovations])
+        return np.array([self._one(row, speed, std, beyond) for row in innovations])
 
-    def _one(self, innovation, speed, std):
+    def _one(self, innovation, speed, std, beyond):
         self.stamp += 10**9 // RATE_HZ
         sample = Sample(self.stamp, np.zeros(2), np.array([0.0, -speed]), np.zeros(2), innovation)
         prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, True, None, sample, NO_PRIOR,
-                                np.zeros((3, 0)), np.zeros(3), np.ones(3), None, at_start(self.stamp, sample.position))
+                                np.zeros((3, 0)), np.zeros(3), np.ones(3), None,
+                                at_start(self.stamp, sample.position, innovation), beyond)
         return self.gate.judge(prediction, self.settings)
 
 
@@ -124,6 +125,16 @@ def test_ten_times_the_speed_is_no_contact():
     stand = Stand()
     stand.judge(white(RATE_HZ * 60), speed=0.15)
     assert not stand.judge(6.0 * white(RATE_HZ * 60, seed=1), speed=1.5).any()
+
+
+def test_motion_that_was_never_seen_is_learnt_first_and_hard_pushes_are_found():
+    stand = Stand()
+    stand.judge(white(RATE_HZ * 60))
+    assert not stand.judge(5.0 * white(RATE_HZ * 3, seed=1), beyond=0.3).any()
+    assert stand.judge(60.0 * SCALES * np.ones((5, 1)), beyond=0.3).all()
+    stand.gate.reset()
+    assert not stand.judge(white(RATE_HZ * 20, seed=2)).any()
+    assert stand.judge(20.0 * SCALES * np.ones((5, 1))).all(), 'what was unseen is no excuse later'
 
 
 def test_what_comes_again_and_again_is_the_robots_own():

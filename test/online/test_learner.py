@@ -126,8 +126,8 @@ def test_a_robot_at_rest_is_answered_and_not_learnt():
         moving = later(motion(200), 100.0)
         stage.offer(moving)
         assert stage.learner.estimator.ready and all(answer.learnt for answer in stage.answers[2003:])
-        stopped = [moving[-1]._replace(stamp=moving[-1].stamp + (index + 1) * PERIOD_NS, outputs=np.full(6, 50.0))
-                   for index in range(500)]
+        stopped = [moving[-1]._replace(stamp=moving[-1].stamp + (index + 1) * PERIOD_NS,
+                                       outputs=np.full(6, 50.0 + 0.1 * (index % 2))) for index in range(500)]
         stage.offer(stopped)
         assert [answer.learnt for answer in stage.answers[-500:]] == [True] * 4 + [False] * 496
 

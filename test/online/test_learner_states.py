@@ -22,7 +22,7 @@ from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.model_switcher import State, same_model
 from semiparam_ros.online.state_file import load, save
-from semiparam_ros.online.worker import new_estimator
+from semiparam_ros.online.worker import known_of, new_estimator
 from support.node_helpers import BODY, PERIOD_NS, SETTINGS, DelayedBackground, motion
 
 SMALL = replace(SETTINGS, features_count=4, initial_samples=20, horizon_length=3, variant='P')
@@ -30,6 +30,9 @@ MOTION = motion(400)
 VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS')
 EFFECTS = ('sensor_drift', 'payload@ft', 'payload@ft{"start_s": 0.5}', 'time_delay{"delay_s": 0.005}',
            'sensor_gain{"fx": 0.1}', 'periodic_disturbance{"frequency_hz": 1.3}', 'viscous_drag@ft')
+FAST = [sample._replace(velocity=8.0 * sample.velocity, acceleration=64.0 * sample.acceleration,
+                        outputs=BODY.regressor(sample.position, 8.0 * sample.velocity, 64.0 * sample.acceleration)
+                        @ (1.2 * BODY.base_parameters)) for sample in MOTION]
 YEAR_NS = 365 * 86400 * 10**9
 
 
@@ -88,6 +91,12 @@ class Lives(RuleBasedStateMachine):
     def moves(self, count):
         for _ in range(count):
             self.offer(MOTION[self.place % len(MOTION)])
+
+    @rule(count=st.integers(1, 60))
+    def moves_fast(self, count):
+        """Other motion than in the window: the hyperparameters are estimated again."""
+        for _ in range(count):
+            self.offer(FAST[self.place % len(FAST)])
 
     @rule(count=st.integers(1, 25))
     def moves_with_a_dead_sensor(self, count):
@@ -221,7 +230,8 @@ class Lives(RuleBasedStateMachine):
         learner = self.learner
         assert learner.switcher.successor is None
         assert same_model(learner.built, learner.settings)
-        fresh = new_estimator(learner.built, BODY, origin=learner.history.origin)
+        known = known_of(learner.estimator) if learner.switcher.renewed else None  # of a window chosen at some time
+        fresh = new_estimator(learner.built, BODY, known, learner.history.origin)
         for sample, learnt in self.given:
             fresh.observe(fresh.predict(sample), learnt)
         assert fresh.ready == learner.estimator.ready
@@ -257,6 +267,30 @@ def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
     life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, BODY))
     life.moves(40)
     life.comes_to_rest()
+
+
+def test_a_life_in_which_the_hyperparameters_are_estimated_again(tmp_path, monkeypatch):
+    monkeypatch.setattr('semiparam_ros.online.worker.MOST_WORSE', np.inf)
+    life = Lives()
+    life.begin()
+    life.chooses('SPK-ML')
+    life.declares(['time_delay{"delay_s": 0.005}'])
+    life.moves(40)
+    life.background.run()
+    life.moves_fast(45)
+    life.shadows(['NP-ML'])
+    assert not life.learner.switcher.renewed and life.learner.switcher.successor is not None
+    life.moves(10)
+    life.comes_to_rest()
+    assert life.learner.switcher.renewed
+    save(tmp_path / 's.npz', life.learner.state())
+    life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, BODY))
+    assert life.learner.switcher.renewed
+    life.chooses('SP2-ML')
+    life.moves_fast(40)
+    life.comes_to_rest()
+    life.resets()
+    assert not life.learner.switcher.renewed
 
 
 def test_a_clock_that_jumps_while_a_model_is_built_jumps_for_it_at_the_same_sample():

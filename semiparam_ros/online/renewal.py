@@ -1,0 +1,110 @@
+"""When the hyperparameters must be estimated again: later motion has left what they were estimated from.
+
+The features see inputs scaled by the window's spread. A window of slow motion, or one in which a joint stood still,
+scales later motion so large that any two of its samples look unlike, and the model learns each of them anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.estimator import Estimator, Prediction
+from semiparam_ros.core.types import Array, Mask
+
+SPREADS = 6.0
+"""An input further than so many of the window's scales from its mean lies outside."""
+SHARE = 0.25
+"""So large a share of the latest samples learnt lies outside, and another window is gathered."""
+MOST_WORSE = 1.1
+"""A model takes over unless its errors over the window are so many times those of the model in force."""
+MOST_ATTEMPTS = 60
+"""More than a life is long enough for."""
+
+
+class Errors:
+    """Of a model over the samples of a window."""
+
+    def __init__(self, n_outputs: int) -> None:
+        self.sums: Array = np.zeros((4, n_outputs))
+        """(4, n) of ones, the outputs, their squares, and the squares of the errors."""
+
+    def add(self, prediction: Prediction) -> None:
+        """One sample, before it is learnt."""
+        outputs = prediction.sample.outputs
+        self.sums += (np.ones_like(outputs), outputs, outputs**2, (outputs - prediction.mean) ** 2)
+
+    @property
+    def size(self) -> float:
+        """Root of the normalised mean squared error, the mean over the outputs that vary."""
+        _, mean, square, error = self.sums / np.maximum(self.sums[0], 1.0)
+        variance = square - mean**2
+        varies = variance > 0.0
+        return float(np.sqrt(np.mean(error[varies] / variance[varies]))) if varies.any() else 0.0
+
+
+class Renewal:
+    """Watches the samples that are learnt: first for motion outside of the window, then until another one is full.
+
+    Each must wait for twice as many samples as the one before, so that there are few of them in any life.
+
+    :param wanted: samples of a window.
+    """
+
+    def __init__(self, wanted: int, n_outputs: int) -> None:
+        self._wanted, self._n_outputs = wanted, n_outputs
+        self.done = False
+        """Whether any hyperparameters are from a later window than the initial one."""
+        self._attempts, self._learnt, self._outside = 0, 0, 0.0
+        self._errors: Errors | None = None
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether motion has left the window, until the model that follows has seen another window's samples."""
+        return self._errors is not None or (self._attempts > 0 and self._learnt < self._wanted)
+
+    def see(self, estimator: Estimator, prediction: Prediction) -> bool:
+        """Take note of a sample that was just learnt; True when the latest ones are another window."""
+        if estimator.input_scaling is None or not estimator.ready:
+            return False
+        if self._errors is not None:
+            self._errors.add(prediction)
+            return bool(self._errors.sums[0, 0] >= self._wanted)
+        mean, scale = estimator.input_scaling
+        outside = bool((np.abs(prediction.sample.inputs - mean) > SPREADS * scale).any())
+        self._outside += (outside - self._outside) / self._wanted
+        self._learnt += 1
+        if self._outside > SHARE and self._learnt >= self._wanted * 2**self._attempts:
+            self._errors = Errors(self._n_outputs)
+        return False
+
+    def begin(self) -> float:
+        """Watch anew, for hyperparameters are being estimated; the size of the errors over the window gathered."""
+        assert self._errors is not None
+        size = self._errors.size
+        self._attempts, self._learnt, self._outside, self._errors = self._attempts + 1, 0, 0.0, None
+        return size
+
+    def state(self) -> Memory:
+        """For a file; :meth:`restore` takes it back."""
+        return {'done': self.done, 'attempts': self._attempts, 'learnt': self._learnt, 'outside': self._outside,
+                'errors': None if self._errors is None else self._errors.sums.copy()}
+
+    def restore(self, state: Memory) -> None:
+        """Go on from a state; raises LookupError, TypeError or ValueError for what is none."""
+        if not isinstance(state, dict):
+            raise TypeError('the state of the renewal is no mapping')
+        self.done, self._outside = bool(state['done']), float(state['outside'])
+        self._attempts, self._learnt = int(state['attempts']), int(state['learnt'])
+        if not 0 <= self._attempts <= MOST_ATTEMPTS:
+            raise ValueError(f'the hyperparameters were estimated {self._attempts} times')
+        self._errors = None if state['errors'] is None else Errors(self._n_outputs)
+        if self._errors is not None:
+            self._errors.sums = np.array(state['errors'], dtype=float).reshape(4, self._n_outputs)
+
+
+def later_window(learnt: Mask, wanted: int) -> Mask:
+    """Which of the samples of a life (N,) make up its latest window."""
+    chosen = np.zeros(len(learnt), dtype=bool)
+    chosen[np.flatnonzero(learnt)[-wanted:]] = True
+    return chosen
