@@ -286,9 +286,7 @@ def _clock_jumps(folder, settings, times):
             clock.publish(Clock(clock=message))
         robot.move(part)
         residual = np.abs(client.values('residual'))
-        # A filter of velocities starts anew after each jump: its first acceleration is wrong, and is learnt.
-        kept = residual[-part:].mean() < 3.0 * residual[180:200].mean()
-        assert kept or settings.acceleration_source == 'filter', 'the model was kept'
+        assert residual[-part:].mean() < 3.0 * residual[180:200].mean(), 'the model was kept'
         refused = _refused(client)
     assert not refused
     return {'jumps ahead': times, 'jumps back': times, 'samples answered': robot.played, 'refused': 0}
