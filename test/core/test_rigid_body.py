@@ -7,6 +7,7 @@ import pytest
 
 from semiparam_ros.core.robot import rigid_body
 from semiparam_ros.core.robot import urdf as urdf_tree
+from semiparam_ros.core.robot.frames import FEW, felt_links, frame_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
@@ -226,6 +227,17 @@ def test_predictions_are_those_of_the_regressors_for_any_base_parameters(joints,
     for parameters in (np.random.default_rng(0).normal(size=body.n_parameters), np.zeros(body.n_parameters)):
         expected = body.regressors(motion) @ parameters
         np.testing.assert_allclose(body.outputs_of(motion, parameters), expected, atol=1e-11)
+
+
+@pytest.mark.parametrize('options', [('wrench', 'mid_link_ft', 'reaction'), ('effort',)])
+@pytest.mark.parametrize('joints', [ODD_JOINTS, ODD_JOINTS[::-1]])
+def test_links_move_alike_seen_one_by_one_and_all_at_once(joints, options):
+    body, motion = RigidBody.from_urdf(ODD_ARM, joints, *options), smooth_motion(len(joints), 2 * FEW)
+    for name in felt_links(body):
+        together = frame_motion(body, motion, name)
+        pieces = [frame_motion(body, motion[start:start + FEW // 3], name) for start in range(0, 2 * FEW, FEW // 3)]
+        for role, all_at_once, *few in zip(together._fields, together, *pieces, strict=True):
+            np.testing.assert_allclose(np.concatenate(few), all_at_once, atol=1e-12, err_msg=f'{name} {role}')
 
 
 def test_a_description_without_inertias_still_has_a_regressor():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -16,6 +15,8 @@ from semiparam_ros.errors import SemiparamError
 
 LINKS_APART = 0.005
 MOST_LINKS = 6
+FEW = 30
+"""Up to so many samples, a loop over them is faster than arithmetic on all at once."""
 
 
 class FrameMotion(NamedTuple):
@@ -75,16 +76,92 @@ def links_beside(body: RigidBody, link: str) -> list[str]:
 def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     """Motion of a link and the outputs' response to a force on it. An unknown link raises SemiparamError."""
     frame = _frame(body.arm, link, body)
-    felt, maps = _sensor_response(body) if body.distal is not None else _joint_response(body, frame)
-    data, model = body.arm.createData(), body.arm
-    rows = []
-    for q, dq in zip(body.arm_vector(samples.position), body.arm_vector(samples.velocity), strict=True):
-        pin.forwardKinematics(model, data, q, dq)
+    arm = _arm_motion(body, samples) if len(samples) > FEW else None
+    rotation, position, linear, angular = _one_by_one(body, samples, frame) if arm is None else _together(arm, frame)
+    moved = body.arm_vector(samples.velocity)[:, None]
+    velocity, turning = ((columns * moved).sum(axis=2) for columns in (linear, angular))
+    if body.distal is None:
+        force, couple = (-np.swapaxes(part[:, :, body.arm_columns], 1, 2) for part in (linear, angular))
+    else:
+        sensor = _one_by_one(body, samples, body.sensor_index)[:2] if arm is None else arm.placement(body.sensor_index)
+        force, couple = _on_sensor(body, position, *sensor)
+    return FrameMotion(position, velocity, turning, rotation, force, couple)
+
+
+def _one_by_one(body: RigidBody, samples: Samples, frame: int) -> tuple[Array, Array, Array, Array]:
+    """Rotation, position, and Jacobians as in :class:`_ArmMotion`, of few samples."""
+    model, data, rows = body.arm, body.arm.createData(), []
+    for q in body.arm_vector(samples.position):
+        pin.computeJointJacobians(model, data, q)
         placement = pin.updateFramePlacement(model, data, frame)
-        twist = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        rows.append((placement.translation.copy(), twist.linear, twist.angular, placement.rotation.copy(), *felt(data)))
-    position, velocity, turning, rotation, *state = (np.array(column) for column in zip(*rows, strict=True))
-    return FrameMotion(position, velocity, turning, rotation, *maps(position, *state))
+        rows.append((placement.rotation.copy(), placement.translation.copy(),
+                     pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)))
+    rotation, position, jacobian = (np.array(column) for column in zip(*rows, strict=True))
+    return rotation, position, jacobian[:, :3], jacobian[:, 3:]
+
+
+def _together(arm: _ArmMotion, frame: int) -> tuple[Array, Array, Array, Array]:
+    """The same of many samples."""
+    rotation, position = arm.placement(frame)
+    return rotation, position, *arm.jacobian(frame, position)
+
+
+class _ArmMotion(NamedTuple):
+    """Where every joint of a model is over N samples, in the base: placements after its turn, and its own motion."""
+
+    model: pin.Model
+    rotation: list[Array]  # (N, 3, 3) of each joint
+    position: list[Array]  # (N, 3)
+    slides: list[Array]  # (N, 3) velocity of all behind it while the joint moves at 1 along itself
+    turns: list[Array]  # (N, 3) the same, about itself
+
+    def placement(self, frame: int) -> tuple[Array, Array]:
+        """Rotation (N, 3, 3) and position (N, 3) of a frame."""
+        carrier, inside = self.model.frames[frame].parentJoint, self.model.frames[frame].placement
+        rotation = self.rotation[carrier]
+        return rotation @ inside.rotation, self.position[carrier] + rotation @ inside.translation
+
+    def jacobian(self, frame: int, position: Array) -> tuple[Array, Array]:
+        """(N, 3, n) velocity and angular velocity of a frame at positions (N, 3), for a unit speed of each joint."""
+        linear, angular = np.zeros((2, len(position), 3, self.model.nv))
+        for joint in list(self.model.supports[self.model.frames[frame].parentJoint])[1:]:
+            column = self.model.joints[joint].idx_v
+            angular[:, :, column] = self.turns[joint]
+            linear[:, :, column] = self.slides[joint] + np.cross(self.turns[joint],
+                                                                 position - self.position[joint])
+        return linear, angular
+
+
+@lru_cache(maxsize=4)
+def _arm_motion(body: RigidBody, samples: Samples) -> _ArmMotion:
+    """All samples at once, joint after joint: a loop over samples takes ten times as long."""
+    model, travel = body.arm, body.arm_vector(samples.position)
+    count = len(samples)
+    motion = _ArmMotion(model, [np.broadcast_to(np.eye(3), (count, 3, 3))], [np.zeros((count, 3))],
+                        [np.zeros((count, 3))], [np.zeros((count, 3))])
+    for number in range(1, model.njoints):
+        joint, parent, before = model.joints[number], model.parents[number], model.jointPlacements[number]
+        own = joint.createData()
+        joint.calc(own, pin.neutral(model))
+        along, about = np.array(own.S).ravel()[:3], np.array(own.S).ravel()[3:]
+        angle = travel[:, joint.idx_v]
+        cross = pin.skew(about)
+        turned = (np.eye(3) + np.sin(angle)[:, None, None] * cross
+                  + (1.0 - np.cos(angle))[:, None, None] * (cross @ cross))
+        base = motion.rotation[parent] @ before.rotation
+        motion.position.append(motion.position[parent] + motion.rotation[parent] @ before.translation
+                               + (base @ along) * angle[:, None])
+        motion.rotation.append(base @ turned)
+        motion.slides.append(motion.rotation[-1] @ along)
+        motion.turns.append(motion.rotation[-1] @ about)
+    return motion
+
+
+def _on_sensor(body: RigidBody, position: Array, rotation: Array, sensor: Array) -> tuple[Array, Array]:
+    """(N, 6, 3) what forces at positions (N, 3), and couples, do to a wrench sensor there (N, 3, 3), (N, 3)."""
+    to_sensor = -body.sign * np.swapaxes(rotation, 1, 2)
+    return (np.concatenate([to_sensor, to_sensor @ _levers(position - sensor)], axis=1),
+            np.concatenate([np.zeros_like(to_sensor), to_sensor], axis=1))
 
 
 def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
@@ -126,35 +203,6 @@ def _moved(parameters: Array, rotation: Array, shift: Array) -> Array:
     inertia = inertia + np.trace(second) * np.eye(3) - second
     return np.array([mass, *(moment + mass * shift), inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2],
                      inertia[1, 2], inertia[2, 2]])
-
-
-Response = tuple[Callable[[pin.Data], tuple[Array, ...]], Callable[..., tuple[Array, Array]]]
-"""What to keep of the arm's state at each sample, and the force and couple maps (N, n, 3) that follow from all."""
-
-
-def _sensor_response(body: RigidBody) -> Response:
-    def felt(data: pin.Data) -> tuple[Array, ...]:
-        sensor = pin.updateFramePlacement(body.arm, data, body.sensor_index)
-        return sensor.translation.copy(), sensor.rotation.copy()
-
-    def maps(position: Array, sensor: Array, rotation: Array) -> tuple[Array, Array]:
-        to_sensor = -body.sign * np.swapaxes(rotation, 1, 2)
-        return (np.concatenate([to_sensor, to_sensor @ _levers(position - sensor)], axis=1),
-                np.concatenate([np.zeros_like(to_sensor), to_sensor], axis=1))
-
-    return felt, maps
-
-
-def _joint_response(body: RigidBody, frame: int) -> Response:
-    def felt(data: pin.Data) -> tuple[Array, ...]:
-        pin.computeJointJacobians(body.arm, data)
-        return (pin.getFrameJacobian(body.arm, data, frame, pin.LOCAL_WORLD_ALIGNED),)
-
-    def maps(position: Array, jacobian: Array) -> tuple[Array, Array]:
-        turned = -np.swapaxes(jacobian[:, :, body.arm_columns], 1, 2)
-        return turned[:, :, :3], turned[:, :, 3:]
-
-    return felt, maps
 
 
 def _levers(arms: Array) -> Array:
