@@ -29,6 +29,11 @@ class DiagnosisConfig:
     """Leaves out so many working samples at either end of a smoothed recording: it sees them from one side."""
     least_working_samples: int = 50
     """Refuses recordings with fewer working samples in use: these cannot tell one cause from another (chosen)."""
+    input_error_share: float = 0.5
+    """Says that the motion is too fast for its rate where errors of accelerations make this share of what an output
+    leaves (chosen)."""
+    small_input_error_share: float = 0.1
+    """Recommends the rate at which they would make less than this share (chosen)."""
     rest_speed_share: float = 0.01
     """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
     rest_s: float = 0.2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.identifiability import unidentifiable
 from semiparam_ros.diagnosis.data.outliers import excluded
-from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, working_factor
+from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
@@ -192,6 +192,9 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     before, *by_step = [evaluate_here(fit, held_out) if elsewhere is None
                         else evaluate_there(fit, elsewhere.samples, elsewhere.valid)
                         for fit in (first, *(step.after for step in steps))]
+    fast = [] if setup else too_fast(body, samples, inputs, final)
+    if fast and structure is not None and structure.share < config.large_structure_share:
+        structure = replace(structure, significant=False)  # errors of the inputs explain more than that
     everything = final
     if steps and other is None:
         everything = fitted_to_all(final, fitting | held_out, [index for index, _, _ in places_in(final, steps)])
@@ -202,6 +205,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
+               *fast,
                *unidentifiable(body, samples, config), *_left_out(clean)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=[] if setup else contacts(final))
 

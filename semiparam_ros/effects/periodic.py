@@ -15,6 +15,8 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Values, joint_index
 
 PEAKS = 4
+EDGE = 0.95
+"""Of half the sampling rate: beyond it, errors of differentiated motion and aliases look like a disturbance."""
 
 
 class PeriodicDisturbance(Effect):
@@ -97,7 +99,7 @@ def spectral_peaks(time: Array, signal: Array) -> list[float]:
     window = np.hanning(len(even))
     power = np.sum([np.abs(np.fft.rfft(column * window, padded)) ** 2 for column in columns], axis=0)
     frequencies = np.fft.rfftfreq(padded, step)
-    power[frequencies < 2.0 / (time[-1] - time[0])] = 0.0
+    power[(frequencies < 2.0 / (time[-1] - time[0])) | (frequencies > EDGE * frequencies[-1])] = 0.0
     return [float(frequencies[index]) for index in strongest_peaks(power, PEAKS)]
 
 

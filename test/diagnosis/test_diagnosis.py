@@ -38,7 +38,7 @@ from semiparam_ros.report.diagnosis_page import relative_floor
 from semiparam_ros.settings import Settings, load_params
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR, ODD_ARM, ODD_JOINTS, as_recorded, icub, smooth_motion
 from support.node_helpers import BODY as SMALL_ARM
 from support.node_helpers import motion
 
@@ -65,6 +65,15 @@ def test_noise_in_the_inputs_is_no_delay(seed, encoder_noise):
     clean = simulate(Scenario(outputs='effort', seed=seed, encoder_noise=encoder_noise))
     assert not found_in(clean).findings
     assert not found_in(clean, only=['time_delay']).findings
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_what_errors_of_fast_motion_leave_is_no_effect_and_the_remedy_is_said(outputs):
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
+    fast, slow = (diagnose(body, as_recorded(body, smooth_motion(4, 1500, speed=speed))) for speed in (3.0, 0.5))
+    assert fast.verdict == slow.verdict == 'nothing_missing'
+    assert any('too fast for 20 Hz' in note and 'measure them' in note for note in fast.notes)
+    assert not any('too fast' in note for note in slow.notes)
 
 
 @pytest.mark.parametrize('kind', ['viscous_friction', 'coulomb_friction'])

@@ -18,12 +18,12 @@ import numpy as np
 from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.signals.smoothing import smoothed
+from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import fold_losses
-from semiparam_ros.diagnosis.regression import fit_model, refit_weights
+from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
 from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
@@ -79,6 +79,41 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
             scale = refit_weights(fit).scale
         losses[name] = float(fold_losses(fit, scale).sum())
     return options[min(losses, key=lambda name: losses[name])]
+
+
+def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> list[str]:
+    """A sentence where errors of estimated accelerations make most of what the model leaves; empty otherwise.
+
+    :param fit: the model on the prepared samples.
+    """
+    if inputs.motion == 'recorded' or samples.breaks:
+        return []
+    config, raw, with_velocities = fit.config, averaged(samples, inputs.factor), inputs.motion == 'smoothed'
+    spread = fit.samples.acceleration.std(axis=0)
+    left = fit.squares / np.maximum(fit.counts, 1.0)
+
+    def share(errors: Array) -> float:
+        """The largest share, over the outputs, of what is left that these errors (n_joints,) make."""
+        still = body.outputs_of(fit.samples, fit.rigid_part)
+        made = np.zeros(body.n_outputs)
+        for joint, error in enumerate(errors):
+            acceleration = fit.samples.acceleration.copy()
+            acceleration[:, joint] += error
+            moved = body.outputs_of(replace(fit.samples, acceleration=acceleration), fit.rigid_part)
+            made += np.mean((moved - still)[fit.train_mask] ** 2, axis=0)
+        return float((made / left).max())
+
+    errors = acceleration_errors(raw, with_velocities)
+    if share(errors) < config.input_error_share:
+        return []
+    rate = 1e9 / float(np.median(np.diff(raw.stamps)))
+    enough = next((times for times in (2, 4, 8) if share(acceleration_errors(raw, with_velocities, times))
+                   < config.small_input_error_share), None)
+    worst = int((errors / np.maximum(spread, 1e-12)).argmax())
+    remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
+    return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '
+            f'{100 * errors[worst] / max(spread[worst], 1e-12):.1f} % ({body.joints[worst]}), and that is most of what '
+            f'the model leaves. Small effects found here, or small ones not found, say little; {remedy}.']
 
 
 def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
