@@ -471,12 +471,13 @@ class Estimator:
 
     def _build(self, hyperparameters: Hyperparameters) -> Model:
         assert self.input_scaling is not None
-        features = None
+        features, count = None, 0
         if self.variant.features:
-            count = self.options.features_count
-            features = RandomFeatures(3 * self.body.n_joints, count if isinstance(count, int) else
-                                      hyperparameters.features, self.options.features_seed, hyperparameters.tau,
+            chosen = self.options.features_count
+            count = chosen if isinstance(chosen, int) else hyperparameters.features
+            features = RandomFeatures(3 * self.body.n_joints, count, self.options.features_seed, hyperparameters.tau,
                                       *self.input_scaling)
+        hyperparameters = replace(hyperparameters, features=count)  # given ones do not know it, and are handed on
         mean = np.concatenate([np.zeros(self.columns.n_own), self.columns.known])
         given = self.options.forgetting
         return Model(self.variant, hyperparameters, features, self.columns.prior_scale, mean,

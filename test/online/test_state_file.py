@@ -141,6 +141,20 @@ def layout_of(arrays):
     return found | {name: f'{values.dtype.str[1:]} {values.shape}' for name, values in arrays.items() if name != 'meta'}
 
 
+def test_a_number_of_features_chosen_by_itself_is_kept_by_a_state_of_a_state(tmp_path):
+    settings = replace(SETTINGS, features_count='auto')
+    stage = stage_of(settings, motion(70))
+    chosen = stage.learner.estimator.features_count
+    for _ in range(2):
+        state_file.save(tmp_path / 's.npz', stage.learner.state())
+        stage.learner.restore(state_file.load(tmp_path / 's.npz', settings, BODY))
+        assert stage.learner.estimator.features_count == chosen >= 50
+    stage.learner.change(replace(settings, effects=('sensor_drift',)))
+    stage.learner.change(settings)
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    assert state_file.load(tmp_path / 's.npz', settings, BODY).estimator.features_count == chosen
+
+
 def test_other_versions_are_refused(tmp_path):
     path = tmp_path / 's.npz'
     arrays = state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state())
