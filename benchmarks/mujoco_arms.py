@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -221,6 +221,9 @@ if __name__ == '__main__':
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('robots', type=Path)
     parser.add_argument('--only', default='', help='settings whose names hold this')
+    parser.add_argument('--seconds', type=float, help='length of each recording, 60 unless given')
     arguments = parser.parse_args()
     chosen = [setting for setting in SETTINGS if arguments.only in setting.name]
+    if arguments.seconds:
+        chosen = [replace(setting, seconds=arguments.seconds) for setting in chosen]
     report((setting.name, compared(case(setting, arguments.robots))) for setting in chosen)
