@@ -91,7 +91,10 @@ def start_node(tmp_path, ros_domain):
 
 
 class _free_domain:
-    """Holds a lock file for the first free domain, so that parallel workers and other checkouts keep apart."""
+    """Holds a lock file for a free domain, so that parallel workers and other checkouts keep apart.
+
+    It is the one that was left longest ago: who was killed there is still taken for alive by the others for 20 s.
+    """
 
     # Above 101 a domain's ports reach into the range that the kernel gives to outgoing connections.
     DOMAINS = range(60, 102)
@@ -99,17 +102,22 @@ class _free_domain:
     def __enter__(self) -> int:
         folder = Path('/tmp/semiparam_ros_test_domains')
         folder.mkdir(exist_ok=True)
-        for domain in self.DOMAINS:
-            self.lock = (folder / str(domain)).open('w')
+        for path in sorted((folder / str(domain) for domain in self.DOMAINS), key=_last_used):
+            self.lock = path.open('w')
             try:
                 fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return domain
+                return int(path.name)
             except BlockingIOError:
                 self.lock.close()
         raise RuntimeError('no free ROS domain: more than forty tests are running')
 
     def __exit__(self, *_: object) -> None:
+        os.utime(self.lock.name)
         self.lock.close()
+
+
+def _last_used(path: Path) -> float:
+    return path.stat().st_mtime if path.exists() else 0.0
 
 
 @pytest.fixture(scope='session')

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.signals.smoothing import smoothed
+from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.preparation import Inputs
 from support.arms import smooth_motion
@@ -58,3 +58,11 @@ def test_the_ends_of_a_smoothed_recording_take_no_part():
     inner = Inputs('smoothed', 2).mask(usable)
     assert np.flatnonzero(inner).tolist() == list(range(5, 45))
     assert Inputs('recorded', 2).mask(usable).all()
+
+
+def test_errors_of_accelerations_that_rounding_hides_are_not_known():
+    """A factor that fails must not end a diagnosis: with absurd effects declared, the fuzzer met one."""
+    _, samples = recorded(100.0, seconds=3.0)
+    samples = replace(samples, position=samples.position.round(3), velocity=samples.velocity.round(3))
+    assert np.all(acceleration_errors(samples) > 0.0)
+    assert np.isnan(acceleration_errors(samples, times=1e5)).all()

@@ -61,7 +61,7 @@ def _smooth_joint(time: Array, position: Array, velocity: Array,
 
 def acceleration_errors(samples: Samples, with_velocities: bool = True, times: float = 1.0) -> Array:
     """(n_joints,) standard deviations [rad/s^2] of the smoothed accelerations' errors, as the model of the motion has
-    them; if the same motion were recorded at ``times`` the rate, with encoders as good.
+    them; if the same motion were recorded at ``times`` the rate, with encoders as good. NaN where rounding hides it.
 
     :param with_velocities: as for :func:`smoothed`.
     """
@@ -145,13 +145,18 @@ class _Problem:
         return self._solve(np.clip(logs, -40.0, 20.0))[1]
 
     def acceleration_error(self, logs: Array, times: float) -> float:
-        """Standard deviation of an acceleration far from the ends, of measurements at ``times`` the rate."""
+        """Standard deviation of an acceleration far from the ends, of measurements at ``times`` the rate; NaN where
+        the noise is so small beside the motion that rounding spoils the factor."""
         finer = logs - np.log(times) * np.array([ORDER - 0.5, 0.0, 1.0])  # in units of the shorter step
         count = 2 * SEEN + 1
         problem = _Problem(np.ones(count - 1), np.zeros(count), np.zeros(count), bool(self.use[1]))
         one = np.zeros(count * ORDER)
         one[SEEN * ORDER + 2] = 1.0
-        variance = cho_solve_banded((problem._solve(finer)[0], False), one)[SEEN * ORDER + 2]
+        try:
+            factor, _ = problem._solve(finer)
+        except np.linalg.LinAlgError:
+            return float('nan')
+        variance = cho_solve_banded((factor, False), one)[SEEN * ORDER + 2]
         return float(np.sqrt(variance)) * times**2
 
     def _solve(self, logs: Array) -> tuple[Array, Array]:

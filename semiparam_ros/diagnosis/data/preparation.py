@@ -104,7 +104,7 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
         return float((made / left).max())
 
     errors = acceleration_errors(raw, with_velocities)
-    if share(errors) < config.input_error_share:
+    if not share(errors) >= config.input_error_share:  # nor where they are not known
         return []
     rate = 1e9 / float(np.median(np.diff(raw.stamps)))
     enough = next((times for times in (2, 4, 8) if share(acceleration_errors(raw, with_velocities, times))
