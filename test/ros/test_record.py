@@ -91,6 +91,24 @@ def test_a_signal_ends_it_and_the_file_is_whole(tmp_path, number):
     assert record.said('recorded 50 messages') and not list(tmp_path.glob('*.partial'))
 
 
+def test_what_was_published_before_the_signal_is_recorded_also_after_a_pause(tmp_path):
+    out = tmp_path / 'out.mcap'
+    with Source() as peer:
+        output = peer.offer('/wrench', WRENCH)
+        with Tool(tmp_path, 'record', out, '--topics', '/wrench') as record:
+            peer.wait_for_listeners(output)
+            peer.wait_for(lambda: record.said('recording 1 topics'))
+            output.publish(message_class(WRENCH)())
+            time.sleep(1.0)
+            record.interrupt(signal.SIGSTOP)  # as on a machine that gives it no time
+            for _ in range(50):
+                output.publish(message_class(WRENCH)())
+            record.interrupt(signal.SIGINT)
+            record.interrupt(signal.SIGCONT)
+            assert record.wait() == 0, record.output
+    assert topics_of(out) == {'/wrench': 51}
+
+
 def test_a_killed_recorder_leaves_what_it_had_under_another_name(tmp_path):
     out = tmp_path / 'out.mcap'
     with Source() as source:

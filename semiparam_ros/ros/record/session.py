@@ -187,8 +187,10 @@ class RecordSession:
         return node.complete or idle or late
 
     def _let_the_last_arrive(self, node: RecordNode) -> None:
-        """What was published before the signal may still be on its way."""
-        wait_until(lambda: time.monotonic() - node.last_message > QUIET_S, QUIET_AT_MOST_S, threading.Event())
+        """What was published before the signal may still be on its way, however long nothing came before."""
+        signalled = time.monotonic()
+        wait_until(lambda: time.monotonic() - max(node.last_message, signalled) > QUIET_S, QUIET_AT_MOST_S,
+                   threading.Event())
 
     def _say(self, sentence: str) -> None:
         self._console.print(sentence, highlight=False, soft_wrap=True, markup=False)
