@@ -29,7 +29,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import normalised_errors
 from semiparam_ros.settings import Settings
-from semiparam_ros.settings.build import build_estimator, build_rigid_body, declared_effects
+from semiparam_ros.settings.build import build_estimator, build_rigid_body, declared_effects, model_options
 
 TURN = 50
 """Samples that a learner takes before it is the next one's turn: a busy moment of the machine hurts them all."""
@@ -303,8 +303,7 @@ def compare_with_peers(settings: Settings, samples: Samples, robot_description: 
     for variant in variants:
         learners.append(_ours(replace(settings, variant=variant), samples, robot_description, gathered.end))
         tick()
-    count = settings.features_count if isinstance(settings.features_count, int) else 500
-    for peer in peers(body.n_outputs, count):
+    for peer in peers(body.n_outputs, model_options(settings).most_features):
         learners.append(_theirs(peer, samples, columns, window))
         tick()
     for start in range(gathered.end, len(samples), TURN):

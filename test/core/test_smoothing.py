@@ -65,4 +65,4 @@ def test_errors_of_accelerations_that_rounding_hides_are_not_known():
     _, samples = recorded(100.0, seconds=3.0)
     samples = replace(samples, position=samples.position.round(3), velocity=samples.velocity.round(3))
     assert np.all(acceleration_errors(samples) > 0.0)
-    assert np.isnan(acceleration_errors(samples, times=1e5)).all()
+    assert np.isnan(acceleration_errors(samples, times=(1e5,))).all()

@@ -255,14 +255,20 @@ Lives.TestCase.settings = hypothesis.settings(max_examples=hypothesis.settings.d
 TestLives = pytest.mark.timeout(3600)(Lives.TestCase)  # the full form takes minutes
 
 
-def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
-    """The state that the lives above keep in memory is the one that the file gives back."""
+def with_a_window():
+    """A life whose SPK-ML has its hyperparameters, and an effect that remembers the past."""
     life = Lives()
     life.begin()
     life.chooses('SPK-ML')
     life.declares(['time_delay{"delay_s": 0.005}'])
     life.moves(40)
     life.background.run()
+    return life
+
+
+def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
+    """The state that the lives above keep in memory is the one that the file gives back."""
+    life = with_a_window()
     save(tmp_path / 's.npz', life.learner.state())
     life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, BODY))
     life.moves(40)
@@ -271,12 +277,7 @@ def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
 
 def test_a_life_in_which_the_hyperparameters_are_estimated_again(tmp_path, monkeypatch):
     monkeypatch.setattr('semiparam_ros.online.worker.MOST_WORSE', np.inf)
-    life = Lives()
-    life.begin()
-    life.chooses('SPK-ML')
-    life.declares(['time_delay{"delay_s": 0.005}'])
-    life.moves(40)
-    life.background.run()
+    life = with_a_window()
     life.moves_fast(45)
     life.shadows(['NP-ML'])
     assert not life.learner.switcher.renewed and life.learner.switcher.successor is not None

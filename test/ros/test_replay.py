@@ -265,8 +265,9 @@ def test_a_signal_to_a_lossless_playback_is_no_success(tmp_path):
     bag = write_robot(tmp_path / 'a.mcap', 400)
     with Peer('estimator') as peer:
         peer.answer('/wrench', WRENCH, refuses=lambda count: count > 150)
-        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
-            peer.wait_for(lambda: len(peer.heard['/wrench']) > 150)
+        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--window', 10) as tool:
+            # The window opens for the last ten only when every answer has arrived.
+            peer.wait_for(lambda: len(peer.heard['/wrench']) == 160)
             tool.interrupt()
             assert tool.wait() == 130, tool.output
     assert tool.said('stopped after') and tool.said('answered 150 of')

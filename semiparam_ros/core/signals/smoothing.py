@@ -7,6 +7,7 @@ those of greatest marginal likelihood. A causal filter at 20 Hz misses several t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import factorial
 
@@ -59,9 +60,10 @@ def _smooth_joint(time: Array, position: Array, velocity: Array,
     return states[:, 0] + centre, states[:, 1] / step, states[:, 2] / step**2
 
 
-def acceleration_errors(samples: Samples, with_velocities: bool = True, times: float = 1.0) -> Array:
-    """(n_joints,) standard deviations [rad/s^2] of the smoothed accelerations' errors, as the model of the motion has
-    them; if the same motion were recorded at ``times`` the rate, with encoders as good. NaN where rounding hides it.
+def acceleration_errors(samples: Samples, with_velocities: bool = True, times: Sequence[float] = (1.0,)) -> Array:
+    """(K, n_joints) standard deviations [rad/s^2] of the smoothed accelerations' errors, as the model of the motion has
+    them; if the same motion were recorded at each of K ``times`` the rate, with encoders as good. NaN where rounding
+    hides it.
 
     :param with_velocities: as for :func:`smoothed`.
     """
@@ -70,8 +72,8 @@ def acceleration_errors(samples: Samples, with_velocities: bool = True, times: f
     for position, velocity in zip(samples.position.T, samples.velocity.T, strict=True):
         problem = _Problem(np.ones(len(position) - 1), position - position.mean(), velocity * step, with_velocities)
         logs = problem.liveliest(TUNING_SAMPLES).best()
-        errors.append(problem.acceleration_error(logs, times) / step**2)
-    return np.array(errors)
+        errors.append([problem.acceleration_error(logs, each) / step**2 for each in times])
+    return np.array(errors).T
 
 
 class _Problem:

@@ -29,6 +29,9 @@ from semiparam_ros.errors import SemiparamError
 
 OPTIONS = ('smoothed', 'smoothed from positions', 'recorded')
 
+FASTER = (2, 4, 8)
+"""Times the rate at which a recording may be recommended."""
+
 
 class Inputs(NamedTuple):
     """How a recording was prepared: which motion, how many samples each working sample averages, and how many working
@@ -91,10 +94,10 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     config, raw, with_velocities = fit.config, averaged(samples, inputs.factor), inputs.motion == 'smoothed'
     spread = fit.samples.acceleration.std(axis=0)
     left = fit.squares / np.maximum(fit.counts, 1.0)
+    still = body.outputs_of(fit.samples, fit.rigid_part)
 
     def share(errors: Array) -> float:
         """The largest share, over the outputs, of what is left that these errors (n_joints,) make."""
-        still = body.outputs_of(fit.samples, fit.rigid_part)
         made = np.zeros(body.n_outputs)
         for joint, error in enumerate(errors):
             acceleration = fit.samples.acceleration.copy()
@@ -103,12 +106,12 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
             made += np.mean((moved - still)[fit.train_mask] ** 2, axis=0)
         return float((made / left).max())
 
-    errors = acceleration_errors(raw, with_velocities)
+    errors, *finer = acceleration_errors(raw, with_velocities, (1, *FASTER))
     if not share(errors) >= config.input_error_share:  # nor where they are not known
         return []
     rate = 1e9 / float(np.median(np.diff(raw.stamps)))
-    enough = next((times for times in (2, 4, 8) if share(acceleration_errors(raw, with_velocities, times))
-                   < config.small_input_error_share), None)
+    enough = next((times for times, fewer in zip(FASTER, finer, strict=True)
+                   if share(fewer) < config.small_input_error_share), None)
     worst = int((errors / np.maximum(spread, 1e-12)).argmax())
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '
