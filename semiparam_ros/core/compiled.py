@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from typing import Any
 
 try:
     if os.environ.get('SEMIPARAM_COMPILED') == '0':
@@ -27,11 +28,11 @@ _FAST = {'reassoc', 'contract', 'nsz'}
 """Sums may be added in any order, so that the processor's vectors are used; what is not finite stays so."""
 
 
-def compiled(*arguments: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Compile a function of these arguments that returns nothing, and writes into its arrays."""
-    signature = f'void({", ".join(arguments)})'
+def compiled(*arguments: str, returns: str = 'void') -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Compile a function of these arguments, which writes into its arrays or returns a number."""
+    signature = f'{returns}({", ".join(arguments)})'
 
-    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         if not AVAILABLE:
             return function
         try:

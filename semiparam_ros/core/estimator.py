@@ -18,8 +18,9 @@ from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estim
 from semiparam_ros.core.hyperparameters.feature_count import MOST
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
 from semiparam_ros.core.initial_window import InitialWindow
+from semiparam_ros.core.input_range import beyond, widened
 from semiparam_ros.core.motion import Motion, at_start
-from semiparam_ros.core.random_features import LEAST_SHARE, RandomFeatures, input_scaling, spectrum
+from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
@@ -152,7 +153,7 @@ class Prediction(NamedTuple):
     memory: Memories
     motion: Motion
     beyond: float
-    """How far the farthest position or velocity lies outside of those learnt, as a share of their range; 0 within."""
+    """How far the inputs lie outside of those learnt, see :func:`~semiparam_ros.core.input_range.beyond`."""
 
     @property
     def log_density(self) -> float:
@@ -185,7 +186,7 @@ class EstimatorState(NamedTuple):
     origin: int | None  # [ns]
     newest: int | None  # [ns] stamp of the last sample
     memory: Memories
-    inputs_learnt: Array  # (2, m) lowest and highest inputs learnt, (0, m) before the first
+    inputs_learnt: Array
     motion: Motion | None
 
 
@@ -215,7 +216,7 @@ class Estimator:
         self._newest: int | None = None
         self._memory: Memories = None
         self.inputs_learnt: Array = np.zeros((0, 3 * body.n_joints))
-        """(2, m) lowest and highest inputs learnt; (0, m) before the first."""
+        """See :mod:`semiparam_ros.core.input_range`."""
         given = self.options.hyperparameters
         self.ready = given is not None
         self.model = self._provisional() if given is None else self._given(given)
@@ -248,7 +249,8 @@ class Estimator:
         motion = self.motion.after(sample.stamp, sample.position, sample.outputs) if self.motion else \
             at_start(sample.stamp, sample.position, sample.outputs)
         return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None, sample,
-                          prior, learnt, fixed, scale, memory, motion, self._beyond(x))
+                          prior, learnt, fixed, scale, memory, motion,
+                          beyond(self.inputs_learnt, x, self.body.n_joints))
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -293,9 +295,7 @@ class Estimator:
         outputs = sample.outputs / self.model.output_scale
         complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)
         if learn:
-            x = sample.inputs
-            known = self.inputs_learnt
-            self.inputs_learnt = np.array([np.minimum(known[0], x), np.maximum(known[1], x)] if len(known) else [x, x])
+            self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
         due = learn and self._is_due(prediction.prior)
         correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if due else None
         if not due:
@@ -416,18 +416,6 @@ class Estimator:
         """Those in use, with pi as it stands."""
         pi = tuple(self.model.part(slice(0, self.columns.n_own)).tolist())
         return replace(self.model.hyperparameters, pi=pi or None)
-
-    def _beyond(self, x: Array) -> float:
-        """See :attr:`Prediction.beyond`. A range counts as at least a fifth of the largest of its kind."""
-        if not len(self.inputs_learnt):
-            return 0.0
-        known = self.inputs_learnt[:, :2 * self.body.n_joints]
-        outside = np.maximum(known[0] - x[:known.shape[1]], x[:known.shape[1]] - known[1])
-        if outside.max() <= 0.0:
-            return 0.0
-        ranges = (known[1] - known[0]).reshape(2, -1)
-        ranges = np.maximum(ranges, LEAST_SHARE * ranges.max(axis=1, keepdims=True)).ravel()
-        return float((outside / np.maximum(ranges, 1e-9)).max())
 
     def _has_jumped(self, stamp: int) -> bool:
         return self._newest is not None and not 0 <= stamp - self._newest <= LONGEST_PAUSE_NS

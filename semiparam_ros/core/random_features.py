@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -37,14 +38,11 @@ class RandomFeatures:
 
     def __call__(self, x: Array) -> Array:
         """(D,) features of one input (m,)."""
-        z = self._omega @ x
-        z -= self._phase
-        phi = np.empty(self.count)
-        half = self.count // 2
-        np.cos(z, out=phi[:half])
-        np.sin(z, out=phi[half:])
-        phi *= self._norm
-        return phi
+        if AVAILABLE:
+            phi = np.empty(self.count)
+            _features(self._omega.T, self._phase, self._norm, x, phi)
+            return phi
+        return np.asarray(self.batch(x[None])[0])
 
     def batch(self, x: Array) -> Array:
         """(N, D) features of inputs (N, m)."""
@@ -60,6 +58,21 @@ class RandomFeatures:
                 raise SemiparamError(f'the {name} of the features are {values.tolist()}; expected positive numbers.')
         if not np.isfinite(self.input_mean).all():
             raise SemiparamError(f'the input mean of the features is {self.input_mean.tolist()}; expected numbers.')
+
+
+@compiled(MATRIX, VECTOR, NUMBER, VECTOR, VECTOR)
+def _features(omega: Array, phase: Array, norm: float, x: Array, phi: Array) -> None:
+    """phi of one input, from omega (m, d)."""
+    inputs, half = omega.shape
+    for i in range(half):
+        phi[i] = -phase[i]
+    for j in range(inputs):
+        for i in range(half):
+            phi[i] += omega[j, i] * x[j]
+    for i in range(half):
+        z = phi[i]
+        phi[i] = norm * np.cos(z)
+        phi[half + i] = norm * np.sin(z)
 
 
 def spectrum(n_inputs: int, count: int, seed: int) -> Array:

@@ -11,11 +11,13 @@ from semiparam_ros.core import (
     band_calibration,
     compiled,
     horizon_error,
+    input_range,
     recursion,
     square_root_filter,
     wandering_offset,
 )
 from semiparam_ros.core.horizon_error import HorizonIndex
+from semiparam_ros.core.random_features import RandomFeatures
 from semiparam_ros.core.recursion import SemiParametricRecursion
 from semiparam_ros.core.square_root_filter import SquareRootFilter
 from semiparam_ros.core.wandering_offset import DECAY
@@ -65,6 +67,33 @@ def test_the_horizon(monkeypatch, features, columns, decay):
             np.testing.assert_allclose(errors.eps_centred, expected.eps_centred, rtol=1e-11)
             np.testing.assert_allclose(errors.eps, expected.eps, rtol=1e-11)
     assert errors is not None
+
+
+@pytest.mark.parametrize('count', [2, 30])
+def test_one_input_has_the_features_that_a_batch_gives_it(count):
+    rng = np.random.default_rng(5)
+    features = RandomFeatures(9, count, 0, (0.5, 1.0, 2.0), rng.standard_normal(9), rng.uniform(0.5, 2.0, 9))
+    inputs = 3.0 * rng.standard_normal((20, 9))
+    np.testing.assert_allclose([features(x) for x in inputs], features.batch(inputs), **TOLERANCE)
+
+
+def test_the_range_of_the_inputs():
+    rng = np.random.default_rng(6)
+    known, joints = np.zeros((0, 9)), 3
+    for size in [*np.full(20, 0.1), *np.full(20, 1.0), 0.0, 0.1]:
+        x = size * rng.standard_normal(9)
+        x[2::3] *= 0.01  # a joint that hardly moves
+        lies = input_range.beyond(known, x, joints)
+        if len(known):
+            assert lies == pytest.approx(input_range._beyond_readable(known, x, joints), rel=1e-12)
+        else:
+            assert lies == 0.0
+        wider = input_range.widened(known, x)
+        np.testing.assert_array_equal(wider, np.array([np.vstack([known[:1], x]).min(axis=0),
+                                                       np.vstack([known[1:], x]).max(axis=0)]))
+        assert input_range.beyond(wider, x, joints) == 0.0
+        known = wider
+    assert lies == 0.0
 
 
 @pytest.mark.parametrize('features', [1, 2, 7, 40])

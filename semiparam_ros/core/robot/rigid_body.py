@@ -120,7 +120,7 @@ class RigidBody:
             shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
             self._distal_from = np.array(shared, dtype=int)
         self.basis = self._identifiable_basis()
-        self._from_base = self.basis
+        self._reduce_by(self.basis)
 
     @classmethod
     def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
@@ -203,9 +203,13 @@ class RigidBody:
         """(p,) the URDF's inertial parameters in the identifiable basis."""
         return np.asarray(self.basis.T @ self.inertial_parameters)
 
+    def _reduce_by(self, from_base: Array) -> None:
+        self._from_base, self._to_outputs = from_base, self.sign * from_base
+
     def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(n, p) matrix psi with outputs = psi @ base_parameters."""
-        return np.asarray(self.full_regressor(position, velocity, acceleration) @ self._from_base)
+        full = self.rows(self.arm_vector(position), self.arm_vector(velocity), self.arm_vector(acceleration))
+        return np.asarray(full @ self._to_outputs)
 
     def regressors(self, samples: Samples) -> Array:
         """(N, n, p) one regressor for each sample, to read alone: the latest few are remembered."""
@@ -297,7 +301,7 @@ class RigidBody:
         other = copy.copy(self)
         described = self.base_parameters
         hidden = self.inertial_parameters - self.basis @ described
-        other._from_base = self.basis + np.outer(hidden, described) / max(float(described @ described), 1e-12)
+        other._reduce_by(self.basis + np.outer(hidden, described) / max(float(described @ described), 1e-12))
         other.arm, other._arm_data = with_gravity(self.arm, gravity)
         if self.distal is not None:
             other.distal, other._distal_data = with_gravity(self.distal, gravity)

@@ -1,0 +1,60 @@
+"""The range of inputs that a model has learnt: (2, m) lowest and highest x = [q, dq, ddq], (0, m) before the first."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.random_features import LEAST_SHARE
+from semiparam_ros.core.types import Array
+
+LEAST_RANGE = 1e-9
+
+
+def widened(known: Array, x: Array) -> Array:
+    """The range with one input (m,) more."""
+    if not len(known):
+        return np.array([x, x])
+    if not AVAILABLE:
+        return np.array([np.minimum(known[0], x), np.maximum(known[1], x)])
+    found = known.copy()
+    _widen(found, x)
+    return found
+
+
+def beyond(known: Array, x: Array, n_joints: int) -> float:
+    """How far the farthest position or velocity of x (m,) lies outside, as a share of its range; 0 within.
+
+    A range counts as at least a fifth of the largest of its kind.
+    """
+    if not len(known):
+        return 0.0
+    return float((_beyond if AVAILABLE else _beyond_readable)(known, x, n_joints))
+
+
+def _beyond_readable(known: Array, x: Array, n_joints: int) -> float:
+    known, x = known[:, :2 * n_joints], x[:2 * n_joints]
+    outside = np.maximum(known[0] - x, x - known[1])
+    ranges = (known[1] - known[0]).reshape(2, -1)
+    ranges = np.maximum(ranges, LEAST_SHARE * ranges.max(axis=1, keepdims=True)).ravel()
+    return float((outside / np.maximum(ranges, LEAST_RANGE)).max(initial=0.0))
+
+
+@compiled(MATRIX, VECTOR)
+def _widen(known: Array, x: Array) -> None:
+    for i in range(len(x)):
+        known[0, i] = min(known[0, i], x[i])
+        known[1, i] = max(known[1, i], x[i])
+
+
+@compiled(MATRIX, VECTOR, INTEGER, returns=NUMBER)
+def _beyond(known: Array, x: Array, n_joints: int) -> float:
+    farthest = 0.0
+    for start in (0, n_joints):
+        largest = 0.0
+        for i in range(start, start + n_joints):
+            largest = max(largest, known[1, i] - known[0, i])
+        for i in range(start, start + n_joints):
+            least = max(known[1, i] - known[0, i], LEAST_SHARE * largest, LEAST_RANGE)
+            farthest = max(farthest, (known[0, i] - x[i]) / least, (x[i] - known[1, i]) / least)
+    return farthest
