@@ -37,7 +37,7 @@ def test_a_node_goes_on_from_its_checkpoint(tmp_path, ros_domain):
                 assert 'there is no checkpoint to go on from' in node.output
             else:
                 assert 'the checkpoint is loaded: SPK-ML with 150 samples' in node.output
-            assert node.stop()[0] == 0
+            assert node.stop() == 0
     whole = checkpoint_kills.Stage(settings, checkpoint_kills.InlineBackground())
     whole.offer(samples)
     np.testing.assert_array_equal(means, whole.means)
@@ -56,5 +56,5 @@ def test_a_folder_that_cannot_be_written_is_told_once_and_the_node_goes_on(tmp_p
         assert not reply.success and 'there is no folder' in reply.message and reply.message.endswith('.')
         assert client.trigger('load_state').success is False
         client.play([sample._replace(stamp=sample.stamp + 10**11) for sample in motion(50)], SETTINGS.joints)
-        assert node.stop()[0] == 0
+        assert node.stop() == 0
         assert 'Traceback' not in node.output

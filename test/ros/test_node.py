@@ -38,8 +38,7 @@ def node(tmp_path_factory):
     dump_params(replace(LIVE, state_file='state.npz', state_folder=str(folder / 'states')), folder / 'p.yaml')
     with NodeProcess(folder, folder / 'p.yaml') as process:
         yield process
-        code, took = process.stop()
-    assert code == 0 and took < 5.0
+        assert process.stop() == 0
     assert 'Traceback' not in process.output and 'internal error' not in process.output
 
 
@@ -149,7 +148,7 @@ def test_a_number_of_features_chosen_by_itself_and_samples_passed_over_are_told(
         assert values['random features'] == str(estimator.features_count)
         client.wait_report('learning', lambda level, message, values: values['samples passed over'] == str(
             estimator.passed_over))
-        code, _ = node.stop()
+        code = node.stop()
     assert code == 0 and 50 <= estimator.features_count <= 500 and estimator.passed_over > 50
 
 
@@ -363,8 +362,7 @@ def test_efforts_best_effort_publishers_and_a_late_description(quiet):
         assert list(client.heard['residual'][0].name) == list(JOINTS)
         np.testing.assert_allclose(np.array(client.values('predicted_effort')) + client.values('residual'),
                                    [sample.outputs for sample in efforts], atol=1e-9)
-    code, took = node.stop(signal.SIGTERM)
-    assert code == 0 and took < 5.0 and 'Traceback' not in node.output
+    assert node.stop(signal.SIGTERM) == 0 and 'Traceback' not in node.output
 
 
 def test_two_arms_in_two_namespaces_learn_from_one_replay(quiet, tmp_path):

@@ -85,5 +85,5 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         found = next(value for name, value in values.items() if name.startswith('viscous_friction@a'))
         assert abs(float(found.split()[0]) - FRICTION[0]) < 0.05, found
         assert client.stamps('residual') == [sample.stamp for sample in samples]
-        code, _ = node.stop()
+        code = node.stop()
     assert code == 0 and 'internal error' not in node.output

@@ -49,10 +49,9 @@ class NodeProcess:
         self.process = subprocess.Popen(command, stdout=self.stream, stderr=subprocess.STDOUT, env=environment)
 
     def stop(self, number=signal.SIGINT):
-        """Send a signal; the exit code and how long the end took [s]."""
-        start = time.monotonic()
+        """Send a signal; the exit code."""
         self.process.send_signal(number)
-        return self.process.wait(timeout=PATIENCE_S), time.monotonic() - start
+        return self.process.wait(timeout=PATIENCE_S)
 
     @property
     def output(self):

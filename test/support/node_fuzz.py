@@ -103,7 +103,7 @@ class Pair:
     def stop(self):
         for client in self.clients:
             client.__exit__()
-        return [node.stop()[0] for node in self.nodes]
+        return [node.stop() for node in self.nodes]
 
     def __enter__(self):
         return self

@@ -241,7 +241,7 @@ def fuzz(folder, options, settings):
         counted = counts_of(client, {**fuzzer.rejections(), **changes.rejections()})
         last = goes_on(client, samples[-1], options.window + 200)
         internal = errors_of(client)
-        alive, code = node.process.poll() is None, node.stop()[0]
+        alive, code = node.process.poll() is None, node.stop()
     return {'samples': len(samples), 'took_s': took, 'fuzzer': fuzzer, 'changes': changes, 'memory': memory,
             'alive': alive, 'goes on': last, 'code': code, 'counted': counted, 'internal': internal
             + node.output.count('internal error') + node.output.count('Traceback'), 'log': node.output}

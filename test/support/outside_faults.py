@@ -57,7 +57,7 @@ def live(folder, settings=LIVE, samples=(), topics=TOPICS, worker_may_complain=F
         assert node.process.poll() is None, node.output
         client.heard['/diagnostics'].clear()
         assert client.report('errors')[2]['internal errors'] == '0', node.output
-        code, _ = node.stop()
+        code = node.stop()
     assert code == 0
     assert 'internal error' not in node.output, node.output
     assert worker_may_complain or 'Traceback' not in node.output, node.output
