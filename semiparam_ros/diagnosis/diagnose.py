@@ -13,6 +13,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.identifiability import unidentifiable
+from semiparam_ros.diagnosis.data.input_errors import with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.data.outliers import excluded
 from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
@@ -179,7 +180,10 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     fitting, held_out = fitting & counted.any(axis=1), held_out & counted.any(axis=1)
     require_enough(config, *([fitting, held_out] if other is None else [fitting]))
     first = _calibrated(starting_fit(body, chosen, effects, fitting, config, counted))
-    steps, setup = _searched(first, considered(body, only), suspected, progress)
+    steps, setup = _searched(first if inputs.motion == 'recorded' else with_error_columns(first),
+                             considered(body, only), suspected, progress)
+    steps = [replace(step, before=without_error_columns(step.before), after=without_error_columns(step.after))
+             for step in steps]
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
     structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config,

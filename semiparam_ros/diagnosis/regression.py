@@ -36,6 +36,8 @@ class Fit:
     :param train_mask: (N,) samples that fit. :param counted: (N, n) outputs that tell something, in use or not.
     :param scale: (n,) weight of channel k is 1 / scale[k]^2. :param columns: C (N, n, p). :param theta: (p,).
     :param residual: (N, n) of all samples, in the outputs' units.
+    :param nuisance: (N, n, k) further columns, the last ones of C, that stand for no effect: what errors of the inputs
+        may do. Their coefficients have a standard deviation of 1; None where there are none.
     """
 
     body: RigidBody
@@ -48,6 +50,7 @@ class Fit:
     theta: Array
     residual: Array
     config: DiagnosisConfig = DEFAULTS
+    nuisance: Array | None = None
 
     @cached_property
     def corrected(self) -> tuple[RigidBody, Samples]:
@@ -144,37 +147,52 @@ class Fit:
 
     def known_precision(self) -> tuple[Array, Array]:
         """(p,) precision of the coefficients whose values were declared, zero for others; and its pull on theta."""
-        assembly = CoupledColumns(self.body, self.effects)
-        known = np.where(assembly.prior_mean != 0.0, self._precision(), 0.0)
-        known[:assembly.n_own] = 0.0
-        return known, known * (self.theta - assembly.prior_mean)
+        mean = self.prior_mean()
+        known = np.where(mean != 0.0, self._precision(), 0.0)
+        known[:CoupledColumns(self.body, self.effects).n_own] = 0.0
+        return known, known * (self.theta - mean)
+
+    def prior_mean(self) -> Array:
+        """(p,) of theta; zero for the nuisance columns."""
+        return self._with_nuisance(CoupledColumns(self.body, self.effects).prior_mean, 0.0)
 
     def _precision(self) -> Array:
-        return 1.0 / CoupledColumns(self.body, self.effects).prior_scale ** 2
+        return self._with_nuisance(CoupledColumns(self.body, self.effects).prior_scale ** -2.0, 1.0)
+
+    def _with_nuisance(self, values: Array, each: float) -> Array:
+        """Values of the coupled columns, followed by the same for each of the nuisance columns."""
+        return values if self.nuisance is None else np.append(values, np.full(self.nuisance.shape[2], each))
 
 
 def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask, scale: Array,
-              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Fit:
+              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None, nuisance: Array | None = None) -> Fit:
     """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description.
 
-    :param counted: (N, n) outputs that tell something; all unless given.
+    :param counted: (N, n) outputs that tell something; all unless given. :param nuisance: as :class:`Fit` has it.
     """
     counted = np.ones(samples.outputs.shape, dtype=bool) if counted is None else counted
-    assembly = CoupledColumns(body, effects)
-    columns, _ = assembly.batch(samples)
-    start = assembly.prior_mean
-    return _least_squares(Fit(body, samples, tuple(effects), train_mask, counted, scale, columns, start,
-                              samples.outputs - columns @ start, config))
+    columns, _ = CoupledColumns(body, effects).batch(samples)
+    if nuisance is not None:
+        columns = np.concatenate([columns, nuisance], axis=2)
+    unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, columns, np.zeros(0), samples.outputs,
+                   config, nuisance)
+    return reweighted(unfitted, scale)
 
 
 def with_effects(fit: Fit, effects: Sequence[Effect]) -> Fit:
     """The same samples and weights fitted with these effects in place of those declared."""
-    return fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale, fit.config, fit.counted)
+    return with_nuisance(fit, fit.nuisance, effects)
+
+
+def with_nuisance(fit: Fit, nuisance: Array | None, effects: Sequence[Effect] | None = None) -> Fit:
+    """The same samples and weights fitted with these nuisance columns, and other effects where some are given."""
+    effects = fit.effects if effects is None else effects
+    return fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale, fit.config, fit.counted, nuisance)
 
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
-    start = CoupledColumns(fit.body, fit.effects).prior_mean
+    start = fit.prior_mean()
     return _least_squares(replace(fit, scale=scale, theta=start,
                                   residual=fit.samples.outputs - fit.columns @ start))
 

@@ -24,12 +24,12 @@ from semiparam_ros.diagnosis.residual.noise import correlation_times, noise_floo
 from semiparam_ros.diagnosis.search.ambiguity import simplest
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
 from semiparam_ros.diagnosis.search.elimination import without_needless
-from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.refit import declare, gauss_newton, replace_effect
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
 from semiparam_ros.diagnosis.search.stepwise import worth_refining
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
-from semiparam_ros.effects.base import Start
+from semiparam_ros.effects.base import CHANNELS, Start
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.experiments.variants_with_effects import evaluate_variants
@@ -84,6 +84,15 @@ def test_friction_stands_alone_where_accelerations_are_estimated(kind):
     found = diagnose(body_of(made), samples_of(made))
     named = [(finding.effect.kind, finding.effect.where) for finding in found.findings]
     assert named == [(kind, made.truth[0]['where'])] and found.refinements == []
+
+
+def test_errors_of_estimated_accelerations_are_no_force_beside_friction():
+    recording = simulate(Scenario(motion='circle_xy', samples=4000, seed=11, outputs='effort', accelerations=False,
+                                  effects=(EffectRequest('coulomb_friction'),)))
+    body, samples = body_of(recording), samples_of(recording)
+    diagnosis = diagnose(body, samples, only=('coulomb_friction', 'external_force'))
+    assert [finding.effect.kind for finding in diagnosis.findings] == ['coulomb_friction']  # before: a force of 0.2 N
+    assert diagnosis.final.columns.shape[2] == body.n_parameters + 1  # what stands for the errors is not declared
 
 
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
@@ -656,6 +665,15 @@ def test_a_calibration_is_settled_by_gauss_newton():
     settled = declare(state_of(samples), [offset.with_values(offset=0.0)])
     assert settled.effects[0].value('offset') == pytest.approx(0.12, abs=1e-4)
     assert np.abs(settled.residual).max() < 1e-3 * np.abs(samples.outputs).max()
+
+
+def test_a_large_gain_is_settled_by_gauss_newton():
+    """Derivatives were those of what the gain had shaped already: steps were 2.3 times too long."""
+    gain = kinds()['sensor_gain'](None, dict.fromkeys((f'gain_{name}' for name in CHANNELS), 0.0))
+    theta = np.concatenate([BODY.base_parameters, np.zeros(6)])
+    samples = replace(MOTION, outputs=CoupledColumns(BODY, [gain.with_values(gain_ty=-0.56)]).batch(MOTION)[0] @ theta)
+    settled = gauss_newton(replace_effect(state_of(samples), gain.with_values(gain_ty=-0.62)), [gain])
+    assert settled.effects[0].value('gain_ty') == pytest.approx(-0.56, abs=1e-3)
 
 
 def test_calibrations_are_refined_however_little_their_linear_approximation_explains(friction):

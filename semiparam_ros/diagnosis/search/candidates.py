@@ -58,7 +58,7 @@ def added_columns(fit: Fit, effect: Effect) -> Array:
 def _derivatives(fit: Fit, effect: Effect) -> Array:
     names = [coefficient.name for coefficient in effect.calibrations]
     still = type(effect).correct is Effect.correct
-    load = rigid_prediction(fit, [*fit.effects]) if still else None
+    load = rigid_prediction(fit, others(fit, effect)) if still else None  # without what the effect has shaped already
     return np.stack([_derivative(fit, effect, name, load) for name in names], axis=2)
 
 
