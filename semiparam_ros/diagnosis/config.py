@@ -34,6 +34,8 @@ class DiagnosisConfig:
     leaves (chosen)."""
     small_input_error_share: float = 0.1
     """Recommends the rate at which they would make less than this share (chosen)."""
+    faster: tuple[int, ...] = (2, 4, 8)
+    """Recommends one of so many times the rate (chosen)."""
     rest_speed_share: float = 0.01
     """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
     rest_s: float = 0.2

@@ -146,10 +146,11 @@ class Fit:
         return np.asarray(cho_solve(self.factor, np.eye(len(self.theta))))
 
     def known_precision(self) -> tuple[Array, Array]:
-        """(p,) precision of the coefficients whose values were declared, zero for others; and its pull on theta."""
-        mean = self.prior_mean()
+        """(p,) precision of coefficients whose values or sizes are known, zero elsewhere; and its pull on theta."""
+        mean, assembly = self.prior_mean(), CoupledColumns(self.body, self.effects)
         known = np.where(mean != 0.0, self._precision(), 0.0)
-        known[:CoupledColumns(self.body, self.effects).n_own] = 0.0
+        known[:assembly.n_own] = 0.0
+        known[assembly.n_columns:] = 1.0
         return known, known * (self.theta - mean)
 
     def prior_mean(self) -> Array:

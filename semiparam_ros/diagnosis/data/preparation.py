@@ -29,9 +29,6 @@ from semiparam_ros.errors import SemiparamError
 
 OPTIONS = ('smoothed', 'smoothed from positions', 'recorded')
 
-FASTER = (2, 4, 8)
-"""Times the rate at which a recording may be recommended."""
-
 
 class Inputs(NamedTuple):
     """How a recording was prepared: which motion, how many samples each working sample averages, and how many working
@@ -106,11 +103,11 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
             made += np.mean((moved - still)[fit.train_mask] ** 2, axis=0)
         return float((made / left).max())
 
-    errors, *finer = acceleration_errors(raw, with_velocities, (1, *FASTER))
+    errors, *finer = acceleration_errors(raw, with_velocities, (1, *config.faster))
     if not share(errors) >= config.input_error_share:  # nor where they are not known
         return []
     rate = 1e9 / float(np.median(np.diff(raw.stamps)))
-    enough = next((times for times, fewer in zip(FASTER, finer, strict=True)
+    enough = next((times for times, fewer in zip(config.faster, finer, strict=True)
                    if share(fewer) < config.small_input_error_share), None)
     worst = int((errors / np.maximum(spread, 1e-12)).argmax())
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
