@@ -146,7 +146,7 @@ class OfflineLearner:
         self.failed_windows: list[str] = []
         self._takeover_after = takeover_after
         body = self.estimator.body
-        self.history = History(settings.initial_samples, settings.retained_samples, body.n_joints, body.n_outputs)
+        self.history = History(settings.initial_samples, settings.retained_samples, body.n_joints)
         self.renewals = 0
         self._renewal = Renewal(settings.initial_samples, body.n_outputs)
         self._successor: Callable[[], Estimator] | None = None

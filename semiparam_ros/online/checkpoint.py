@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file
+from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.state_file import SavedState, Snapshot
 from semiparam_ros.settings.snapshot import Settings
-
-PATIENCE_S = 10.0
 
 
 class Checkpoints:
@@ -32,12 +31,12 @@ class Checkpoints:
         self.path = folder / f'{stem}.checkpoint.npz'
         self.previous = folder / f'{stem}.checkpoint.previous.npz'
         self.remarks: list[str] = []
-        self._writer: threading.Thread | None = None
+        self._thread = FileThread('checkpoint')
 
     @property
     def busy(self) -> bool:
         """Whether one is being written."""
-        return self._writer is not None and self._writer.is_alive()
+        return self._thread.busy
 
     def save(self, state: SavedState) -> None:
         """Write one now. Raises SemiparamError when it cannot be written; the older ones are then as they were."""
@@ -48,14 +47,16 @@ class Checkpoints:
 
         The thread computes nothing in Python: it copies, checks and writes whole arrays without the interpreter's lock.
         """
-        arrays = state_file.snapshot(state)
-        self._writer = threading.Thread(target=self._write_aside, args=(arrays, done), name='checkpoint', daemon=True)
-        self._writer.start()
+        def written(_: None, error: Exception | None) -> None:
+            if error is not None and not isinstance(error, SemiparamError):
+                error = SemiparamError(f'{self.path} was not written: {type(error).__name__}: {error}')
+            done(error)
+
+        self._thread.submit(partial(self._write, state_file.snapshot(state)), written)
 
     def wait(self) -> None:
         """Return when nothing is being written any more, or when a disk that hangs has been waited for long enough."""
-        if self._writer is not None:
-            self._writer.join(PATIENCE_S)
+        self._thread.wait()
 
     def newest(self, settings: Settings, body: RigidBody) -> SavedState | None:
         """The newest that can be loaded for this robot; ``remarks`` then say what is wrong with newer ones.
@@ -72,20 +73,10 @@ class Checkpoints:
                 self.remarks.append(str(error))
         return None
 
-    def _write_aside(self, arrays: Snapshot, done: Callable[[SemiparamError | None], object]) -> None:
-        try:
-            self._write(arrays)
-        except SemiparamError as error:
-            done(error)
-        except Exception as error:
-            done(SemiparamError(f'{self.path} was not written: {type(error).__name__}: {error}'))
-        else:
-            done(None)
-
-    def _write(self, arrays: Snapshot) -> None:
+    def _write(self, state: Snapshot) -> None:
         for path in (self.path, self.previous):
             _move_away_if_foreign(path)
-        state_file.write(self.path, arrays, self._make_previous)
+        state_file.write(self.path, state, self._make_previous)
 
     def _make_previous(self) -> None:
         with suppress(FileNotFoundError):

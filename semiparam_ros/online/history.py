@@ -1,32 +1,160 @@
-"""The samples that were received, kept to build another variant from, or to diagnose."""
+"""The samples that were received, kept to build another variant from, or to diagnose.
+
+They lie in chunks that are only ever appended to, so that any number of them can be handed over, to a thread, a process
+or a file, without copying them first: the thread that answers samples has no time for that.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.types import Array, Mask, Stamps
 
 KEPT_OF_REST = 20
 """Samples of rest that are kept, the last before each motion."""
 
+CHUNK = 2048
+"""Samples of a chunk, which is sent to a process in one piece: some hundred kilobytes."""
 
-class SampleBatch(NamedTuple):
-    """Samples in order of time, and which of them were learnt, (N,) bool."""
 
-    samples: Samples | None
-    learnt: Array
+class Rows(NamedTuple):
+    """N samples in order of time that nobody changes any more."""
+
+    stamps: Stamps  # (N,) [ns]
+    values: Array  # (N, 3 n_joints + n_outputs) position, velocity, acceleration, outputs
+    learnt: Mask  # (N,)
+
+    def part(self, chosen: slice) -> Rows:
+        """Some of them, not copied."""
+        return Rows(self.stamps[chosen], self.values[chosen], self.learnt[chosen])
+
+
+@dataclass(frozen=True)
+class SampleBatch:
+    """Samples in order of time, and which of them were learnt; ``origin`` [ns] is where their time starts."""
+
+    rows: Sequence[Rows]
+    n_joints: int
+    origin: int | None
 
     def __len__(self) -> int:
-        return len(self.learnt)
+        return sum(len(rows.stamps) for rows in self.rows)
+
+    @property
+    def stamps(self) -> Stamps:
+        """(N,) [ns], a copy."""
+        return np.concatenate([np.zeros(0, dtype=np.int64), *(rows.stamps for rows in self.rows)])
+
+    @property
+    def learnt(self) -> Mask:
+        """(N,), a copy."""
+        return np.concatenate([np.zeros(0, dtype=bool), *(rows.learnt for rows in self.rows)])
+
+    @property
+    def samples(self) -> Samples | None:
+        """A copy of the samples; None where there are none."""
+        if not len(self) or self.origin is None:
+            return None
+        values, n = np.concatenate([rows.values for rows in self.rows]), self.n_joints
+        return Samples(self.stamps, values[:, :n], values[:, n:2 * n], values[:, 2 * n:3 * n], values[:, 3 * n:],
+                       self.origin)
 
     def pairs(self) -> Iterator[tuple[Sample, bool]]:
         """One sample after the other."""
-        return zip(self.samples or (), self.learnt.tolist(), strict=True)
+        n = self.n_joints
+        for rows in self.rows:
+            for stamp, row, learnt in zip(rows.stamps.tolist(), rows.values, rows.learnt.tolist(), strict=True):
+                yield Sample(stamp, row[:n], row[n:2 * n], row[2 * n:3 * n], row[3 * n:]), learnt
+
+    def part(self, start: int, stop: int | None = None, step: int = 1) -> SampleBatch:
+        """Some of them, not copied: those of these numbers."""
+        chosen, stop = [], len(self) if stop is None else stop
+        for rows in self.rows:
+            end = min(stop, len(rows.stamps))
+            if start < end:
+                chosen.append(rows.part(slice(start, end, step)))
+                start += -(-(end - start) // step) * step
+            start, stop = start - len(rows.stamps), stop - len(rows.stamps)
+        return replace(self, rows=chosen)
+
+
+class SampleLog:
+    """Samples in order of arrival, the latest ``most`` of them, or all."""
+
+    def __init__(self, most: int | None = None) -> None:
+        self._most, self._n_joints = most, 0
+        self._chunks: deque[Rows] = deque()
+        self._first = self._count = 0
+        """The first row in use of the first chunk, and the samples in use."""
+        self._free = 0
+        """Rows of the last chunk that are still to be written."""
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, sample: Sample, learnt: bool) -> None:
+        """Keep one sample."""
+        if not self._free:
+            self._n_joints, width = len(sample.position), sum(map(len, sample[1:]))
+            self._add_chunk(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)), np.empty(CHUNK, bool)), CHUNK)
+        chunk = self._chunks[-1]
+        row = len(chunk.stamps) - self._free
+        chunk.stamps[row], chunk.learnt[row] = sample.stamp, learnt
+        np.concatenate(sample[1:], out=chunk.values[row])
+        self._free -= 1
+        self._count += 1
+        self._let_go()
+
+    def extend(self, batch: SampleBatch) -> None:
+        """Keep those of a batch, which are not copied."""
+        self._n_joints = batch.n_joints
+        for rows in batch.rows:
+            for start in range(0, len(rows.stamps), CHUNK):
+                part = rows.part(slice(start, start + CHUNK))
+                self._end_chunk()
+                self._add_chunk(part, 0)
+                self._count += len(part.stamps)
+        self._let_go()
+
+    def rows(self) -> list[Rows]:
+        """All of them, not copied."""
+        result = []
+        for number, chunk in enumerate(self._chunks):
+            start = 0 if number else self._first
+            end = len(chunk.stamps) - (self._free if number == len(self._chunks) - 1 else 0)
+            if start < end:
+                result.append(chunk.part(slice(start, end)))
+        return result
+
+    def batch(self) -> SampleBatch:
+        """All of them; time starts with the first."""
+        rows = self.rows()
+        return SampleBatch(rows, self._n_joints, int(rows[0].stamps[0]) if rows else None)
+
+    def _add_chunk(self, chunk: Rows, free: int) -> None:
+        self._chunks.append(chunk)
+        self._free = free
+
+    def _end_chunk(self) -> None:
+        """Nothing more is written into the last chunk."""
+        if self._free:
+            chunk = self._chunks.pop()
+            self._add_chunk(chunk.part(slice(0, len(chunk.stamps) - self._free)), 0)
+
+    def _let_go(self) -> None:
+        """Of the oldest, a whole chunk at a time."""
+        if self._most is None or self._count <= self._most:
+            return
+        self._first += self._count - self._most
+        self._count = self._most
+        while self._first >= len(self._chunks[0].stamps):
+            self._first -= len(self._chunks.popleft().stamps)
 
 
 class History:
@@ -35,17 +163,13 @@ class History:
     Of a robot at rest only the last samples before it moves are kept, for effects that remember the past: hours of rest
     must not displace the motion.
 
-    Rows are written into arrays made once, so memory stays flat. Time counts from ``origin`` [ns], the very first
-    sample unless given.
+    Time counts from ``origin`` [ns], the very first sample unless given.
     """
 
-    def __init__(self, first: int, latest: int, n_joints: int, n_outputs: int, origin: int | None = None) -> None:
-        self._n_joints = n_joints
-        self._window = _Ring(2 * first, 3 * n_joints + n_outputs)
-        self._recent = _Ring(max(latest, 1), 3 * n_joints + n_outputs)
-        self._first, self._learnt = first, 0
-        self._at_rest: deque[Sample] = deque(maxlen=KEPT_OF_REST)
+    def __init__(self, first: int, latest: int, n_joints: int, origin: int | None = None) -> None:
+        self._n_joints, self._first, self._latest = n_joints, first, max(latest, 1)
         self.origin = origin
+        self.discard()
 
     def __len__(self) -> int:
         return len(self._window) + len(self._recent)
@@ -62,54 +186,61 @@ class History:
         self._keep(sample, learnt)
 
     def _keep(self, sample: Sample, learnt: bool) -> None:
-        ring = self._window if self._learnt < self._first and not self._window.full else self._recent
-        ring.append(sample, learnt)
+        log = self._window if self._gathers else self._recent
+        log.append(sample, learnt)
         self._learnt += learnt
 
+    @property
+    def _gathers(self) -> bool:
+        return self._learnt < self._first and len(self._window) < 2 * self._first
+
     def refill(self, batch: SampleBatch) -> None:
-        """Keep what another history kept; time goes on counting from where it did there."""
-        for sample, learnt in batch.pairs():
-            self.append(sample, learnt)
-        if batch.samples is not None:
-            self.origin = batch.samples.origin
+        """Keep what another history kept, in place of anything else; time goes on counting from where it did there."""
+        self.discard()
+        learnt = np.cumsum(batch.learnt)
+        end = min(int(np.searchsorted(learnt, self._first)) + 1, 2 * self._first, len(batch))
+        self._window.extend(batch.part(0, end))
+        self._recent.extend(batch.part(end))
+        self._learnt = int(learnt[-1]) if len(learnt) else 0
+        self.origin = batch.origin if len(batch) else self.origin
 
     def discard(self) -> None:
         """Forget all samples, and begin with the first again; time goes on."""
-        self._window.clear()
-        self._recent.clear()
-        self._at_rest.clear()
+        self._window, self._recent = SampleLog(), SampleLog(self._latest)
+        self._at_rest: deque[Sample] = deque(maxlen=KEPT_OF_REST)
         self._learnt = 0
 
     def latest(self) -> Sample | None:
         """The last sample, None before the first."""
-        ring = self._recent if len(self._recent) else self._window
-        row = ring.last()
-        samples = None if row is None else _samples(*row, self._n_joints, self.origin)
-        return None if samples is None else next(iter(samples))
+        rows = (self._recent if len(self._recent) else self._window).rows()
+        batch = SampleBatch([each.part(slice(-1, None)) for each in rows[-1:]], self._n_joints, self.origin)
+        return next((sample for sample, _ in batch.pairs()), None)
 
     def batch(self) -> SampleBatch:
         """Everything that is kept, in order."""
-        parts = [*self._window.rows(), *self._recent.rows(), *map(_row, self._at_rest)]
-        stamps, rows, learnt = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return SampleBatch(_samples(stamps, rows, self._n_joints, self.origin), learnt)
+        at_rest = batch_of((sample, False) for sample in self._at_rest)
+        return SampleBatch([*self._window.rows(), *self._recent.rows(), *at_rest.rows], self._n_joints, self.origin)
 
-    def span(self, seconds: float) -> Samples | None:
-        """The latest samples of so many seconds, learnt or not, since the clock last jumped back; None without any."""
-        samples = self.batch().samples
-        if samples is None:
-            return None
-        jumps = np.flatnonzero(np.diff(samples.stamps) <= 0)
-        samples = samples[int(jumps[-1]) + 1:] if len(jumps) else samples
-        return samples[samples.stamps >= samples.stamps[-1] - round(seconds * 1e9)]
-
-
-def batch_of(pairs: list[tuple[Sample, bool]]) -> SampleBatch:
-    """The same from single samples."""
-    samples = Samples.from_list([sample for sample, _ in pairs]) if pairs else None
-    return SampleBatch(samples, np.array([learnt for _, learnt in pairs], dtype=bool))
+    def span(self, seconds: float) -> SampleBatch:
+        """The latest samples of so many seconds, learnt or not, since the clock last jumped back."""
+        batch = self.batch()
+        stamps = batch.stamps
+        if not len(stamps):
+            return batch
+        jumps = np.flatnonzero(np.diff(stamps) <= 0)
+        start = int(jumps[-1]) + 1 if len(jumps) else 0
+        return batch.part(start + int(np.searchsorted(stamps[start:], stamps[-1] - round(seconds * 1e9))))
 
 
-def arrays_of(batch: SampleBatch) -> dict[str, Array | Stamps]:
+def batch_of(pairs: Iterable[tuple[Sample, bool]]) -> SampleBatch:
+    """The same from single samples; time starts with the first."""
+    log = SampleLog()
+    for sample, learnt in pairs:
+        log.append(sample, learnt)
+    return log.batch()
+
+
+def arrays_of(batch: SampleBatch) -> dict[str, Array | Stamps | Mask]:
     """A batch as arrays for a file; :func:`batch_from` reads them back."""
     samples = batch.samples
     if samples is None:
@@ -121,62 +252,10 @@ def arrays_of(batch: SampleBatch) -> dict[str, Array | Stamps]:
 
 def batch_from(arrays: Mapping[str, Array], n_joints: int, n_outputs: int) -> SampleBatch:
     """The batch of :func:`arrays_of`. Raises KeyError and ValueError where these are not its arrays."""
-    learnt = arrays['learnt']
+    learnt = arrays['learnt'].astype(bool)
     if not len(learnt):
-        return SampleBatch(None, learnt)
+        return SampleBatch([], n_joints, None)
     stamps = arrays['stamps'].astype(np.int64)
     widths = {'position': n_joints, 'velocity': n_joints, 'acceleration': n_joints, 'outputs': n_outputs}
-    position, velocity, acceleration, outputs = (arrays[name].reshape(len(stamps), width)
-                                                 for name, width in widths.items())
-    return SampleBatch(Samples(stamps, position, velocity, acceleration, outputs, int(arrays['origin'])), learnt)
-
-
-class _Ring:
-    """Rows that overwrite the oldest once there are ``size`` of them."""
-
-    def __init__(self, size: int, width: int) -> None:
-        self._stamps = np.zeros(size, dtype=np.int64)
-        self._rows = np.empty((size, width))
-        self._rows.fill(0.0)  # takes the memory now, where zeros would take it page by page while samples come
-        self._learnt = np.zeros(size, dtype=bool)
-        self._count = 0
-
-    def __len__(self) -> int:
-        return min(self._count, len(self._stamps))
-
-    def clear(self) -> None:
-        self._count = 0
-
-    @property
-    def full(self) -> bool:
-        return self._count >= len(self._stamps)
-
-    def append(self, sample: Sample, learnt: bool) -> None:
-        slot = self._count % len(self._stamps)
-        self._stamps[slot], self._learnt[slot] = sample.stamp, learnt
-        np.concatenate(sample[1:], out=self._rows[slot])
-        self._count += 1
-
-    def last(self) -> tuple[Stamps, Array] | None:
-        """Stamp and row of the latest, as arrays of one."""
-        if not self._count:
-            return None
-        slot = [(self._count - 1) % len(self._stamps)]
-        return self._stamps[slot], self._rows[slot]
-
-    def rows(self) -> list[tuple[Stamps, Array, Array]]:
-        """Views in order of arrival: the older part and the newer one."""
-        slot = self._count % len(self._stamps)
-        parts = (slice(slot, None), slice(0, slot)) if self.full else (slice(0, slot),)
-        return [(self._stamps[part], self._rows[part], self._learnt[part]) for part in parts]
-
-
-def _row(sample: Sample) -> tuple[Stamps, Array, Array]:
-    """One that is not learnt."""
-    return np.array([sample.stamp]), np.concatenate(sample[1:])[None], np.array([False])
-
-
-def _samples(stamps: Stamps, rows: Array, n: int, origin: int | None) -> Samples | None:
-    if not len(stamps) or origin is None:
-        return None
-    return Samples(stamps, rows[:, :n], rows[:, n:2 * n], rows[:, 2 * n:3 * n], rows[:, 3 * n:], origin)
+    values = np.hstack([arrays[name].reshape(len(learnt), width) for name, width in widths.items()])
+    return SampleBatch([Rows(stamps.reshape(len(learnt)), values, learnt)], n_joints, int(arrays['origin']))

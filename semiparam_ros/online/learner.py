@@ -105,7 +105,7 @@ class Learner:
         self.gate.forget()
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
-                               self.body.n_outputs, estimator.origin)
+                               estimator.origin)
         if past is not None:
             self.history.refill(past)
         self._seen = len(self.history)

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 from enum import Enum
-from itertools import takewhile
 from math import inf
 from typing import Protocol
 
@@ -24,7 +23,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
-from semiparam_ros.online.history import History, batch_of
+from semiparam_ros.online.history import History, SampleLog
 from semiparam_ros.online.worker import Background, Job
 from semiparam_ros.settings.snapshot import Settings
 
@@ -82,7 +81,9 @@ class StandbyModel:
         self.state = State.BUILDING
         self.estimator: Estimator | None = None
         self._background, self._switcher = background, switcher
-        self._waiting: deque[tuple[Sample, bool] | None] = deque()  # None: the clock jumped
+        self._log = SampleLog()
+        """What comes while the background is at work, until the clock jumps."""
+        self._waiting: deque[tuple[Sample, bool] | None] = deque()  # what comes after that; None: the clock jumped
         self._job: Job | None = None
         self._in_background = False
 
@@ -100,6 +101,9 @@ class StandbyModel:
 
     def offer(self, sample: Sample, learnt: bool) -> None:
         """Let it see the sample that the active model has just answered."""
+        if self._in_background and not self._waiting:
+            self._log.append(sample, learnt)
+            return
         self._waiting.append((sample, learnt))
         self._learn(FOR_EACH_ANSWER)
 
@@ -112,10 +116,14 @@ class StandbyModel:
         """Nobody needs it any more; what the background still does for it is dropped."""
         self.state, self.estimator = State.RETIRED, None
         self._waiting.clear()
+        self._log = SampleLog()
         if self._job is not None:
             self._job.cancel()
 
     def _submit(self, function: worker.EstimatorJob, *arguments: object) -> None:
+        while self._waiting and (first := self._waiting[0]) is not None:
+            self._log.append(*first)
+            self._waiting.popleft()
         self._in_background = True
         self._job = self._background.submit(function, *arguments, done=self._done)
 
@@ -127,12 +135,11 @@ class StandbyModel:
             self._switcher.on_failed(self, error)
             return
         self.estimator, self.state = estimator, State.CATCHING_UP
-        together = [each for each in takewhile(lambda each: each is not None, self._waiting) if each]
-        if len(together) > BESIDE_AT_MOST:
-            for _ in together:
-                self._waiting.popleft()
-            self._submit(worker.absorb, estimator, batch_of(together))
+        log, self._log = self._log.batch(), SampleLog()
+        if len(log) > BESIDE_AT_MOST:
+            self._submit(worker.absorb, estimator, log)
         else:
+            self._waiting.extendleft(reversed(list(log.pairs())))
             self._go_on()
 
     def _go_on(self) -> None:

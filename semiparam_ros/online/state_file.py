@@ -18,7 +18,7 @@ from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.motion import Motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
@@ -36,7 +36,7 @@ FIXED = ('outputs', 'features.count', 'features.seed', 'features.length_scales',
 """Parameters that cannot change while a node runs, and so must agree."""
 
 
-Snapshot: TypeAlias = dict[str, Array | Stamps]
+Arrays: TypeAlias = dict[str, Array | Stamps | Mask]
 
 
 class SavedState(NamedTuple):
@@ -49,6 +49,17 @@ class SavedState(NamedTuple):
     bias: Array
     gate: Memory
     renewal: Memory
+
+
+class Snapshot(NamedTuple):
+    """What a file will hold: copies of what samples change, and the samples kept, which nobody changes."""
+
+    learnt: Arrays
+    batch: SampleBatch
+
+    def arrays(self) -> Arrays:
+        """All of it, by the names of the file."""
+        return {**self.learnt, **_named('history', arrays_of(self.batch))}
 
 
 def folder_of(settings: Settings) -> Path:
@@ -74,7 +85,8 @@ def save(path: Path, state: SavedState) -> None:
 
 
 def snapshot(state: SavedState) -> Snapshot:
-    """Copies of everything that a state is made of, for :func:`write` in another thread."""
+    """A state as it is now, for :func:`write` in another thread. It takes about a millisecond, however many samples are
+    kept."""
     learnt = state.estimator.state()
     memory: dict[str, Array] = {}
     gate: dict[str, Array] = {}
@@ -83,16 +95,18 @@ def snapshot(state: SavedState) -> Snapshot:
             'passed_over': learnt.passed_over,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate),
             'renewal': _as_json(state.renewal, renewal)}
-    groups: dict[str, Mapping[str, Array | Stamps]] = {
-        'history': arrays_of(state.batch), 'recursion': learnt.recursion, 'horizon': learnt.horizon,
+    groups: dict[str, Mapping[str, Array | Stamps | Mask]] = {
+        'recursion': learnt.recursion, 'horizon': learnt.horizon,
         'calibration': learnt.calibration, 'wandering': learnt.wandering,
         'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window, 'motion': _stacked(learnt.motion)}
-    return {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
-            'inputs_learnt': learnt.inputs_learnt, 'probe': probe(state.estimator.body),
-            **{f'{group}.{name}': values for group, arrays in groups.items() for name, values in arrays.items()}}
+    arrays: Arrays = {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
+                      'inputs_learnt': learnt.inputs_learnt, 'probe': probe(state.estimator.body)}
+    for group, members in groups.items():
+        arrays |= _named(group, members)
+    return Snapshot(arrays, state.batch)
 
 
-def write(path: Path, arrays: Snapshot, before_it_replaces: Callable[[], None] = lambda: None) -> None:
+def write(path: Path, state: Snapshot, before_it_replaces: Callable[[], None] = lambda: None) -> None:
     """Write a :func:`snapshot`, and make its folder if it is missing.
 
     :param before_it_replaces: called when the disk has it all, before it takes the name.
@@ -100,6 +114,7 @@ def write(path: Path, arrays: Snapshot, before_it_replaces: Callable[[], None] =
     Raises SemiparamError when it cannot be written, when a value is not finite, and when something else than a state
     has the name.
     """
+    arrays = state.arrays()
     _require_finite('the model', arrays)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -157,6 +172,12 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         raise SemiparamError(f'{path} is damaged ({error}); expected a file that save_state wrote.') from error
 
 
+def adopted(settings: Settings, saved: Settings) -> Settings:
+    """Settings with what a saved state brings along; for those that changed while it was read."""
+    brought = saved.mapping()
+    return settings.changed({name: brought[name] for name in ADOPTED})
+
+
 def probe(body: RigidBody) -> Array:
     """(1 + 3 n, p) base parameters, and regressors at three fixed states: equal for the same robot, outputs and
     convention, whatever the text of its description."""
@@ -173,7 +194,7 @@ def _meta(state: SavedState) -> dict[str, Any]:
             'known': None if known is None else [asdict(known.hyperparameters), *known[1:]]}
 
 
-def _write_archive(stream: IO[bytes], arrays: Snapshot) -> None:
+def _write_archive(stream: IO[bytes], arrays: Arrays) -> None:
     """As numpy.savez, which however copies every array while it holds the interpreter's lock."""
     with zipfile.ZipFile(stream, 'w') as archive:
         for name, given in arrays.items():
@@ -201,7 +222,7 @@ def _require_file(path: Path) -> None:
         raise OSError('it is a folder, a device or a pipe')
 
 
-def _require_finite(what: str, arrays: Mapping[str, Array | Stamps]) -> None:
+def _require_finite(what: str, arrays: Mapping[str, Array | Stamps | Mask]) -> None:
     for name, values in arrays.items():
         if name != 'meta' and not np.isfinite(values).all():
             raise SemiparamError(f"{what} holds a value in '{name}' that is not finite.")
@@ -254,7 +275,7 @@ def _counts(values: Sequence[int]) -> tuple[int, int]:
     return since, total
 
 
-def _stacked(motion: Motion | None) -> Snapshot:
+def _stacked(motion: Motion | None) -> Arrays:
     if motion is None:
         return {}
     return {'place': motion.place, 'nearby': motion.nearby, 'outputs': motion.outputs,
@@ -298,6 +319,11 @@ def _from_json(value: object, arrays: Mapping[str, Array]) -> Memory:
     if kind == 'dict':
         return {name: _from_json(part, arrays) for name, part in parts.items()}
     return {'tuple': tuple, 'list': list}[kind](_from_json(part, arrays) for part in parts)
+
+
+def _named(group: str, arrays: Mapping[str, Array | Stamps | Mask]) -> Arrays:
+    """With the group's name before each; :func:`_group` takes it off."""
+    return {f'{group}.{name}': values for name, values in arrays.items()}
 
 
 def _group(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:

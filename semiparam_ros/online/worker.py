@@ -25,7 +25,6 @@ import numpy as np
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.renewal import MOST_WORSE, Errors, later_window
@@ -270,7 +269,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     Raises SemiparamError when the window holds too little to estimate from, or the model predicts it worse than that.
     """
     gathering = new_estimator(settings, body, origin=origin)
-    window = later_window(batch.learnt.astype(bool), settings.initial_samples)
+    window = later_window(batch.learnt, settings.initial_samples)
     for (sample, _), chosen in zip(batch.pairs(), window.tolist(), strict=True):
         gathering.observe(gathering.predict(sample), chosen, finish=False)
     gathering.finish_window()
@@ -319,11 +318,13 @@ class Outcome(NamedTuple):
     effects: tuple[Effect, ...]
 
 
-def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> Outcome:
+def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> Outcome:
     """Diagnose samples with the effects declared so far; raises SemiparamError as the command does."""
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.diagnosis.text_report import text_report
 
+    samples = batch.samples
+    assert samples is not None
     found = diagnose(body, samples, effects, progress=lambda words, share: tell(f'{words} ({share:.0%})'))
     return Outcome(found.verdict, text_report(found), found.as_dict(), declared(found))
 
@@ -334,7 +335,6 @@ def declared(found: Diagnosis) -> tuple[Effect, ...]:
     return tuple(effect.at_stamp(origin) for effect in found.everything.effects)
 
 
-def thinned(samples: Samples) -> Samples:
+def thinned(batch: SampleBatch) -> SampleBatch:
     """Evenly fewer of them, where a fast sensor gave more than a diagnosis can look at in half a minute."""
-    step = -(-len(samples) // SAMPLES_AT_MOST)
-    return samples[np.arange(0, len(samples), step)] if step > 1 else samples
+    return batch.part(0, step=max(-(-len(batch) // SAMPLES_AT_MOST), 1))

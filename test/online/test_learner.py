@@ -384,10 +384,10 @@ def test_time_goes_on_after_a_reset_and_after_jumps_of_the_clock():
 
 
 def test_a_span_begins_after_the_last_jump_of_the_clock():
-    history, samples = History(5, 100, 2, 6), motion(60)
+    history, samples = History(5, 100, 2), motion(60)
     for sample in [*later(samples[:30], 500.0), *samples[30:]]:
         history.append(sample, True)
-    assert history.span(1000.0).stamps.tolist() == [sample.stamp for sample in samples[30:]]
+    assert history.span(1000.0).samples.stamps.tolist() == [sample.stamp for sample in samples[30:]]
     assert len(history.span(0.1)) == 6
 
 
@@ -554,7 +554,7 @@ def test_the_first_sample_after_a_jump_of_the_clock_is_answered_and_not_learnt(j
 
 
 def test_history_keeps_the_first_and_the_latest():
-    history, samples = History(5, 10, 2, 6), motion(40)
+    history, samples = History(5, 10, 2), motion(40)
     for sample in samples:
         history.append(sample, True)
     batch = history.batch()

@@ -131,7 +131,7 @@ VERSION: an older node would misread the file."""
 
 def test_the_layout_changes_only_with_the_version(tmp_path):
     stage = stage_of(replace(SETTINGS, effects=('sensor_drift',)), motion(70))
-    assert layout_of(state_file.snapshot(stage.learner.state())) == LAYOUT[state_file.VERSION]
+    assert layout_of(state_file.snapshot(stage.learner.state()).arrays()) == LAYOUT[state_file.VERSION]
 
 
 def layout_of(arrays):
@@ -157,7 +157,7 @@ def test_a_number_of_features_chosen_by_itself_is_kept_by_a_state_of_a_state(tmp
 
 def test_other_versions_are_refused(tmp_path):
     path = tmp_path / 's.npz'
-    arrays = state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state())
+    arrays = state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays()
     meta = json.loads(str(arrays['meta']))
     for version in (1, state_file.VERSION - 1, state_file.VERSION + 1, None):
         np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
@@ -276,7 +276,7 @@ def test_two_generations_of_checkpoints(tmp_path):
 
 def test_a_checkpoint_is_written_in_a_thread_as_the_state_was(tmp_path):
     checkpoints, stage, done = Checkpoints(tmp_path, 'estimator'), stage_of(SETTINGS, motion(100)), []
-    expected = pickle.dumps(state_file.snapshot(stage.learner.state()))
+    expected = pickle.dumps(state_file.snapshot(stage.learner.state()).arrays())
     checkpoints.save_in_thread(stage.learner.state(), done.append)
     stage.offer(motion(200)[100:])
     checkpoints.wait()

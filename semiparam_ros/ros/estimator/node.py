@@ -68,7 +68,7 @@ class EstimatorNode(Node):
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
                                 trajectories.feedforward)
         self._held_replies = HeldReplies(self, self._announcement)
-        Services(self, self._live, self._the_learner, self.errors)
+        self._requests = Services(self, self._live, self._the_learner, guarded, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
         self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
@@ -83,6 +83,7 @@ class EstimatorNode(Node):
     def close(self) -> None:
         """End the background processes and leave the graph."""
         self._autosave.close()
+        self._requests.close()
         self._diagnosing.close()
         self._background.close()
         self.destroy_node()

@@ -1,7 +1,7 @@
 """The services of the node; each answers in a sentence, also when it cannot do what it was asked.
 
-A service whose answer comes later, while the executor goes on with other callbacks. rclpy's coroutines would do, but
-the executor of the node does not await those of services.
+Those that take long answer later, while the executor goes on with other callbacks. rclpy's coroutines would do, but the
+executor of the node does not await those of services.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from rclpy.node import Node
@@ -19,13 +20,17 @@ from std_srvs.srv import SetBool, Trigger
 from semiparam_ros.effects import Effect, effects_to_parameters
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file, worker
+from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.model_switcher import sentence_of
+from semiparam_ros.online.state_file import SavedState
 from semiparam_ros.online.worker import Later, Outcome, ProcessBackground
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
 from semiparam_ros.ros.estimator.parameters import Parameters
 from semiparam_ros.ros.estimator.publishers import LATCHED
 from semiparam_ros.settings.build import declared_effects
+
+Result = TypeVar('Result')
 
 
 class Reply:
@@ -52,11 +57,14 @@ class Reply:
             self._send = None
 
 
-def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], None]) -> Service:
-    """A std_srvs/Trigger service; ``action`` starts the work and sees to it that the reply is called."""
+def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], None], errors: InternalErrors) -> Service:
+    """A std_srvs/Trigger service; ``action`` starts the work and sees to it that the reply is called, or raises."""
     def begin(_request: Trigger.Request, _response: Trigger.Response) -> Reply:
         reply = Reply()
-        action(reply)
+        try:
+            action(reply)
+        except Exception as error:
+            reply(reason(name, error, errors), success=False)
         return reply
 
     service = node.create_service(Trigger, name, begin)
@@ -69,20 +77,35 @@ def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], Non
     return service
 
 
+def reason(name: str, error: Exception, errors: InternalErrors) -> str:
+    """Why a service cannot do what it was asked: our own sentences as they are, anything else is an internal error."""
+    return str(error) if isinstance(error, SemiparamError) else errors.add(name, error)
+
+
 class Services:
     """``~/reset``, ``~/pause_learning``, ``~/tare``, ``~/save_state`` and ``~/load_state``.
 
+    States are written and read in a thread: samples are answered meanwhile.
+
     :param learner: gives the learner, or raises SemiparamError before the robot is known.
+    :param later: see :data:`Later`.
     :param errors: counts what goes wrong unexpectedly.
     """
 
-    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
+    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner], later: Later,
                  errors: InternalErrors) -> None:
-        self._node, self._parameters, self._learner = node, parameters, learner
-        for name, action in (('reset', self.reset), ('tare', self.tare), ('save_state', self.save_state),
-                             ('load_state', self.load_state)):
-            create_trigger(node, f'~/{name}', action, errors)
+        self._node, self._parameters, self._learner, self._later = node, parameters, learner, later
+        self._errors = errors
+        self._files = FileThread('states')
+        create_trigger(node, '~/reset', self.reset, errors)
+        create_trigger(node, '~/tare', self.tare, errors)
+        create_deferred_trigger(node, '~/save_state', self.save_state, errors)
+        create_deferred_trigger(node, '~/load_state', self.load_state, errors)
         node.create_service(SetBool, '~/pause_learning', self._pause)
+
+    def close(self) -> None:
+        """Return when every state is written."""
+        self._files.wait()
 
     def reset(self) -> str:
         """Forget everything learnt."""
@@ -97,20 +120,44 @@ class Services:
         values = np.array2string(learner.tare.bias, precision=4, separator=', ', max_line_width=10_000)
         return f'the bias is now {values} ({", ".join(learner.body.output_units)}), from {count} samples.'
 
-    def save_state(self) -> str:
-        """Write what was learnt to ``state_file``."""
+    def save_state(self, reply: Reply) -> None:
+        """Write what is learnt now to ``state_file``."""
         path = state_file.path_of(self._parameters.settings)
-        state_file.save(path, self._learner().state())
-        return f'{path} is written.'
+        state = state_file.snapshot(self._learner().state())
 
-    def load_state(self) -> str:
-        """Go on from what ``state_file`` holds."""
-        path = state_file.path_of(self._parameters.settings)
-        learner = self._learner()
-        saved = state_file.load(path, self._parameters.settings, learner.body)
-        learner.restore(saved)
-        self._parameters.write(saved.settings)
-        return f'{path} is loaded: {saved.settings.variant} with {len(saved.batch)} samples.'
+        def written(_: None) -> str:
+            return f'{path} is written.'
+
+        self._aside('~/save_state', partial(state_file.write, path, state), written, reply)
+
+    def load_state(self, reply: Reply) -> None:
+        """Go on from what ``state_file`` holds, once it is read, between two samples."""
+        settings = self._parameters.settings
+        path, learner = state_file.path_of(settings), self._learner()
+
+        def loaded(saved: SavedState) -> str:
+            current = self._learner()
+            saved = saved._replace(settings=state_file.adopted(self._parameters.settings, saved.settings))
+            current.restore(saved)
+            self._parameters.write(saved.settings)
+            return f'{path} is loaded: {saved.settings.variant} with {len(saved.batch)} samples.'
+
+        self._aside('~/load_state', partial(state_file.load, path, settings, learner.body), loaded, reply)
+
+    def _aside(self, name: str, work: Callable[[], Result], then: Callable[[Result], str], reply: Reply) -> None:
+        """Do the work in the thread for files, what follows in the node's own, and answer with its sentence."""
+        def finish(result: Result, error: Exception | None) -> None:
+            try:
+                if error is not None:
+                    raise error
+                sentence = then(result)
+            except Exception as error:
+                reply(reason(name, error, self._errors), success=False)
+            else:
+                self._node.get_logger().info(f'{name}: {sentence}')
+                reply(sentence)
+
+        self._files.submit(work, partial(self._later, finish))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """``data`` true: predict without learning."""
@@ -126,10 +173,8 @@ def create_trigger(node: Node, name: str, action: Callable[[], str], errors: Int
         try:
             response.message, response.success = action(), True
             node.get_logger().info(f'{name}: {response.message}')
-        except SemiparamError as error:
-            response.message, response.success = str(error), False
         except Exception as error:
-            response.message, response.success = errors.add(name, error), False
+            response.message, response.success = reason(name, error, errors), False
         return response
 
     node.create_service(Trigger, name, callback)
@@ -156,7 +201,7 @@ class Diagnosing:
         self._examined: tuple[Effect, ...] = ()
         self._report = node.create_publisher(String, '~/diagnosis', LATCHED)
         self._progress = node.create_publisher(String, '~/diagnosis_progress', 10)
-        create_deferred_trigger(node, '~/diagnose', self._diagnose)
+        create_deferred_trigger(node, '~/diagnose', self._diagnose, errors)
         create_trigger(node, '~/apply_diagnosis', self.apply, errors)
 
     def close(self) -> None:
@@ -181,19 +226,11 @@ class Diagnosing:
         return f'effects are now {_listed(self._outcome.effects)}; {result.reason}'
 
     def _diagnose(self, reply: Reply) -> None:
-        try:
-            self._start(reply)
-        except SemiparamError as error:
-            reply(str(error), success=False)
-        except Exception as error:
-            reply(self._errors.add('~/diagnose', error), success=False)
-
-    def _start(self, reply: Reply) -> None:
         learner = self._learner()
         if self._running:
             raise SemiparamError('a diagnosis is running already; wait for its answer.')
         samples = learner.history.span(self._parameters.settings.diagnosis_window)
-        if samples is None:
+        if not len(samples):
             raise SemiparamError('there are no samples to diagnose yet.')
         if self._background is None:
             self._background = ProcessBackground(self._later, self._tell)
