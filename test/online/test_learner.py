@@ -565,6 +565,38 @@ def test_history_keeps_the_first_and_the_latest():
     assert len(history.span(0.08)) == 5
 
 
+def values_of(batch):
+    return [(sample.stamp, learnt, *np.concatenate(sample[1:]).tolist()) for sample, learnt in batch.pairs()]
+
+
+@pytest.mark.parametrize('chunk', [1, 7, 1000])
+def test_what_a_history_hands_over_stays_as_it_is(chunk, monkeypatch):
+    """Nothing is copied, so nothing may be overwritten while samples go on coming."""
+    monkeypatch.setattr('semiparam_ros.online.history.CHUNK', chunk)
+    rng, samples, history = np.random.default_rng(chunk), motion(200), History(10, 50, 2)
+    learnt, given, pairs = rng.random(200) < 0.7, [], []
+    for index, sample in enumerate(samples):
+        history.append(sample, bool(learnt[index]))
+        if index in (3, 40, 120):
+            given.append(history.batch())
+            pairs.append(values_of(given[-1]))
+    first = int(np.flatnonzero(np.cumsum(learnt) == 10)[0]) + 1
+    expected = [*range(first), *range(150, 200)]
+    assert [sample.stamp for sample, _ in history.batch().pairs()] == [samples[k].stamp for k in expected]
+    assert history.batch().learnt.tolist() == learnt[expected].tolist()
+    for batch, before in zip(given, pairs, strict=True):
+        assert values_of(batch) == before
+        again = History(10, 50, 2)
+        again.refill(pickle.loads(pickle.dumps(batch)))
+        assert values_of(again.batch()) == before
+        again.append(samples[199], True)
+        assert values_of(again.batch())[:4] == before[:4] and again.latest().stamp == samples[199].stamp
+        assert again._learnt == batch.learnt.sum() + 1 and again.origin == samples[0].stamp
+        thin = batch.part(2, len(batch) - 1, 3)
+        assert thin.stamps.tolist() == batch.stamps[2:-1:3].tolist() and len(thin) == len(thin.learnt)
+        np.testing.assert_array_equal(thin.samples.outputs, batch.samples.outputs[2:-1:3])
+
+
 def test_the_clock_has_jumped_when_several_messages_agree():
     def went_back(topic, stamp, name):
         return [held.reading.frame_id for held in watch.refused(topic, Reading(stamp, name, ()))]

@@ -111,16 +111,27 @@ class RigidBody:
         self.sign = sign
         self.arm = arm
         self.distal = distal
-        self._arm_data = arm.createData()
+        self._make_data()
         self.arm_columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
         self._arm_order = self.arm_columns.argsort()
         if distal is not None:
             self.sensor_index = arm.getFrameId(SENSOR)
-            self._distal_data = distal.createData()
             shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
             self._distal_from = np.array(shared, dtype=int)
         self.basis = self._identifiable_basis()
         self._reduce_by(self.basis)
+
+    def __getstate__(self) -> dict[str, object]:
+        """All but pinocchio's scratch memory, which is nine tenths of it and takes milliseconds to write as text."""
+        return {name: value for name, value in vars(self).items() if not name.endswith('_data')}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        vars(self).update(state)
+        self._make_data()
+
+    def _make_data(self) -> None:
+        self._arm_data = self.arm.createData()
+        self._distal_data = None if self.distal is None else self.distal.createData()
 
     @classmethod
     def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,

@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.utilities import ok, try_shutdown
 
+from semiparam_ros.effects import kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import Later
 from semiparam_ros.ros.context import SPIN_S, StopSignals, rcl_reason, spin_for, start_rclpy
@@ -59,6 +61,7 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
             refused = take_priority(node.settings.realtime_priority)
             if refused:
                 node.get_logger().warning(refused)
+            _find_effects(node.settings.outputs)
             _keep_collector_out()
             while ok() and not stop.asked:
                 try:
@@ -84,6 +87,12 @@ def _new_node(later: Later, folders: Sequence[Path]) -> EstimatorNode:
         return EstimatorNode(later, folders)
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
+
+
+def _find_effects(outputs: str) -> None:
+    """Those of other packages are looked for in every one that is installed: now, not between two samples."""
+    with suppress(SemiparamError):  # of a package that is not well; told where an effect is declared
+        kinds(outputs)
 
 
 def _keep_collector_out() -> None:
