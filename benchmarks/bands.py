@@ -29,7 +29,7 @@ from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.estimator import Estimator, Prediction, log_density
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import AVERAGED, CHOICES, MEMBERS, VARIANTS
 from semiparam_ros.effects import kinds
 from semiparam_ros.experiments.initial_window import fitted_settings
 from semiparam_ros.experiments.scoreboard import samples_of
@@ -110,15 +110,17 @@ def _model_log_density(prediction: Prediction) -> float:
     return log_density(innovation, prediction.prior.covariance) - float(np.log(scale).sum())
 
 
-def run(pair: Pair, variant: str, features: int) -> dict[str, Any]:
-    """Figures of one variant on one pair."""
+def run(pair: Pair, variant: str, features: int) -> list[dict[str, Any]]:
+    """Figures of one variant on one pair; of averaged ones, and then of each of them, which is as it would be alone."""
     settings = replace(pair.settings, variant=variant, features_count=features)
     window = settings.initial_samples
-    settings, _ = fitted_settings(settings, pair.train[:window], pair.urdf)
+    if variant != AVERAGED:  # whose hyperparameters no settings hold
+        settings, _ = fitted_settings(settings, pair.train[:window], pair.urdf)
     estimator = build_estimator(settings, pair.urdf, pair.train.origin)
     follow(estimator, pair.train[:window], learn=True)
-    result: dict[str, Any] = {'recording': pair.name, 'variant': variant, 'features': features,
-                              'first': figures(follow(estimator, pair.train[window:], learn=True))}
+    if not estimator.ready:
+        estimator.finish_window()
+    phases = {'first': follow(estimator, pair.train[window:], learn=True)}
     learnt, length = estimator.state(), len(pair.test) // pair.parts
     for phase, learn in (('learning', True), ('frozen', False)):
         predictions = []
@@ -127,8 +129,13 @@ def run(pair: Pair, variant: str, features: int) -> dict[str, Any]:
             estimator.restore(learnt)
             estimator.begin_recording(samples.origin)
             predictions += follow(estimator, samples, learn)
-        result[phase] = figures(predictions)
-    return result
+        phases[phase] = predictions
+    each = {variant: phases}
+    for index, member in enumerate(MEMBERS if variant == AVERAGED else ()):
+        each[f'{member} of {variant}'] = {phase: [one.members[index] for one in predictions]
+                                          for phase, predictions in phases.items()}
+    return [{'recording': pair.name, 'variant': name, 'features': features,
+             **{phase: figures(predictions) for phase, predictions in mine.items()}} for name, mine in each.items()]
 
 
 def stationary(seeds: int, features: int) -> Iterator[dict[str, Any]]:
@@ -161,7 +168,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('--data', type=Path, metavar='FOLDER', help='holds train.mcap and test.mcap (iCub), id1.mcap '
                         'and id2.mcap (UR3) and panda.mcap')
-    parser.add_argument('--variant', nargs='+', choices=tuple(VARIANTS), default=list(VARIANTS))
+    parser.add_argument('--variant', nargs='+', choices=CHOICES, default=list(VARIANTS))
     parser.add_argument('--features', type=int, default=500, help='D (default: %(default)s)')
     parser.add_argument('--stationary', type=int, metavar='SEEDS', help='the simulated recordings instead')
     parser.add_argument('--json', type=Path, metavar='FILE', help='write all figures there')
@@ -178,8 +185,9 @@ def main() -> int:
     else:
         for pair in pairs(args.data):
             for variant in args.variant:
-                results.append(run(pair, variant, args.features))
-                print(show(results[-1]), flush=True)
+                found = run(pair, variant, args.features)
+                results += found
+                print(*map(show, found), sep='\n', flush=True)
     if args.json:
         args.json.write_text(json.dumps({'command': 'bands', 'runs': results}, indent=1) + '\n', encoding='utf-8')
     return 0

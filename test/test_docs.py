@@ -11,7 +11,7 @@ import pytest
 
 from semiparam_ros.cli import documentation
 from semiparam_ros.cli.main import COMMANDS
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.settings.parameter_table import BY_NAME
 from support.doc_blocks import RUN, SHOWN, WRITTEN, Workshop, blocks, check_parses, commands
 
@@ -95,7 +95,7 @@ def test_the_reference_of_commands_is_that_of_the_commands():
 def test_the_table_of_variants_is_complete():
     page = (REPOSITORY / 'docs/concepts.md').read_text(encoding='utf-8')
     section = page.split('\n## Variants\n')[1].split('\n## ')[0]
-    assert sorted(re.findall(r'^\| `([^`]+)`', section, re.MULTILINE)) == sorted(VARIANTS)
+    assert sorted(re.findall(r'^\| `([^`]+)`', section, re.MULTILINE)) == sorted(CHOICES)
 
 
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)

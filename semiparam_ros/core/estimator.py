@@ -17,7 +17,7 @@ from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.feature_count import MOST
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
-from semiparam_ros.core.initial_window import InitialWindow
+from semiparam_ros.core.initial_window import InitialWindow, Remembered
 from semiparam_ros.core.input_range import beyond, widened
 from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
@@ -129,6 +129,8 @@ class ModelOptions:
     hyperparameters: Hyperparameters | None = None
     input_mean: tuple[float, ...] = ()
     input_scale: tuple[float, ...] = ()
+    others: tuple[Hyperparameters, ...] = ()
+    """With given hyperparameters: those of the variants averaged with the first one; none: they have the same."""
 
     @property
     def most_features(self) -> int:
@@ -154,6 +156,8 @@ class Prediction(NamedTuple):
     motion: Motion
     beyond: float
     """How far the inputs lie outside of those learnt, see :func:`~semiparam_ros.core.input_range.beyond`."""
+    members: tuple[Prediction, ...] = ()
+    """Of the variants that it is the average of, where it is one."""
 
     @property
     def log_density(self) -> float:
@@ -173,6 +177,18 @@ class DesiredOutputs(NamedTuple):
     variance_ratio: float  # largest variance of the model itself over that of the noise, over the outputs
 
 
+class MemberState(NamedTuple):
+    """What an averaged variant has learnt, with its hyperparameters."""
+
+    hyperparameters: Hyperparameters
+    recursion: dict[str, Array]
+    horizon: Mapping[str, Array | Stamps]
+    calibration: dict[str, Array]
+    wandering: dict[str, Array]
+    window_left: int  # samples
+    passed_over: tuple[int, int]  # samples passed over since the last one learnt, and altogether
+
+
 class EstimatorState(NamedTuple):
     """What an estimator has learnt and what it remembers, beside its options and hyperparameters."""
 
@@ -188,6 +204,19 @@ class EstimatorState(NamedTuple):
     memory: Memories
     inputs_learnt: Array
     motion: Motion | None
+    others: tuple[MemberState, ...] = ()  # the variants averaged with it
+    average: Mapping[str, Array | Stamps] | None = None  # their weights, and the horizons of the average
+
+
+class Seen(NamedTuple):
+    """A sample as every variant sees it."""
+
+    sample: Sample
+    x: Array  # (m,)
+    columns: Array  # (n, p)
+    memory: Memories
+    motion: Motion
+    beyond: float
 
 
 class Estimator:
@@ -236,21 +265,26 @@ class Estimator:
 
         Raises SemiparamError when an input is not finite.
         """
+        return self._answer(self._see(sample))
+
+    def _see(self, sample: Sample) -> Seen:
         x = sample.inputs
         require_finite('positions, velocities and accelerations', x)
         memory = None if self._has_jumped(sample.stamp) else self._memory
         columns, memory = self.columns.one(sample, self._origin_at(sample.stamp), memory)
         if self.columns.effects:
             require_finite('columns of the effects', columns)
-        prior, learnt, fixed = self.model.predict(x, columns)
+        motion = self.motion.after(sample.stamp, sample.position, sample.outputs) if self.motion else \
+            at_start(sample.stamp, sample.position, sample.outputs)
+        return Seen(sample, x, columns, memory, motion, beyond(self.inputs_learnt, x, self.body.n_joints))
+
+    def _answer(self, seen: Seen) -> Prediction:
+        prior, learnt, fixed = self.model.predict(seen.x, seen.columns)
         scale = self.model.output_scale
         model_mean, model_std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
         mean = model_mean if self.wandering is None else model_mean + self.wandering.offset
-        motion = self.motion.after(sample.stamp, sample.position, sample.outputs) if self.motion else \
-            at_start(sample.stamp, sample.position, sample.outputs)
-        return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None, sample,
-                          prior, learnt, fixed, scale, memory, motion,
-                          beyond(self.inputs_learnt, x, self.body.n_joints))
+        return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None,
+                          seen.sample, prior, learnt, fixed, scale, seen.memory, seen.motion, seen.beyond)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -263,6 +297,12 @@ class Estimator:
         origin = self.origin or 0
         now = origin if self._newest is None else self._newest
         shown, needed = self.columns.desired(position, velocity, acceleration, now, origin)
+        found = self._desired(x, shown, needed)
+        require_finite('predicted outputs of a desired state',
+                       np.concatenate([found.shown, found.covariance.diagonal()]))
+        return found
+
+    def _desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
         model = self.model
         prior, _, fixed = model.predict(x, shown)
         outputs = model.output_scale * (prior.mean + fixed)
@@ -272,7 +312,6 @@ class Estimator:
             of_sensor = of_sensor + self.wandering.offset * self.columns.has_offset
         scale = self.calibration.factor * model.output_scale
         covariance = prior.covariance * np.outer(scale, scale)
-        require_finite('predicted outputs of a desired state', np.concatenate([outputs, covariance.diagonal()]))
         ratio = float(prior.covariance.diagonal().max()) / model.hyperparameters.sigma**2 - 1.0
         return DesiredOutputs(outputs, outputs - of_sensor, covariance, ratio)
 
@@ -287,15 +326,26 @@ class Estimator:
         Every other prediction made before is then stale. Raises SemiparamError, with nothing changed, when this one is,
         or when the measured outputs are not finite.
         """
-        sample, recursion = prediction.sample, self.model.recursion
-        recursion.require_current(prediction.prior)
+        sample = prediction.sample
+        self.model.recursion.require_current(prediction.prior)
         require_finite('outputs', sample.outputs)
         self.origin, self._newest = self._origin_at(sample.stamp), sample.stamp
         self._memory = prediction.memory
-        outputs = sample.outputs / self.model.output_scale
-        complete = self.horizon.score(prediction.prior, prediction.fixed, outputs)
         if learn:
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
+        complete = self._take_in(prediction, learn)
+        self.motion = prediction.motion
+        if learn and not self.ready and not self.window.full:
+            self.window.append(sample, prediction.columns)
+        if finish and self.window_full:
+            self.finish_window()
+        return complete
+
+    def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
+        """What a sample changes of what is learnt. :param errors: see :meth:`HorizonIndex.score`."""
+        sample, recursion = prediction.sample, self.model.recursion
+        outputs = sample.outputs / prediction.output_scale
+        complete = self.horizon.score(prediction.prior, prediction.fixed, outputs, errors)
         due = learn and self._is_due(prediction.prior)
         correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if due else None
         if not due:
@@ -304,11 +354,6 @@ class Estimator:
             self._follow(sample.outputs, prediction.model_mean, prediction.model_std, learn)
         parts = None if self.wandering is None else self.wandering.parts / prediction.output_scale
         self.horizon.remember(sample.stamp, recursion.theta, correction, parts)
-        self.motion = prediction.motion
-        if learn and not self.ready and not self.window.full:
-            self.window.append(sample, prediction.columns)
-        if finish and self.window_full:
-            self.finish_window()
         return complete
 
     def _is_due(self, prior: Prior) -> bool:
@@ -354,28 +399,46 @@ class Estimator:
 
         Raises SemiparamError, with nothing changed, when the window holds too little to estimate from.
         """
+        self._begin_variant()
+        for remembered in self.window:
+            self._learn_again(remembered)
+        self._leave_window()
+
+    def _begin_variant(self) -> None:
+        """Estimate the hyperparameters from the window, and begin the variant that has them."""
         window = self.window
         if not len(window):
             raise SemiparamError('the initial window holds no samples yet: none were learnt while the robot moved.')
         scaling = input_scaling(window.inputs)
         hyperparameters = self._estimate(window, scaling)
         self.input_scaling = scaling
-        self.model = model = self._build(hyperparameters)
+        self.model = self._build(hyperparameters)
         self._begin_following()
+
+    def _learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
+        """Learn a sample of the window; mean and standard deviation (n,) that were predicted for it, in N and N m."""
+        model, (inputs, outputs, columns) = self.model, remembered
         scale = model.output_scale
-        for inputs, outputs, columns in window:
-            prior, _, fixed = model.predict(inputs, columns)
-            self._follow(outputs, scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal()),
-                         learn=True)
-            model.recursion.learn(prior, outputs / scale - fixed)
-        self.window_samples, self.ready, self.window = len(window), True, self.new_window()
+        prior, _, fixed = model.predict(inputs, columns)
+        mean, std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
+        said = mean if self.wandering is None else mean + self.wandering.offset, self.calibration.factor * std
+        self._follow(outputs, mean, std, learn=True)
+        model.recursion.learn(prior, outputs / scale - fixed)
+        return said
+
+    def _leave_window(self) -> None:
+        self.window_samples, self.ready, self.window = len(self.window), True, self.new_window()
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons and what effects remember, as after a jump of the clock; keep the model."""
-        self.horizon.clear()
+        self.clear_horizons()
         self._memory = None
         self.motion = self.motion.interrupted() if self.motion else None
         self.model.recursion.revise()
+
+    def clear_horizons(self) -> None:
+        """Forget half-finished horizons alone."""
+        self.horizon.clear()
 
     def begin_recording(self, origin: int) -> None:
         """Go on with another recording, whose time starts at ``origin`` [ns]; what is learnt stays."""
@@ -394,6 +457,14 @@ class Estimator:
 
         Predictions made before are then stale. Raises SemiparamError when it is that of another one.
         """
+        self._restore_learnt(state)
+        self.window = self.new_window()
+        self.window.restore(state.window)
+        self._memory, self.motion = state.memory, state.motion
+        self.origin, self._newest = state.origin, state.newest
+        self.inputs_learnt = state.inputs_learnt
+
+    def _restore_learnt(self, state: EstimatorState | MemberState) -> None:
         self.model.recursion.restore(state.recursion)
         self.horizon.restore(state.horizon)
         self.calibration.restore(state.calibration)
@@ -401,11 +472,16 @@ class Estimator:
             self.wandering.restore(state.wandering)
         self._window_left = state.window_left
         self._since_learnt, self.passed_over = state.passed_over
-        self.window = self.new_window()
-        self.window.restore(state.window)
-        self._memory, self.motion = state.memory, state.motion
-        self.origin, self._newest = state.origin, state.newest
-        self.inputs_learnt = state.inputs_learnt
+
+    @property
+    def others(self) -> tuple[Hyperparameters, ...]:
+        """Those of the variants averaged with this one."""
+        return ()
+
+    @property
+    def weights(self) -> dict[str, Array]:
+        """(n,) weights of each output, of the variants that the answers are an average of; empty for a single one."""
+        return {}
 
     @property
     def features_count(self) -> int:

@@ -53,6 +53,7 @@ class HorizonIndex:
         self._innovations = np.zeros((rows, (n_columns + 1) * n_outputs))
         self._theta = np.ones((rows, n_columns + 1))  # [-theta, 1], which takes phi' Theta to the outputs
         self._squared_error = np.zeros((rows, n_outputs))
+        self._no_errors = np.zeros((0, n_outputs))
         self._outputs = np.zeros((rows, n_outputs))
         self._origins = np.zeros(rows, dtype=np.int64)
         self._ones = np.ones(length)
@@ -90,17 +91,18 @@ class HorizonIndex:
                 'squared_error': self._squared_error, 'outputs': self._outputs, 'origins': self._origins,
                 'offsets': self._parts}
 
-    def score(self, prior: Prior, fixed: Array, outputs: Array) -> HorizonErrors | None:
+    def score(self, prior: Prior, fixed: Array, outputs: Array, errors: Array | None = None) -> HorizonErrors | None:
         """Charge one sample to the last T models; the errors of the oldest when its horizon is now complete.
 
         :param prior: of the sample. :param fixed: (n,) the part that no model learns. :param outputs: (n,) measured.
+        :param errors: (T, n) takes the errors of the last k <= T models at this sample, newest first.
         Call it before the sample is learnt, then :meth:`remember` afterwards.
         """
         self._make_room()
         self._outputs[self._start - 1] = outputs
         if self._filled:
             models = slice(self._start, self._start + self._filled)
-            self._charge(prior, outputs - fixed, models)
+            self._charge(prior, outputs - fixed, models, self._no_errors if errors is None else errors)
         return self._complete() if self._filled == self.length else None
 
     def remember(self, stamp: int, theta: Array, correction: Correction | None, offsets: Array | None = None) -> None:
@@ -119,18 +121,20 @@ class HorizonIndex:
             self._parts[self._start] = offsets
         self._origins[self._start] = stamp
 
-    def _charge(self, prior: Prior, outputs: Array, models: slice) -> None:
+    def _charge(self, prior: Prior, outputs: Array, models: slice, errors: Array) -> None:
         """Add the squared errors of k models of the past, and let their offsets ebb."""
         if AVAILABLE:
             _charge(self._gains[models], self._innovations[models], self._theta[models], self._parts[models],
                     self._decay, self._squared_error[models], outputs, prior.phi, prior.regressed,
-                    np.ascontiguousarray(prior.columns_left))
+                    np.ascontiguousarray(prior.columns_left), errors)
             return
         error = outputs - self._predictions(prior, models)
         if len(self._decay):
             offsets = self._parts[models]
             error -= offsets.sum(axis=1)
             offsets *= self._decay
+        if len(errors):
+            errors[:len(error)] = error
         self._squared_error[models] += error * error
 
     def _predictions(self, prior: Prior, models: slice) -> Array:
@@ -178,9 +182,9 @@ class HorizonIndex:
         self._start = end - self._filled
 
 
-@compiled(MATRIX, MATRIX, MATRIX, BLOCKS, MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX)
+@compiled(MATRIX, MATRIX, MATRIX, BLOCKS, MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX)
 def _charge(gains: Array, innovations: Array, theta: Array, parts: Array, decay: Array, squared_error: Array,
-            outputs: Array, phi: Array, regressed: Array, left: Array) -> None:
+            outputs: Array, phi: Array, regressed: Array, left: Array, errors: Array) -> None:
     n, p = left.shape
     running = np.zeros((p + 1) * n)  # E_C, and what was learnt after a model
     for c in range(p):
@@ -199,11 +203,48 @@ def _charge(gains: Array, innovations: Array, theta: Array, parts: Array, decay:
                 parts[row, g, k] *= decay[g, 0]
         for k in range(n):
             squared_error[row, k] += error[k] * error[k]
+        if len(errors):
+            for k in range(n):
+                errors[row, k] = error[k]
         weight = 0.0
         for d in range(len(phi)):
             weight += gains[row, d] * phi[d]
         for q in range(len(running)):
             running[q] += weight * innovations[row, q]
+
+
+class AveragedHorizons(HorizonIndex):
+    """The running index of a weighted average of models: of each moment's weights, as they stood.
+
+    :param n_models: K, in a fixed order.
+    """
+
+    def __init__(self, length: int, n_outputs: int, n_models: int) -> None:
+        self._shares = np.zeros((2 * length, n_models, n_outputs))
+        super().__init__(length, n_outputs, 0, 0)
+
+    def _rows(self) -> dict[str, Array | Stamps]:
+        return {'weights': self._shares, 'squared_error': self._squared_error, 'outputs': self._outputs,
+                'origins': self._origins}
+
+    def score_average(self, errors: list[Array], outputs: Array) -> HorizonErrors | None:
+        """Charge one sample, from the errors (T, n) that each model's own index charged it with; see :meth:`score`."""
+        self._make_room()
+        self._outputs[self._start - 1] = outputs
+        models = slice(self._start, self._start + self._filled)
+        average = np.zeros((self._filled, len(outputs)))
+        for index, each in enumerate(errors):
+            average += self._shares[models, index] * each[:self._filled]
+        self._squared_error[models] += average * average
+        return self._complete() if self._filled == self.length else None
+
+    def remember_weights(self, stamp: int, weights: Array) -> None:
+        """Keep the weights (K, n) as they stand after the sample of ``stamp`` [ns], and let go of the oldest."""
+        self._start -= 1
+        self._filled = min(self._filled + 1, self.length)
+        self._shares[self._start] = weights
+        self._squared_error[self._start] = 0.0
+        self._origins[self._start] = stamp
 
 
 @compiled(MATRIX, VECTOR, VECTOR, VECTOR)

@@ -30,9 +30,20 @@ VARIANTS: dict[str, Variant] = {
     'SP2-VS': Variant(features=True, pi='fixed', selection='vs'),
 }
 
+AVERAGED = 'auto'
+"""Several variants side by side, averaged by their running evidence (core.averaged_estimator)."""
+MEMBERS = ('SPK-ML', 'P', 'NP-VS')
+"""Those that are averaged; what is asked of one model is that of the first."""
+CHOICES = (*VARIANTS, AVERAGED)
+
+
+def single(name: str) -> str:
+    """The variant itself, or the first of those averaged."""
+    return MEMBERS[0] if name == AVERAGED else name
+
 
 def variant_named(name: str) -> Variant:
     """The variant of that name, or a SemiparamError that lists them."""
-    if name not in VARIANTS:
-        raise SemiparamError(f"variant '{name}' is unknown; expected one of {', '.join(VARIANTS)}.")
-    return VARIANTS[name]
+    if name not in CHOICES:
+        raise SemiparamError(f"variant '{name}' is unknown; expected one of {', '.join(CHOICES)}.")
+    return VARIANTS[single(name)]

@@ -16,12 +16,13 @@ from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import AVERAGED, VARIANTS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.initial_window import Estimation, fitted_settings
 from semiparam_ros.experiments.parallel import run_all
+from semiparam_ros.online.worker import known_of
 from semiparam_ros.settings import Settings
-from semiparam_ros.settings.build import build_estimator, model_options
+from semiparam_ros.settings.build import build_estimator, hyperparameter_values, model_options
 
 SEEDLESS = 'P'  # it has no random features: one run says all
 
@@ -168,15 +169,31 @@ def learn(scenario: Scenario, variant: str, seed: int) -> Learnt:
     initial = gathered.end
     chosen = replace(scenario.settings, variant=variant, features_seed=seed)
     start = time.perf_counter()
-    settings, hyperparameters = fitted_settings(chosen, scenario.train[gathered.indices], scenario.robot_description,
-                                                scenario.estimation)
-    seconds = time.perf_counter() - start
-    estimator = build_estimator(settings, scenario.robot_description, scenario.train.origin)
-    run_through(estimator, scenario.train[:initial], learning=True)
-    estimator.horizon.clear()
+    if variant == AVERAGED:  # parameters hold the hyperparameters of one variant alone
+        settings, estimator = _averaged_after(scenario, chosen, scenario.train[:initial])
+        hyperparameters, seconds = estimator.model.hyperparameters, time.perf_counter() - start
+    else:
+        settings, hyperparameters = fitted_settings(chosen, scenario.train[gathered.indices],
+                                                    scenario.robot_description, scenario.estimation)
+        seconds = time.perf_counter() - start
+        estimator = build_estimator(settings, scenario.robot_description, scenario.train.origin)
+        run_through(estimator, scenario.train[:initial], learning=True)
+    estimator.clear_horizons()
     trace = run_through(estimator, scenario.train[initial:], learning=True)
     model = TrainedModel(variant, seed, settings, estimator.state())
     return Learnt(model, hyperparameters, seconds, trace)
+
+
+def _averaged_after(scenario: Scenario, settings: Settings, initial: Samples) -> tuple[Settings, Estimator]:
+    """The averaged variants after the initial window, and settings with the hyperparameters of the first of them."""
+    estimator = build_estimator(replace(settings, hyperparameters_sigma=()), scenario.robot_description,
+                                scenario.train.origin)
+    run_through(estimator, initial, learning=True)
+    if not estimator.ready:
+        estimator.finish_window()
+    known = known_of(estimator)
+    assert known is not None
+    return settings.changed(hyperparameter_values(*known[:3])), estimator
 
 
 def follow(scenario: Scenario, model: TrainedModel, subset: int) -> Followed:

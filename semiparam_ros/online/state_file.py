@@ -14,7 +14,7 @@ import numpy as np
 
 from semiparam_ros.atomic_write import remove_leftovers, replacing
 from semiparam_ros.core.columns import Memories, Memory
-from semiparam_ros.core.estimator import Estimator, EstimatorState
+from semiparam_ros.core.estimator import Estimator, EstimatorState, MemberState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.motion import Motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -31,6 +31,9 @@ FORMAT, VERSION = 'semiparam_ros state', 8
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
 """Parameters that the file brings along."""
+
+MEMBER_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
+"""Groups of arrays of each variant averaged with the first one."""
 
 FIXED = ('outputs', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')
 """Parameters that cannot change while a node runs, and so must agree."""
@@ -95,7 +98,12 @@ def snapshot(state: SavedState) -> Snapshot:
             'passed_over': learnt.passed_over,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate),
             'renewal': _as_json(state.renewal, renewal)}
+    others = [_member_arrays(other) for other in learnt.others]
+    if learnt.average is not None:
+        meta['others'] = [{'hyperparameters': asdict(other.hyperparameters), 'window_left': other.window_left,
+                           'passed_over': other.passed_over} for other in learnt.others]
     groups: dict[str, Mapping[str, Array | Stamps | Mask]] = {
+        'average': learnt.average or {}, **{f'other{index}': arrays for index, arrays in enumerate(others)},
         'recursion': learnt.recursion, 'horizon': learnt.horizon,
         'calibration': learnt.calibration, 'wandering': learnt.wandering,
         'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window, 'motion': _stacked(learnt.motion)}
@@ -191,7 +199,7 @@ def _meta(state: SavedState) -> dict[str, Any]:
     known = known_of(state.estimator)
     return {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
             'settings': {name: values[name] for name in (*ADOPTED, *FIXED)},
-            'known': None if known is None else [asdict(known.hyperparameters), *known[1:]]}
+            'known': None if known is None else [asdict(known.hyperparameters), *known[1:4]]}
 
 
 def _write_archive(stream: IO[bytes], arrays: Arrays) -> None:
@@ -257,17 +265,33 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
     known = None
     if meta['known'] is not None:
         hyperparameters, mean, scale, window = meta['known']
-        for name in ('tau', 'output_scale', 'pi'):
-            hyperparameters[name] = None if hyperparameters[name] is None else tuple(hyperparameters[name])
-        known = Known(Hyperparameters(**hyperparameters), tuple(mean), tuple(scale), int(window))
+        known = Known(_hyperparameters(hyperparameters), tuple(mean), tuple(scale), int(window))
     estimator = new_estimator(settings, body, known)
     estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
                                      _group(arrays, 'calibration'), _group(arrays, 'wandering'),
                                      int(meta['window_left']), _counts(meta['passed_over']),
                                      _group(arrays, 'window'), meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
-                                     arrays['inputs_learnt'], _unstacked(_group(arrays, 'motion'), body)))
+                                     arrays['inputs_learnt'], _unstacked(_group(arrays, 'motion'), body),
+                                     tuple(_member(_group(arrays, f'other{index}'), other)
+                                           for index, other in enumerate(meta.get('others', []))),
+                                     _group(arrays, 'average') if 'others' in meta else None))
     return estimator
+
+
+def _hyperparameters(values: Mapping[str, Any]) -> Hyperparameters:
+    tuples = {name: None if values[name] is None else tuple(values[name]) for name in ('tau', 'output_scale', 'pi')}
+    return Hyperparameters(**{**values, **tuples})
+
+
+def _member_arrays(member: MemberState) -> Arrays:
+    return {f'{group}.{name}': values for group in MEMBER_ARRAYS for name, values in getattr(member, group).items()}
+
+
+def _member(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> MemberState:
+    groups = {group: _group(arrays, group) for group in MEMBER_ARRAYS}
+    return MemberState(_hyperparameters(meta['hyperparameters']), window_left=int(meta['window_left']),
+                       passed_over=_counts(meta['passed_over']), **groups)
 
 
 def _counts(values: Sequence[int]) -> tuple[int, int]:

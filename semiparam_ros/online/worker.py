@@ -15,13 +15,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
+from semiparam_ros.core.averaged_estimator import estimator_of
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -245,6 +246,7 @@ class Known(NamedTuple):
     input_mean: tuple[float, ...]
     input_scale: tuple[float, ...]
     window: int  # samples that they are from
+    others: tuple[Hyperparameters, ...] = ()  # of the variants averaged with it
 
 
 def finish_window(estimator: Estimator) -> Estimator:
@@ -290,7 +292,8 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
     """An estimator that has learnt nothing yet; time counts from ``origin`` [ns]."""
     if known is not None:
         settings = settings.changed(hyperparameter_values(*known[:3]))
-    return Estimator(body, model_options(settings), declared_effects(settings), origin, known.window if known else 0)
+    options = replace(model_options(settings), others=known.others if known else ())
+    return estimator_of(body, options, declared_effects(settings), origin, known.window if known else 0)
 
 
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
@@ -306,7 +309,7 @@ def known_of(estimator: Estimator) -> Known | None:
         return None
     mean, scale = estimator.input_scaling
     return Known(estimator.model.hyperparameters, tuple(mean.tolist()), tuple(scale.tolist()),
-                 estimator.window_samples)
+                 estimator.window_samples, estimator.others)
 
 
 class Outcome(NamedTuple):

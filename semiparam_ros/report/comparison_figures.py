@@ -15,7 +15,7 @@ from semiparam_ros.report.html import FAINT, INK, page_style
 
 # Families share a hue, validation sets are dashed; told apart without red and green.
 COLOURS = {'P': '#8c8c8c', 'NP-ML': '#e08a00', 'NP-VS': '#e08a00', 'SP-ML': '#3b7dd8', 'SP2-ML': '#c060a8',
-           'SP2-VS': '#c060a8', 'SPK-ML': '#1a9c78'}
+           'SP2-VS': '#c060a8', 'SPK-ML': '#1a9c78', 'auto': '#202020'}
 TITLES = {'eps_force': 'Forces', 'eps_torque': 'Torques', 'eps_effort': 'Efforts'}
 SMOOTHING_S = 2.0
 MOST_POINTS = 400

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, TypeAlias, TypeGuard
 
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import CHOICES
 
 Value: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
@@ -175,11 +175,11 @@ class Table:
     # Model
     variant: str = declare(
         'variant', 'SPK-ML', 'Model variant: rigid body (P), random features (NP), rigid body as the mean (SP, SP2) '
-        'or in the kernel (SPK); hyperparameters by marginal likelihood (ML) or validation set (VS).',
-        choices=tuple(VARIANTS), live=True)
+        'or in the kernel (SPK); hyperparameters by marginal likelihood (ML) or validation set (VS). auto: several of '
+        'them side by side, averaged by their running evidence.', choices=CHOICES, live=True)
     shadow_variants: tuple[str, ...] = declare(
         'shadow_variants', (), 'Variants that learn beside the active one, to compare their horizon errors.',
-        choices=tuple(VARIANTS), live=True)
+        choices=CHOICES, live=True)
     effects: tuple[str, ...] = declare(
         'effects', (), "Declared effects, each 'kind' or 'kind@where', optionally followed by {json} with values that "
         'a diagnosis found.', live=True)

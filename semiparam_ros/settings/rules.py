@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
+from semiparam_ros.core.variants import single
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.parameter_table import Table, shown
 
@@ -97,7 +98,7 @@ def hyperparameters_suffice(table: Table) -> str | None:
     given = {name: bool(getattr(table, f'hyperparameters_{name}')) for name in HYPERPARAMETERS}
     if not any(given.values()):
         return None
-    kind = table.variant.partition('-')[0]
+    kind = single(table.variant).partition('-')[0]
     missing = [name for name in NEEDED[kind] if not given[name]]
     if missing:
         return (f'hyperparameters.{missing[0]} is empty, but {table.variant} needs it once any is given; expected all '

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from semiparam_ros.core.averaged_estimator import estimator_of
 from semiparam_ros.core.estimator import Estimator, ModelOptions, information_gain, log_density
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.motion import STILL_SAMPLES, at_start
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import AVERAGED, CHOICES
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.identified_parameters import quantities
@@ -46,8 +47,8 @@ def recording(arm):
 
 
 def estimator(arm, variant, **options):
-    return Estimator(arm, ModelOptions(**({'variant': variant, 'features_count': 60, 'initial_samples': WINDOW,
-                                           'horizon': 5} | options)))
+    return estimator_of(arm, ModelOptions(**({'variant': variant, 'features_count': 60, 'initial_samples': WINDOW,
+                                              'horizon': 5} | options)))
 
 
 def run(model, samples, learn=True):
@@ -60,7 +61,7 @@ def relative_error(predictions, samples):
     return np.sqrt(np.mean(np.square(errors)))
 
 
-@pytest.fixture(scope='module', params=sorted(VARIANTS))
+@pytest.fixture(scope='module', params=sorted(CHOICES))
 def trained(request, arm, recording):
     """Each variant after the recording, with all that it said."""
     model = estimator(arm, request.param)
@@ -69,6 +70,12 @@ def trained(request, arm, recording):
 
 def trained_copy(trained):
     return copy.deepcopy(trained[0])
+
+
+def hold_weights(model):
+    """Of averaged variants, which follow what is measured also where nothing is learnt."""
+    if model.options.variant == AVERAGED:
+        model._weights.learn = lambda *_: None
 
 
 # ---- every variant
@@ -137,6 +144,7 @@ def test_a_step_is_a_prediction_and_then_an_observation(trained, recording):
 
 def test_without_learning_the_answers_stay_but_horizons_go_on(trained, recording):
     model = trained_copy(trained)
+    hold_weights(model)
     sample = next(iter(recording[:1]))
     before = model.predict(sample)
     found = run(model, recording[:40], learn=False)
@@ -189,7 +197,7 @@ def test_horizons_start_with_the_variant_and_again_after_a_jump_of_the_clock(tra
 def test_hyperparameters_handed_on_give_the_same_model(trained, arm, recording):
     model, _ = trained
     mean, scale = model.input_scaling
-    given = estimator(arm, model.options.variant, hyperparameters=model.model.hyperparameters,
+    given = estimator(arm, model.options.variant, hyperparameters=model.model.hyperparameters, others=model.others,
                       input_mean=tuple(mean), input_scale=tuple(scale))
     assert given.ready
     run(given, recording[:WINDOW])
@@ -352,7 +360,7 @@ def test_without_motion_but_with_noise_every_variant_stays_finite(arm):
     rng = np.random.default_rng(0)
     still = [Sample(i * 50_000_000, np.full(4, 0.5), np.zeros(4), np.zeros(4), 3 + 0.1 * rng.standard_normal(6))
              for i in range(90)]
-    for variant in VARIANTS:
+    for variant in CHOICES:
         model = estimator(arm, variant, initial_samples=1000)
         for sample in still[:60]:
             model.observe(model.predict(sample))
@@ -369,7 +377,7 @@ def test_a_robot_that_rested_over_the_initial_window_is_predicted_within_reason_
     place, rest = rng.uniform(-1.0, 1.0, body.n_joints), np.zeros(body.n_joints)
     still = [Sample(i * 50_000_000, place, rest, rest, 3 + 0.1 * rng.standard_normal(body.n_outputs))
              for i in range(70)]
-    for variant in VARIANTS:
+    for variant in CHOICES:
         model = estimator(body, variant, initial_samples=1000)
         for sample in still[:60]:
             model.observe(model.predict(sample))
@@ -434,7 +442,7 @@ def pushed(arm, recording):
 
 def declaring(trained, arm, *effects):
     """The same variant, untrained, with effects."""
-    return Estimator(arm, trained[0].options, [effect_from_text(text) for text in effects])
+    return estimator_of(arm, trained[0].options, [effect_from_text(text) for text in effects])
 
 
 def test_every_variant_learns_an_effect_that_begins_after_the_window(trained, arm, recording, pushed):
@@ -486,7 +494,7 @@ def test_a_variant_with_features_beats_p_where_something_is_unmodelled(arm):
 def test_efforts_are_learnt_as_well():
     body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
     samples = measured(body)
-    for variant in VARIANTS:
+    for variant in CHOICES:
         predictions = run(estimator(body, variant), samples)
         assert relative_error(predictions[-100:], samples) < 0.4, variant
 
@@ -575,6 +583,7 @@ def test_the_horizon_holds_the_wandering_offset_of_each_model(trained, recording
     model.wandering.learn(np.array([3.0, -2.0, 1.0, 0.1, 0.2, -0.3]), np.ones(6))  # something that ebbs away
     run(model, recording[:30])
     twin, follows = copy.deepcopy(model), recording[30:30 + model.options.horizon]
+    hold_weights(twin)
     origin = model._newest
     error = sum((each.sample.outputs - each.mean) ** 2 for each in run(twin, follows, learn=False))
     power = sum(sample.outputs**2 for sample in follows)

@@ -27,7 +27,7 @@ from support.node_helpers import BODY, PERIOD_NS, SETTINGS, DelayedBackground, m
 
 SMALL = replace(SETTINGS, features_count=4, initial_samples=20, horizon_length=3, variant='P')
 MOTION = motion(400)
-VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS')
+VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS', 'auto')
 EFFECTS = ('sensor_drift', 'payload@ft', 'payload@ft{"start_s": 0.5}', 'time_delay{"delay_s": 0.005}',
            'sensor_gain{"fx": 0.1}', 'periodic_disturbance{"frequency_hz": 1.3}', 'viscous_drag@ft')
 FAST = [sample._replace(velocity=8.0 * sample.velocity, acceleration=64.0 * sample.acceleration,
@@ -303,3 +303,34 @@ def test_a_clock_that_jumps_while_a_model_is_built_jumps_for_it_at_the_same_samp
     life.clock_jumps(-YEAR_NS)
     life.moves(3)
     life.comes_to_rest()
+
+
+def test_averaged_variants_live_as_any_other(tmp_path):
+    """Chosen while another one answers, and left again; a file; a jump of the clock; rest; another window."""
+    life = Lives()
+    life.begin()
+    life.chooses('SPK-ML')
+    life.moves(40)
+    life.background.run()
+    life.chooses('auto')
+    life.moves(5)
+    life.background.run()
+    life.moves(5)
+    assert life.learner.built.variant == 'auto' and life.learner.estimator.weights
+    life.comes_to_rest()
+    save(tmp_path / 's.npz', life.learner.state())
+    life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, BODY))
+    life.clock_jumps(-YEAR_NS)
+    life.rests(60)
+    life.moves_fast(45)
+    life.comes_to_rest()
+    life.chooses('P')
+    life.shadows(['auto'])
+    life.moves(5)
+    life.comes_to_rest()
+    life.chooses('auto')
+    assert life.learner.built.variant == 'auto', 'the shadow takes over at once'
+    life.resets()
+    life.moves(40)
+    life.comes_to_rest()
+    assert life.learner.estimator.weights

@@ -26,6 +26,7 @@ REMEMBERS = {
     'load': replace(EFFORT, effects=('load_friction@a{"turn_speed": 0.1}',), effects_reference=(0.1 + 0.2,) * 10),
     'start': replace(SETTINGS, effects=('payload@ft{"start_s": 3.0}',)),
     'SP': replace(SETTINGS, variant='SP-ML', effects=('sensor_drift',)),
+    'averaged': replace(SETTINGS, variant='auto', effects=('sensor_drift',)),
     'forgetting': replace(SETTINGS, variant='P', forgetting=0.99),
 }
 
@@ -91,7 +92,7 @@ SCRATCH = {
     'body',  # built from the description, not from the file; with pinocchio's own work space
     '_left', '_right',  # columns of changes that wait no longer
     '_gains', '_innovations', '_theta', '_squared_error', '_outputs', '_origins',  # rows of horizons that are over
-    '_parts',  # rows of horizons that are over
+    '_parts', '_shares',  # rows of horizons that are over
     'revision',  # another one with every change, so that predictions made before are refused
     'options', 'hyperparameters',  # estimated the first time, given the second
 }

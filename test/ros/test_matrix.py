@@ -3,7 +3,7 @@
 import pytest
 
 pytest.importorskip('covertable')
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import AVERAGED, CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import STARTS
 from semiparam_ros.errors import SemiparamError
@@ -41,10 +41,11 @@ def test_an_impossible_pair_is_refused_with_a_sentence(effect, factor, value):
         new_estimator(settings, matrix.body_of(outputs))
 
 
-@pytest.mark.parametrize('variant', VARIANTS)
+@pytest.mark.parametrize('variant', CHOICES)
 def test_live_offline_and_loaded_are_the_same_and_finite(variant):
     mine = [number for number, row in enumerate(matrix.rows()) if row['variant'] == variant]
+    assert len(mine) > 20
+    mine = mine[::5] if variant == AVERAGED else mine  # it costs what its members cost; `make matrix` runs them all
     found = [matrix.outcome(number, SAMPLES) for number in mine]
     failed = [result for result in found if 'error' in result]
     assert not failed, '\n'.join(f"{result['error']} in {result['settings']}" for result in failed)
-    assert len(found) > 20

@@ -15,14 +15,14 @@ import pytest
 from std_srvs.srv import Trigger
 
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.settings import dump_params, load_params
 from semiparam_ros.settings.build import build_estimator
 from support.node_client import Client, NodeProcess
 from support.node_helpers import write_bag
 
 COMPARED, SLOW_MACHINE_S = 20, 120.0
-ORDER = [*(variant for variant in VARIANTS if variant != 'SPK-ML'), 'SPK-ML']
+ORDER = [*(variant for variant in CHOICES if variant != 'SPK-ML'), 'SPK-ML']
 
 
 def in_turn(*recordings):

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.settings import dump_params
 from support.node_client import Client, NodeProcess
 from support.node_helpers import JOINTS, SETTINGS, motion
@@ -63,18 +63,18 @@ def play_until_shadows(client, samples, variants):
 def test_the_policy_names_exactly_what_live_nodes_read_write_and_serve(ros_domain, tmp_path, repository):
     """A wrench model with every variant as a shadow, then one of efforts that follows a simulated clock."""
     params = tmp_path / 'p.yaml'
-    dump_params(replace(LIVE, variant='P', shadow_variants=tuple(name for name in VARIANTS if name != 'P')), params)
+    dump_params(replace(LIVE, variant='P', shadow_variants=tuple(name for name in CHOICES if name != 'P')), params)
     samples = iter(motion(3000))
     with NodeProcess(tmp_path, params), Client() as client:
         client.connect()
         client.offer('joint_states', 'joint_accelerations', 'wrench')
-        play_until_shadows(client, samples, set(VARIANTS) - {'P'})
+        play_until_shadows(client, samples, set(CHOICES) - {'P'})
         (result,) = client.set(variant='SPK-ML')
         assert result.successful
         client.wait_report('learning', lambda level, message, values: values['variant'] == 'SPK-ML')
-        (result,) = client.set(shadow_variants=[name for name in VARIANTS if name != 'SPK-ML'])
+        (result,) = client.set(shadow_variants=[name for name in CHOICES if name != 'SPK-ML'])
         assert result.successful
-        play_until_shadows(client, samples, set(VARIANTS))
+        play_until_shadows(client, samples, set(CHOICES))
         wrench = offered(client)
     dump_params(replace(LIVE, outputs='effort', sensor_frame=''), params)
     with NodeProcess(tmp_path, params, '-p', 'use_sim_time:=true'), Client() as client:

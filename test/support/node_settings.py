@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.parameter_table import PARAMETERS
@@ -56,7 +56,7 @@ class RandomSettings:
         if name == 'effects':
             return name, *self._some_effects()
         if name == 'shadow_variants':
-            return name, self.chance.sample(list(VARIANTS), self.chance.randint(0, 3)), True
+            return name, self.chance.sample(list(CHOICES), self.chance.randint(0, 3)), True
         if name == 'effects_reference':  # how many numbers fit depends on the robot
             return self.chance.choice([(name, [], True), (name, [self.chance.gauss(0.0, 1.0) for _ in range(3)], None)])
         return name, self._within(LIVE[name]), True

@@ -35,7 +35,7 @@ from covertable import make
 from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.variants import VARIANTS
+from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import Effect
 from semiparam_ros.experiments.evaluation import OfflineLearner
@@ -52,7 +52,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by i
 from support.node_helpers import JOINTS, URDF, DelayedBackground
 
 FACTORS: dict[str, tuple[object, ...]] = {
-    'variant': VARIANTS,
+    'variant': CHOICES,
     'effect': (*kinds(), 'none'),
     'outputs': OUTPUTS,
     'values': ('bare', 'all'),

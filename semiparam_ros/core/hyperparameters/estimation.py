@@ -21,8 +21,7 @@ from semiparam_ros.core.hyperparameters.window import (
     without_rounding,
 )
 from semiparam_ros.core.types import Array
-from semiparam_ros.core.variants import VARIANTS
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.core.variants import single, variant_named
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
              method: str = 'quasi-newton', prior_scale: Array | None = None, starts: int = 4, jobs: int = 1,
              grid: Grid | None = None, progress: Callable[[int, int], None] | None = None,
              n_effects: int = 0, fewest: bool = False) -> Hyperparameters:
-    """Estimate the hyperparameters of a variant from its initial window.
+    """Estimate the hyperparameters of a variant, or of the first of those averaged, from its initial window.
 
     :param outputs: Y (t, n). :param coupled: C (t, n, p), offset columns included. NP has the effects' columns alone.
     :param inputs: scaled inputs (t, m). :param spectrum: omega (d, m) of the random features; ignored by P.
@@ -70,11 +69,10 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
     :param n_effects: of the coupled columns, the last so many are effects', which every variant learns online.
     :raises SemiparamError: unknown variant, too few samples, a constant or non-finite channel.
     """
-    if variant not in VARIANTS:
-        raise SemiparamError(f"unknown variant '{variant}'; expected one of {', '.join(VARIANTS)}.")
+    variant_named(variant)
     check_window(outputs, coupled, inputs)
     coupled = without_rounding(coupled, coupled.shape[2] - n_effects)
-    kind, _, selection = variant.partition('-')
+    kind, _, selection = single(variant).partition('-')
     scale = np.ones(coupled.shape[2]) if prior_scale is None else np.asarray(prior_scale, dtype=float)
     groups = input_groups('kind' if selection == 'VS' and length_scales == 'input' else length_scales,
                           inputs.shape[1])
