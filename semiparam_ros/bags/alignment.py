@@ -229,8 +229,9 @@ class SampleStream:
     def _right_length(self, stamp: int, names: Sequence[str], columns: dict[str, Sequence[float]]) -> bool:
         for column, values in columns.items():
             if len(values) != len(names):
+                remedy = '; a wrench is predicted where sensor_frame is given' if column == 'effort' else ''
                 self._refuse('wrong_length', f'{column} at {in_seconds(stamp)} s has {len(values)} values for '
-                                             f'{len(names)} joints.')
+                                             f'{len(names)} joints{remedy}.')
                 return False
         return True
 

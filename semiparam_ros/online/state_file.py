@@ -77,11 +77,6 @@ def folder_of(settings: Settings) -> Path:
         raise SemiparamError(f'state_folder is {named}: {error}') from error
 
 
-def path_of(settings: Settings) -> Path:
-    """The file of ``~/save_state`` and ``~/load_state``."""
-    return folder_of(settings) / settings.state_file
-
-
 def save(path: Path, state: SavedState) -> None:
     """Write the whole file or nothing. Raises SemiparamError when it cannot be written; see :func:`write`."""
     write(path, snapshot(state))

@@ -7,7 +7,6 @@ from pathlib import Path
 from semiparam_ros.settings.files import params_text
 from semiparam_ros.settings.parameter_table import PARAMETERS, Parameter, shown
 from semiparam_ros.settings.rules import RULES
-from semiparam_ros.settings.snapshot import Settings
 
 HEADER = """# Parameters
 
@@ -33,7 +32,7 @@ def page() -> str:
 def write_all(repository: str = '.') -> None:
     """Write docs/parameters.md and config/estimator.yaml anew."""
     Path(repository, 'docs', 'parameters.md').write_text(page(), encoding='utf-8')
-    Path(repository, 'config', 'estimator.yaml').write_text(params_text(Settings()), encoding='utf-8')
+    Path(repository, 'config', 'estimator.yaml').write_text(params_text(None), encoding='utf-8')
 
 
 def _row(parameter: Parameter) -> str:

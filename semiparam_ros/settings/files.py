@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -17,6 +18,8 @@ from semiparam_ros.settings.robot_description import PACKAGE_URI
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest
 
 WIDTH = 110
+LAUNCHED = 'launch_params_'
+"""How names of the files begin in which ROS's launch hands over single parameters."""
 NO_REMARKS: Mapping[str, Sequence[Sequence[str]]] = {}
 
 
@@ -30,27 +33,43 @@ _Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(r'^[-+]?\d+[
 def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
     """Settings of one node from a ROS parameter file; sections ``node``, ``/ns/node`` and ``/**`` apply in order.
 
-    A robot description that lies beside the file is found there: see :func:`located`.
+    Relative paths count from the file: see :func:`located`.
 
     Raises SemiparamError, naming the file, when it cannot be read or a parameter is refused.
     """
     if path is None:
         return Settings.from_mapping({})
-    return located(Settings.from_mapping(read_params(path, node), where=str(path)), [Path(path).parent])
+    return located(Settings.from_mapping(read_params(path, node), where=str(path)), [Path(path)])
 
 
-def located(settings: Settings, folders: Sequence[Path]) -> Settings:
-    """With ``robot_description_file`` in the first of the folders that has it, where it is a relative path.
+def located(settings: Settings, files: Sequence[Path]) -> Settings:
+    """With its relative paths as they are meant: ``robot_description_file`` beside the first of the parameter files that
+    has it there, ``state_folder`` beside the first that gives it.
 
-    Else it stays relative to the working folder.
-
-    :param folders: those of the parameter files.
+    Else they stay relative to the working folder.
     """
-    name = settings.robot_description_file
-    if not name or name.startswith((PACKAGE_URI, '~')) or Path(name).is_absolute():
-        return settings
-    found = next((folder / name for folder in folders if (folder / name).is_file()), None)
-    return settings if found is None else replace(settings, robot_description_file=str(found))
+    description, states = settings.robot_description_file, settings.state_folder
+    if _is_relative(description):
+        beside = (file.parent / description for file in files)
+        description = next((str(path) for path in beside if path.is_file()), description)
+    if _is_relative(states):
+        states = next((str(file.parent / states) for file in files if _gives(file, 'state_folder', states)), states)
+    return replace(settings, robot_description_file=description, state_folder=states)
+
+
+def _is_relative(path: str) -> bool:
+    return bool(path) and not path.startswith((PACKAGE_URI, '~')) and not Path(path).is_absolute()
+
+
+def _gives(file: Path, name: str, value: object) -> bool:
+    """Whether any section of a parameter file does, which no launch file has made up somewhere."""
+    try:
+        sections = _parse(file).values()
+    except SemiparamError:
+        return False
+    found = [body.get('ros__parameters') for body in sections if isinstance(body, dict)]
+    return not file.name.startswith(LAUNCHED) and any(
+        dict(_flat(parameters, '')).get(name) == value for parameters in found if isinstance(parameters, dict))
 
 
 def read_params(path: str | Path, node: str = 'estimator') -> dict[str, object]:
@@ -72,10 +91,11 @@ def dump_params(settings: Settings, path: str | Path, node: str = 'estimator',
     write_text(path, params_text(settings, node, remarks))
 
 
-def params_text(settings: Settings, node: str = 'estimator',
+def params_text(settings: Settings | None, node: str = 'estimator',
                 remarks: Mapping[str, Sequence[Sequence[str]]] = NO_REMARKS) -> str:
     """The parameter file, each value under its explanation.
 
+    :param settings: None for the defaults.
     :param remarks: by the name of a parameter that is a list of texts, lines of comment above each of its items.
     """
     lines = [f'{node}:', '  ros__parameters:']
@@ -89,7 +109,7 @@ def params_text(settings: Settings, node: str = 'estimator',
             lines += textwrap.wrap(_comment(parameter), WIDTH, initial_indent=f'{indent}# ',
                                    subsequent_indent=f'{indent}# ', break_on_hyphens=False)
             name = parameter.name.rpartition('.')[2]
-            value = getattr(settings, parameter.field)
+            value: Any = parameter.default if settings is None else getattr(settings, parameter.field)
             if value and parameter.name in remarks:
                 lines.append(f'{indent}{name}:')
                 lines += _items(value, remarks[parameter.name], f'{indent}  ')

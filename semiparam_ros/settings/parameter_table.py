@@ -21,7 +21,8 @@ KINDS = {'bool': 'bool', 'int': 'integer', 'int | str': 'integer', 'float': 'dou
 EXPECTED = {'bool': 'true or false', 'integer': 'an integer', 'double': 'a number', 'string': 'a text',
             'string_array': 'a list of texts', 'double_array': 'a list of numbers'}
 
-OUTPUTS = ('wrench', 'effort')
+AUTO = 'auto'
+OUTPUTS = (AUTO, 'wrench', 'effort')
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,14 @@ def _has_kind(value: object, kind: str) -> bool:
 
 @dataclass(frozen=True)
 class Table:
-    """Field: parameter name with dots as underscores; its metadata: the row."""
+    """Field: parameter name with dots as underscores; its metadata: the row.
+
+    ``outputs`` is never ``auto`` here: what it stands for follows from ``sensor_frame``.
+    """
+
+    def __post_init__(self) -> None:
+        if self.outputs == AUTO:
+            object.__setattr__(self, 'outputs', 'wrench' if self.sensor_frame else 'effort')
 
     # Robot
     robot_description_file: str = declare(
@@ -158,11 +166,11 @@ class Table:
         'joints', (), 'Moving joints, in the order of the inputs. Empty: every moving joint of the URDF that is not '
         'locked.')
     sensor_frame: str = declare(
-        'sensor_frame', '', 'Link or fixed joint of the URDF that carries the force/torque sensor; needed when outputs '
-        'is wrench.')
+        'sensor_frame', '', 'Link or fixed joint of the URDF that carries the force/torque sensor. Empty: there is '
+        'none.')
     outputs: str = declare(
-        'outputs', 'wrench', 'What is predicted: the wrench at the sensor frame, or the effort of every joint.',
-        choices=OUTPUTS)
+        'outputs', AUTO, 'What is predicted: the wrench at the sensor frame, or the effort of every joint. auto: the '
+        'wrench where sensor_frame is given, else the efforts.', choices=OUTPUTS)
     wrench_convention: str = declare(
         'wrench_convention', 'action', 'Whether the measured wrench acts on the distal links (action) or is their '
         'reaction on the sensor (reaction).', choices=('action', 'reaction'))
@@ -291,8 +299,8 @@ class Table:
         'state_file', 'semiparam_state.npz', 'File of save_state and load_state: a plain name in state_folder.',
         live=True)
     state_folder: str = declare(
-        'state_folder', '', 'Folder of all states and checkpoints. Empty: $ROS_HOME/semiparam, with ~/.ros where '
-        'ROS_HOME is not set.')
+        'state_folder', '', 'Folder of all states and checkpoints. A relative path counts from the parameter file that '
+        'gives it, else from the working folder. Empty: $ROS_HOME/semiparam, with ~/.ros where ROS_HOME is not set.')
     checkpoint_period: float = declare(
         'checkpoint.period', 0.0, 'The node saves its state by itself this often, and when it ends. 0: never.',
         unit='s', minimum=0.0, maximum=86400.0)

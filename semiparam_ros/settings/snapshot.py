@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.settings.parameter_table import BY_NAME, PARAMETERS, ROS_NAMES, ROS_PREFIXES, Table
+from semiparam_ros.settings.parameter_table import AUTO, BY_NAME, PARAMETERS, ROS_NAMES, ROS_PREFIXES, Table
 from semiparam_ros.settings.rules import broken_rule
 
 
@@ -27,7 +27,7 @@ class Settings(Table):
 
         Raises SemiparamError for an unknown name, a wrong type or range, and a broken rule.
         """
-        settings = cls().changed(values, where)
+        settings = cls().changed({'outputs': AUTO, **values}, where)
         if (sentence := broken_rule(settings)) is not None:
             raise SemiparamError(located(sentence, where))
         return settings

@@ -233,13 +233,13 @@ def test_what_no_file_can_hold_is_refused(tmp_path):
 def test_states_lie_in_one_folder(tmp_path, monkeypatch):
     monkeypatch.setenv('HOME', str(tmp_path))
     monkeypatch.delenv('ROS_HOME', raising=False)
-    assert state_file.path_of(SETTINGS) == tmp_path / '.ros/semiparam/semiparam_state.npz'
+    assert state_file.folder_of(SETTINGS) == tmp_path / '.ros/semiparam'
     monkeypatch.setenv('ROS_HOME', str(tmp_path / 'home'))
     assert state_file.folder_of(SETTINGS) == tmp_path / 'home/semiparam'
     assert state_file.folder_of(replace(SETTINGS, state_folder='~/mine')) == tmp_path / 'mine'
     with pytest.raises(SemiparamError, match='state_folder is ~nobody_of_this_name'):
         state_file.folder_of(replace(SETTINGS, state_folder='~nobody_of_this_name/x'))
-    state_file.save(state_file.path_of(SETTINGS), stage_of(SETTINGS).learner.state())
+    state_file.save(state_file.folder_of(SETTINGS) / 's.npz', stage_of(SETTINGS).learner.state())
     (tmp_path / 'file').touch()
     with pytest.raises(SemiparamError, match=r'there is no folder .*/file/x and none can be made: Not a directory'):
         state_file.save(tmp_path / 'file/x/s.npz', stage_of(SETTINGS).learner.state())

@@ -385,7 +385,7 @@ def test_two_arms_in_two_namespaces_learn_from_one_replay(quiet, tmp_path):
 @pytest.mark.parametrize(('text', 'sentence'), [
     ('estimator: {ros__parameters: {sensor_frame: ft, features.cuont: 3}}', "nearest is 'features.count'"),
     ('estimator: {ros__parameters: {sensor_frame: ft, variant: SPK}}', "variant is 'SPK'; expected one of"),
-    ('estimator: {ros__parameters: {}}', 'sensor_frame is empty'),
+    ('estimator: {ros__parameters: {outputs: wrench}}', 'sensor_frame is empty'),
     ('estimator: {ros__parameters: {sensor_frame: ft, robot_description_file: /none.urdf}}', 'cannot read /none.urdf'),
     ('estimator: {ros__parameters: {sensor_frame: [1.0, 2]}}', 'mixes types'),
     ('estimator: [', 'not valid YAML in line 1'),

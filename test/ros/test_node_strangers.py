@@ -9,6 +9,7 @@ from std_msgs.msg import String
 
 from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.ros.cdr import MOST_BYTES, joint_state_layout
+from semiparam_ros.settings import Settings
 from support.node_fuzz import resident_mb
 from support.node_helpers import JOINTS, SETTINGS, URDF, motion
 
@@ -26,7 +27,8 @@ def play(client, samples, gripper=False):
 
 def test_a_gripper_and_absent_accelerations_are_nothing_to_warn_of(start_node):
     """The node said WARN for good: nothing on the optional topic, and two thousand refusals of a gripper's messages."""
-    _, client = start_node(replace(SETTINGS, outputs='effort', sensor_frame='', variant='P'))
+    _, client = start_node(Settings.from_mapping({**SETTINGS.mapping(), 'sensor_frame': '', 'outputs': 'auto',
+                                                  'variant': 'P'}))
     client.offer('joint_states')
     samples = motion(400)
     play(client, samples[:60], gripper=True)
@@ -44,6 +46,16 @@ def test_a_gripper_and_absent_accelerations_are_nothing_to_warn_of(start_node):
     _, message, _ = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.WARN
                                            and 'refused' in message)
     assert "must name joint 'b' once" in message
+
+
+def test_who_forgets_that_a_robot_has_efforts_alone_is_told(start_node):
+    node, client = start_node(replace(SETTINGS, variant='P'))
+    client.offer('joint_states')
+    for sample in motion(60):
+        client.state(sample, JOINTS, effort=sample.position.tolist())
+    client.wait_report('inputs', lambda level, message, values: message == (
+        'nothing received on wrench yet. The joint states hold efforts: outputs: effort predicts those.'))
+    assert 'moves a, b; the wrench at ft is predicted.' in node.output
 
 
 def test_messages_of_any_size_leave_nothing_behind(start_node):

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.estimator.process import parameter_folders
+from semiparam_ros.ros.estimator.process import parameter_files
 from semiparam_ros.settings import PARAMETERS, Settings, dump_params, load_params
 from semiparam_ros.settings.build import build_estimator, given_hyperparameters, hyperparameter_values
 from semiparam_ros.settings.documentation import page
-from semiparam_ros.settings.files import params_text, read_params
+from semiparam_ros.settings.files import located, params_text, read_params
 from semiparam_ros.settings.parameter_table import Parameter
 from semiparam_ros.settings.rules import RULES, broken_rule
 from semiparam_ros.settings.snapshot import refusal
@@ -44,7 +44,7 @@ def test_every_row_accepts_its_own_default():
 
 @pytest.mark.parametrize('generated', ['config/estimator.yaml', 'docs/parameters.md'])
 def test_files_made_from_the_table_are_up_to_date(repository, generated):
-    expected = {'config/estimator.yaml': params_text(Settings()), 'docs/parameters.md': page()}[generated]
+    expected = {'config/estimator.yaml': params_text(None), 'docs/parameters.md': page()}[generated]
     assert (repository / generated).read_text() == expected, 'run python -m semiparam_ros.settings.documentation'
 
 
@@ -122,7 +122,7 @@ def test_numbers_are_read_as_ros_reads_them(tmp_path):
 
 
 BROKEN = {
-    'sensor_frame_is_named': {'sensor_frame': ''},
+    'sensor_frame_is_named': {'sensor_frame': '', 'outputs': 'wrench'},
     'one_robot_description': {'robot_description': '<robot/>', 'robot_description_file': 'a.urdf'},
     'joints_are_distinct': {'joints': ['a', 'a']},
     'locked_joints_have_positions': {'locked_joints.names': ['a']},
@@ -265,5 +265,27 @@ def test_a_description_beside_the_parameter_file_is_found_there(tmp_path, monkey
     for name in ('arms/arm.urdf', 'package://semiparam_ros/config/icub_right_arm.urdf', '/arm.urdf', '~/arm.urdf', ''):
         write(path, f"/**: {{ros__parameters: {{sensor_frame: ft, robot_description_file: '{name}'}}}}")
         assert load_params(path).robot_description_file == name
-    assert parameter_folders(['--ros-args', '--params-file', '/a/p.yaml', '-r', 'x:=y', '--params-file', 'q.yaml']) == [
-        Path(), Path('/a')]
+    assert parameter_files(['--ros-args', '--params-file', '/a/p.yaml', '-r', 'x:=y', '--params-file', 'q.yaml']) == [
+        Path('q.yaml'), Path('/a/p.yaml')]
+
+
+def test_a_state_folder_counts_from_the_file_that_gives_it(tmp_path):
+    (tmp_path / 'a').mkdir()
+    first, last = (write(tmp_path / name, f'/**: {{ros__parameters: {{state_folder: {folder}}}}}')
+                   for name, folder in (('a/p.yaml', 'states'), ('launch_params_x', 'launched')))
+    broken, other = write(tmp_path / 'broken', '['), write(tmp_path / 'q.yaml', 'estimator: {ros__parameters: {}}')
+    files = [other, last, broken, first, tmp_path / 'none.yaml']
+    assert load_params(first).state_folder == str(tmp_path / 'a/states')
+    for given, found in (('states', str(tmp_path / 'a/states')), ('launched', 'launched'), ('elsewhere', 'elsewhere'),
+                         ('/states', '/states'), ('~/states', '~/states'), ('', '')):
+        assert located(Settings(state_folder=given), files).state_folder == found
+
+
+@pytest.mark.parametrize(('given', 'outputs'), [
+    ({}, 'effort'), ({'sensor_frame': 'ft'}, 'wrench'), ({'outputs': 'auto'}, 'effort'),
+    ({'outputs': 'auto', 'sensor_frame': 'ft'}, 'wrench'), ({'outputs': 'effort', 'sensor_frame': 'ft'}, 'effort')])
+def test_outputs_follow_from_the_sensor_frame(given, outputs, tmp_path):
+    settings = Settings.from_mapping(given)
+    assert settings.outputs == outputs == Settings(**given).outputs == settings.changed({'variant': 'P'}).outputs
+    dump_params(settings, tmp_path / 'p.yaml')
+    assert load_params(tmp_path / 'p.yaml') == settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from typing import NamedTuple
 
@@ -16,13 +16,14 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import listed, shortened
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import MOVED_ENOUGH, Excitation, conditioning, payload, quantities
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
 from semiparam_ros.ros.estimator.publishers import inertia_message
-from semiparam_ros.ros.estimator.subscriptions import Inputs
+from semiparam_ros.ros.estimator.subscriptions import WRENCH, Inputs
 
 DESCRIPTION, PARAMETERS = 'robot_description', 'parameters'
 CHECKPOINTS = 'checkpoints'
@@ -163,12 +164,18 @@ class InputReport:
         if absent:
             stream = self._inputs.stream
             others = f' Ignored: {stream.last_stranger}' if stream and stream.last_stranger else ''
-            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{others}', values)
+            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{others}{self._remedy(absent)}', values)
         if silent:
             return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.', values)
         if news > 0:
             return Report(WARN, f'{news} messages refused in the last second: {values["last refusal"]}', values)
         return Report(OK, 'receiving.', values)
+
+
+    def _remedy(self, absent: Sequence[str]) -> str:
+        if WRENCH in absent and self._inputs.has_efforts:
+            return ' The joint states hold efforts: outputs: effort predicts those.'
+        return ''
 
 
 def timing_report(inputs: Inputs) -> Report:
@@ -323,10 +330,12 @@ class Reports:
         node.create_timer(PERIOD_S / len(turns), lambda: self._publish(*next(turn)),
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def open(self, robot_name: str, joints: tuple[str, ...]) -> None:
+    def open(self, robot_name: str, body: RigidBody) -> None:
         """The robot is known: count its answers."""
-        self._robot_name, self.tally = robot_name, Tally(joints)
-        self.say(f'{robot_name or "the robot"} is known by its description and moves {", ".join(joints)}.')
+        self._robot_name, self.tally = robot_name, Tally(body.joints)
+        predicted = f'the wrench at {body.sensor_frame}' if body.sensor_frame else 'the effort of each'
+        self.say(f'{robot_name or "the robot"} is known by its description and moves {", ".join(body.joints)}; '
+                 f'{predicted} is predicted.')
 
     def say(self, sentence: str) -> None:
         """Into the log, and into the status of learning as the last news."""

@@ -17,7 +17,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
 from semiparam_ros.online.learner import Answer, Learner
-from semiparam_ros.online.state_file import SavedState
+from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import Later, ProcessBackground
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.desired_trajectory import DesiredTrajectory
@@ -45,30 +45,30 @@ class EstimatorNode(Node):
     """Learns, predicts and publishes.
 
     :param later: see :data:`Later`.
-    :param folders: of the parameter files, see :func:`located`.
+    :param files: the parameter files, see :func:`located`.
     Raises SemiparamError when the parameters do not describe an estimator.
     """
 
-    def __init__(self, later: Later, folders: Sequence[Path] = ()) -> None:
+    def __init__(self, later: Later, files: Sequence[Path] = ()) -> None:
         super().__init__(NAME)
         self.learner: Learner | None = None
         self.errors = InternalErrors(self.get_logger().error, self._complain)
         self._rejections = Rejections()
         self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
                                       self._accept, self._change)
-        settings = self._live.settings
+        settings = located(self._live.settings, files)
         self._outputs = Outputs(self, settings.outputs)
 
         guarded = partial(later, self._guarded, 'the background')
         self._background = ProcessBackground(guarded)
-        self._robot = Robot(located(settings, folders), self._begin, partial(self._refuse, DESCRIPTION))
+        self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
         self._inputs = Inputs(self, settings, self)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
                                 trajectories.feedforward)
         self._held_replies = HeldReplies(self, self._announcement)
-        self._requests = Services(self, self._live, self._the_learner, guarded, self.errors)
+        self._requests = Services(self, self._live, self._the_learner, folder_of(settings), guarded, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
         self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
@@ -93,7 +93,7 @@ class EstimatorNode(Node):
     def _begin(self, body: RigidBody) -> None:
         """The robot is known: what was received so far is answered first."""
         self._outputs.open(body)
-        self._reports.open(self._robot.name, body.joints)
+        self._reports.open(self._robot.name, body)
         self.learner = Learner(self._live.settings, body, self._background, self, self._newest_checkpoint)
         saved = self._autosave.resume(self._live.settings, body)
         if saved is not None:

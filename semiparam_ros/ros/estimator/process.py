@@ -55,7 +55,7 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
     try:
         # This executor takes a third of what rclpy's others take.
         executor = EventsExecutor()
-        node = _new_node(executor.create_task, parameter_folders(ros_arguments))
+        node = _new_node(executor.create_task, parameter_files(ros_arguments))
         try:
             executor.add_node(node)
             refused = take_priority(node.settings.realtime_priority)
@@ -76,15 +76,15 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
     return 0
 
 
-def parameter_folders(ros_arguments: Sequence[str]) -> list[Path]:
-    """Folders of the parameter files named on the command line, the last one first, for it has the last word."""
+def parameter_files(ros_arguments: Sequence[str]) -> list[Path]:
+    """Those named on the command line, the last one first, for it has the last word."""
     named = [value for option, value in pairwise(ros_arguments) if option == '--params-file']
-    return [Path(path).parent for path in reversed(named)]
+    return [Path(path) for path in reversed(named)]
 
 
-def _new_node(later: Later, folders: Sequence[Path]) -> EstimatorNode:
+def _new_node(later: Later, files: Sequence[Path]) -> EstimatorNode:
     try:
-        return EstimatorNode(later, folders)
+        return EstimatorNode(later, files)
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
 

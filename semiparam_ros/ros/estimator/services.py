@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -88,14 +89,15 @@ class Services:
     States are written and read in a thread: samples are answered meanwhile.
 
     :param learner: gives the learner, or raises SemiparamError before the robot is known.
+    :param folder: where states lie.
     :param later: see :data:`Later`.
     :param errors: counts what goes wrong unexpectedly.
     """
 
-    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner], later: Later,
-                 errors: InternalErrors) -> None:
+    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner], folder: Path,
+                 later: Later, errors: InternalErrors) -> None:
         self._node, self._parameters, self._learner, self._later = node, parameters, learner, later
-        self._errors = errors
+        self._folder, self._errors = folder, errors
         self._files = FileThread('states')
         create_trigger(node, '~/reset', self.reset, errors)
         create_trigger(node, '~/tare', self.tare, errors)
@@ -122,7 +124,7 @@ class Services:
 
     def save_state(self, reply: Reply) -> None:
         """Write what is learnt now to ``state_file``."""
-        path = state_file.path_of(self._parameters.settings)
+        path = self._folder / self._parameters.settings.state_file
         state = state_file.snapshot(self._learner().state())
 
         def written(_: None) -> str:
@@ -133,7 +135,7 @@ class Services:
     def load_state(self, reply: Reply) -> None:
         """Go on from what ``state_file`` holds, once it is read, between two samples."""
         settings = self._parameters.settings
-        path, learner = state_file.path_of(settings), self._learner()
+        path, learner = self._folder / settings.state_file, self._learner()
 
         def loaded(saved: SavedState) -> str:
             current = self._learner()

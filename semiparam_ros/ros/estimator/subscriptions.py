@@ -138,6 +138,8 @@ class Inputs:
         self.counts: Counter[str] = Counter()
         self.stopwatch = Stopwatch()
         self.arrived: dict[str, float] = {}
+        self.has_efforts = False
+        """Whether the latest joint state held efforts."""
         self.stream: SampleStream | None = None
         self.best_effort: set[str] = set()
         self._joints: tuple[str, ...] | None = None
@@ -280,6 +282,8 @@ class Inputs:
         if stream.strangers > strangers:
             return False
         self._watch.accepted(topic)
+        if topic == JOINT_STATES:
+            self.has_efforts = len(reading.fields[-1]) > 0
         if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:
             self._listener.frame_changed(reading.frame_id)
         for sample in samples:
