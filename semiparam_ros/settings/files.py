@@ -43,7 +43,7 @@ def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
 
 
 def located(settings: Settings, files: Sequence[Path]) -> Settings:
-    """With its relative paths as they are meant: ``robot_description_file`` beside the first of the parameter files that
+    """With relative paths as they are meant: ``robot_description_file`` beside the first of the parameter files that
     has it there, ``state_folder`` beside the first that gives it.
 
     Else they stay relative to the working folder.

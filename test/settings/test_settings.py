@@ -276,9 +276,9 @@ def test_a_state_folder_counts_from_the_file_that_gives_it(tmp_path):
     broken, other = write(tmp_path / 'broken', '['), write(tmp_path / 'q.yaml', 'estimator: {ros__parameters: {}}')
     files = [other, last, broken, first, tmp_path / 'none.yaml']
     assert load_params(first).state_folder == str(tmp_path / 'a/states')
-    for given, found in (('states', str(tmp_path / 'a/states')), ('launched', 'launched'), ('elsewhere', 'elsewhere'),
+    for named, found in (('states', str(tmp_path / 'a/states')), ('launched', 'launched'), ('elsewhere', 'elsewhere'),
                          ('/states', '/states'), ('~/states', '~/states'), ('', '')):
-        assert located(Settings(state_folder=given), files).state_folder == found
+        assert located(Settings(state_folder=named), files).state_folder == found
 
 
 @pytest.mark.parametrize(('given', 'outputs'), [
