@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.robot import feedforward
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.settings import Settings, dump_params
+from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.parameter_table import PARAMETERS
 from support.node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
