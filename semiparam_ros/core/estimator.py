@@ -38,6 +38,9 @@ as few as the initial window asks for."""
 EFFECT_GAMMA = 1.0
 """Standard deviation of effects over their prior scale, in the variants that have no gamma."""
 
+OFF_SHARE = 0.1
+"""Where nothing moves and all outputs are below this share of what is predicted, the motors are off behind brakes."""
+
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
 
 
@@ -158,6 +161,8 @@ class Prediction(NamedTuple):
     """How far the inputs lie outside of those learnt, see :func:`~semiparam_ros.core.input_range.beyond`."""
     members: tuple[Prediction, ...] = ()
     """Of the variants that it is the average of, where it is one."""
+    off: bool = False
+    """Whether the motors are off behind brakes: nothing moves, and all outputs are far smaller than predicted."""
 
     @property
     def log_density(self) -> float:
@@ -283,8 +288,12 @@ class Estimator:
         scale = self.model.output_scale
         model_mean, model_std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
         mean = model_mean if self.wandering is None else model_mean + self.wandering.offset
+        motion, off = seen.motion, False
+        if self.ready and motion.still > 1:
+            off = bool(np.abs(seen.sample.outputs).max() < OFF_SHARE * np.abs(model_mean).max())
+            motion = motion._replace(is_news=motion.is_news and not off)
         return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None,
-                          seen.sample, prior, learnt, fixed, scale, seen.memory, seen.motion, seen.beyond)
+                          seen.sample, prior, learnt, fixed, scale, seen.memory, motion, seen.beyond, off=off)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.

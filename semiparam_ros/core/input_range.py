@@ -23,7 +23,7 @@ def widened(known: Array, x: Array) -> Array:
 
 
 def beyond(known: Array, x: Array, n_joints: int) -> float:
-    """How far the farthest position or velocity of x (m,) lies outside, as a share of its range; 0 within.
+    """How far the farthest input of x (m,) lies outside, as a share of its range; 0 within.
 
     A range counts as at least a fifth of the largest of its kind.
     """
@@ -33,9 +33,8 @@ def beyond(known: Array, x: Array, n_joints: int) -> float:
 
 
 def _beyond_readable(known: Array, x: Array, n_joints: int) -> float:
-    known, x = known[:, :2 * n_joints], x[:2 * n_joints]
     outside = np.maximum(known[0] - x, x - known[1])
-    ranges = (known[1] - known[0]).reshape(2, -1)
+    ranges = (known[1] - known[0]).reshape(-1, n_joints)
     ranges = np.maximum(ranges, LEAST_SHARE * ranges.max(axis=1, keepdims=True)).ravel()
     return float((outside / np.maximum(ranges, LEAST_RANGE)).max(initial=0.0))
 
@@ -50,7 +49,7 @@ def _widen(known: Array, x: Array) -> None:
 @compiled(MATRIX, VECTOR, INTEGER, returns=NUMBER)
 def _beyond(known: Array, x: Array, n_joints: int) -> float:
     farthest = 0.0
-    for start in (0, n_joints):
+    for start in range(0, len(x), n_joints):
         largest = 0.0
         for i in range(start, start + n_joints):
             largest = max(largest, known[1, i] - known[0, i])

@@ -15,11 +15,13 @@ deviation that the model gives them. For each output:
 
 Blocks in which the gate is closed belong to neither, unless it closes again and again: then they belong to both. An arm
 that sets out is held by friction that the model does not know well. So at rest the scale is at least a fifth of that of
-motion, and for the first second of motion it is at least that of motion at a usual speed.
+motion, and for the first second of motion it is at least that of motion at a usual speed. The effort of a joint that
+turns round has a scale of its own, for the same reason. Motors that are off behind brakes are not judged.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import exp, log, sqrt
 
 import numpy as np
@@ -27,16 +29,17 @@ import numpy as np
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.estimator import Prediction
 from semiparam_ros.core.stamps import NANOSECONDS
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.settings.parameter_table import Table
 
 BLOCK_S = 0.5
 LONGEST_STEP_S = 0.1
 """What a sample adds to a block at most: a pause is no time under observation."""
 BEYOND = 0.1
-"""A position or velocity so far outside of those learnt, as a share of their range, is unseen motion."""
+"""A position, velocity or acceleration so far outside of those learnt, as a share of their range, is unseen motion."""
 UNSEEN_S, UNSEEN_FACTOR = 2.0, 3.0
-"""For so long after unseen motion, and until hyperparameters follow it, thresholds are so many times as high."""
+"""For so long after unseen motion, and until hyperparameters follow it, thresholds are so many times as high. They are
+so at a speed that is new, too, and come down with the blocks that are known."""
 SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
 TAIL_BLOCKS = 600
 
@@ -48,6 +51,8 @@ FASTER = 2.5
 REST_MEMORY_S = 5.0
 START_S = 1.0
 """So long after rest the friction of a joint may have either sign."""
+TURN_SHARE, TURN_S = 0.3, 0.3
+"""A joint turns while it is slower than this share of its speed, and for so long after."""
 REST_SHARE = 0.2
 """Usual peaks at rest are at least this share of those in motion: efforts change before a joint begins to move."""
 SMALLEST_SCALE = 0.25
@@ -101,7 +106,14 @@ class Band:
     def __init__(self, n_outputs: int) -> None:
         self.peaks = np.zeros((0, n_outputs))
         self.usual: Array | None = None
+        self.blocks = 0
+        """So many were finished; those of a lasting change count on."""
         self.clear()
+
+    @property
+    def known(self) -> float:
+        """How well the usual peaks are known, from 0 to 1."""
+        return min(max(len(self.peaks), self.blocks) / SCALE_BLOCKS, 1.0)
 
     def clear(self) -> None:
         """Drop the unfinished block."""
@@ -120,6 +132,7 @@ class Band:
         if self.seconds < BLOCK_S:
             return None
         ratios = None if self.usual is None else self.ratio
+        self.blocks += 1
         self.restore(np.vstack([self.peaks, self.peak])[-SCALE_BLOCKS:])
         return ratios
 
@@ -130,6 +143,74 @@ class Band:
         self.clear()
 
 
+class Turns:
+    """Usual peaks (n,) of efforts while their own joints turn round or set out, at whatever speed.
+
+    Dry friction is then between its two values. What the model does not know of it comes as a burst, at every turn.
+    Turns count also while the gate is closed: a median does not mind a few contacts, and a burst that closes the gate
+    must not be missing.
+    """
+
+    def __init__(self, n_outputs: int) -> None:
+        self.speed: Array = np.zeros(n_outputs)
+        """Envelope (n,) of the speeds [rad/s, m/s]; it falls within about a second."""
+        self.left: Array = np.zeros(n_outputs)
+        """[s] (n,) until a turn is over."""
+        self.peak: Array = np.zeros(n_outputs)
+        """(n,) of the turns that are not over."""
+        self.peaks: Array = np.zeros((SCALE_BLOCKS, n_outputs))
+        """Of the latest turns of each joint, the newest last."""
+        self.counts: Array = np.zeros(n_outputs, dtype=int)
+        """(n,) turns so far."""
+        self.usual: Array = np.zeros(n_outputs)
+        """(n,) medians; 0 where fewer than ``FEWEST_BLOCKS`` turns are known."""
+
+    def follow(self, velocity: Array, seconds: float) -> Mask:
+        """(n,) whether each joint turns at this sample."""
+        speed = np.abs(velocity)
+        sets_out = (self.speed <= SPEEDS[0]) & (speed > SPEEDS[0])
+        self.speed = np.maximum(speed, self.speed * exp(-seconds / SPEED_MEMORY_S))
+        slow = (self.speed > SPEEDS[0]) & ((speed < TURN_SHARE * self.speed) | sets_out)
+        before = self.left > 0.0
+        self.left = np.where(slow, TURN_S, np.maximum(self.left - seconds, 0.0))
+        turns = self.left > 0.0
+        over = before & ~turns
+        if over.any():
+            self._end(over)
+        return turns
+
+    def add(self, size: Array, turns: Mask) -> None:
+        """Innovations (n,) of one sample."""
+        self.peak = np.where(turns, np.maximum(self.peak, size), self.peak)
+
+    def reset(self) -> None:
+        """Drop the turns that are not over."""
+        self.speed, self.left, self.peak = (np.zeros_like(self.speed) for _ in range(3))
+
+    def state(self) -> Memory:
+        """For a file; :meth:`restore` takes it back."""
+        return {'speed': self.speed, 'left': self.left, 'peak': self.peak, 'peaks': self.peaks.copy(),
+                'counts': self.counts.copy()}
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Go on from a state."""
+        self.speed, self.left, self.peak, self.peaks = (state[name] for name in ('speed', 'left', 'peak', 'peaks'))
+        self.counts = state['counts'].astype(int)
+        self._renew()
+
+    def _end(self, over: Mask) -> None:
+        self.peaks[:-1, over] = self.peaks[1:, over]
+        self.peaks[-1, over] = self.peak[over]
+        self.counts[over] += 1
+        self.peak = np.where(over, 0.0, self.peak)
+        self._renew()
+
+    def _renew(self) -> None:
+        for joint, count in enumerate(self.counts.tolist()):
+            if count >= FEWEST_BLOCKS:
+                self.usual[joint] = np.median(self.peaks[-count:, joint])
+
+
 class ContactGate:
     """Closes on an innovation that free motion brings about less often than ``gate.false_alarms_per_hour``.
 
@@ -138,7 +219,9 @@ class ContactGate:
     must follow, and the innovations that were refused are usual from then on.
     """
 
-    def __init__(self, n_outputs: int) -> None:
+    def __init__(self, n_outputs: int, of_joints: bool = False) -> None:
+        """:param of_joints: each output is the effort of a joint, in the order of the velocities."""
+        self._of_joints = of_joints
         self.closed = False
         self._closed_since = self._closed_at = 0
         self.refused = self.contacts = self.changes = 0
@@ -153,6 +236,7 @@ class ContactGate:
         self._tails = (Tail(self._n_outputs), Tail(self._n_outputs))
         self._bands = [Band(self._n_outputs) for _ in range(len(SPEEDS) + 1)]
         self._meanwhile = Band(self._n_outputs)
+        self._turns = Turns(self._n_outputs) if self._of_joints else None
         self._mean: Array = np.zeros(self._n_outputs)
         self._closures: tuple[int, ...] = ()
         self._closed_ratio: Array = np.zeros(self._n_outputs)
@@ -161,11 +245,14 @@ class ContactGate:
     def reset(self) -> None:
         """Open it, as after a jump of the clock; what is usual stays."""
         self._open()
+        self.level = np.zeros(self._n_outputs)
         self._newest: int | None = None
         self._speed = self._awake = 0.0
         self._familiar = UNSEEN_S
         for band in self._bands:
             band.clear()
+        if self._turns is not None:
+            self._turns.reset()
 
     def judge(self, prediction: Prediction, settings: Table, unseen: bool = False) -> bool:
         """True when a predicted sample must not be learnt.
@@ -175,7 +262,9 @@ class ContactGate:
         if not settings.gate_enabled:
             if self.closed or self._newest is not None:
                 self.reset()
-                self.level = np.zeros(self._n_outputs)
+            return False
+        if prediction.off:
+            self.reset()
             return False
         stamp = prediction.sample.stamp
         seconds = 0.0 if self._newest is None else min(max(1e-9 * (stamp - self._newest), 0.0), LONGEST_STEP_S)
@@ -186,6 +275,11 @@ class ContactGate:
         innovation = prediction.sample.outputs - prediction.model_mean
         size = np.abs(innovation - self._mean if at == 0 else innovation)
         usual = self._usual(at)
+        if self._turns is not None:
+            turning = self._turns.follow(prediction.sample.velocity, seconds)
+            if at > 0:
+                self._turns.add(size, turning)
+                usual = None if usual is None else np.maximum(usual, np.where(turning, self._turns.usual, 0.0))
         tail = self._tails[at > 0]
         thresholds, levels = tail.thresholds(settings.gate_false_alarms_per_hour)
         ratio = np.zeros(self._n_outputs) if usual is None else size / np.maximum(
@@ -193,7 +287,8 @@ class ContactGate:
         unseen = unseen or prediction.beyond > BEYOND
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
         familiar = self._familiar >= UNSEEN_S
-        thresholds = thresholds * (1.0 if familiar else UNSEEN_FACTOR)
+        known = self._bands[at].known if familiar else 0.0
+        thresholds = thresholds * (UNSEEN_FACTOR - (UNSEEN_FACTOR - 1.0) * known)
         self.level = ratio / thresholds
         if self.closed:
             self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
@@ -227,8 +322,9 @@ class ContactGate:
                 'newest': self._newest, 'speed': self._speed, 'mean': self._mean, 'resting': self._resting,
                 'awake': self._awake, 'familiar': self._familiar, 'closures': self._closures,
                 'closed_ratio': self._closed_ratio,
+                'turns': None if self._turns is None else self._turns.state(),
                 'tails': tuple(tail.ratios for tail in self._tails),
-                'bands': tuple((band.peaks, band.peak.copy(), band.ratio.copy(), band.seconds)
+                'bands': tuple((band.peaks, band.peak.copy(), band.ratio.copy(), band.seconds, band.blocks)
                                for band in (*self._bands, self._meanwhile))}
 
     def restore(self, state: Memory) -> None:
@@ -245,9 +341,16 @@ class ContactGate:
         self.level, self._mean = self._sized(state['level'], 1), self._sized(state['mean'], 1)
         for tail, ratios in zip(self._tails, state['tails'], strict=True):
             tail.ratios = self._sized(ratios, 2)
-        for band, (peaks, peak, ratio, seconds) in zip((*self._bands, self._meanwhile), state['bands'], strict=True):
+        for band, (peaks, peak, ratio, seconds, blocks) in zip((*self._bands, self._meanwhile), state['bands'],
+                                                               strict=True):
             band.restore(self._sized(peaks, 2))
             band.peak, band.ratio, band.seconds = self._sized(peak, 1), self._sized(ratio, 1), seconds
+            band.blocks = blocks
+
+        if self._turns is not None:
+            turns = state['turns']
+            self._turns.restore({name: self._sized(turns[name], 2 if name == 'peaks' else 1)
+                                 for name in ('speed', 'left', 'peak', 'peaks', 'counts')})
 
     def _sized(self, values: Array, dimensions: int) -> Array:
         if values.ndim != dimensions or values.shape[-1] != self._n_outputs:
@@ -306,9 +409,13 @@ class ContactGate:
         tail.add(self._closed_ratio)
 
     def _follow_change(self) -> None:
-        """What was refused is usual from now on, at rest or at every speed."""
+        """What was refused is usual from now on, at rest or at every speed; nothing becomes smaller by it.
+
+        A robot that meanwhile stops shows in some outputs nothing but noise.
+        """
         for band in self._bands[1:] if self._closed_at else self._bands[:1]:
-            band.restore(self._meanwhile.peaks)
+            usual = 0.0 if band.usual is None else band.usual
+            band.restore(np.maximum(self._meanwhile.peaks, usual))
 
 
 def standardised_innovation(prediction: Prediction) -> float:

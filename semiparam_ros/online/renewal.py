@@ -15,7 +15,9 @@ from semiparam_ros.core.types import Array, Mask
 SPREADS = 6.0
 """An input further than so many of the window's scales from its mean lies outside."""
 SHARE = 0.25
-"""So large a share of the latest samples learnt lies outside, and another window is gathered."""
+"""So large a share of a window lies outside, and hyperparameters are estimated from it."""
+SURE = 0.1
+"""Share of a window from which on it is dropped when less than ``SHARE`` of it lies outside."""
 MOST_WORSE = 1.1
 """A model takes over unless its errors over the window are so many times those of the model in force."""
 MOST_ATTEMPTS = 60
@@ -44,9 +46,9 @@ class Errors:
 
 
 class Renewal:
-    """Watches the samples that are learnt: first for motion outside of the window, then until another one is full.
+    """Watches the samples that are learnt. Another window begins with the first one outside of the window before.
 
-    Each must wait for twice as many samples as the one before, so that there are few of them in any life.
+    The third must wait for two windows' samples, each further one for twice as many, so that there are few in any life.
 
     :param wanted: samples of a window.
     """
@@ -55,52 +57,61 @@ class Renewal:
         self._wanted, self._n_outputs = wanted, n_outputs
         self.done = False
         """Whether any hyperparameters are from a later window than the initial one."""
-        self._attempts, self._learnt, self._outside = 0, 0, 0.0
-        self._errors: Errors | None = None
+        self._attempts, self._learnt = 0, 0
+        self._clear()
+
+    def _clear(self) -> None:
+        self._gathered, self._outside, self._errors = 0, 0, Errors(self._n_outputs)
 
     @property
     def unsettled(self) -> bool:
         """Whether motion has left the window, until the model that follows has seen another window's samples."""
-        return self._errors is not None or (self._attempts > 0 and self._learnt < self._wanted)
+        return self._gathered >= SURE * self._wanted or (self._attempts > 0 and self._learnt < self._wanted)
 
     def see(self, estimator: Estimator, prediction: Prediction) -> bool:
         """Take note of a sample that was just learnt; True when the latest ones are another window."""
         if estimator.input_scaling is None or not estimator.ready:
             return False
-        if self._errors is not None:
-            self._errors.add(prediction)
-            return bool(self._errors.sums[0, 0] >= self._wanted)
+        self._learnt += 1
         mean, scale = estimator.input_scaling
         outside = bool((np.abs(prediction.sample.inputs - mean) > SPREADS * scale).any())
-        self._outside += (outside - self._outside) / self._wanted
-        self._learnt += 1
-        if self._outside > SHARE and self._learnt >= self._wanted * 2**self._attempts:
-            self._errors = Errors(self._n_outputs)
-        return False
+        waits = self._attempts > 0 and self._learnt < self._wanted * 2**self._attempts
+        if not self._gathered and (waits or not outside):
+            return False
+        self._gathered += 1
+        self._outside += outside
+        if self._gathered > self._wanted - judged(self._wanted):
+            self._errors.add(prediction)
+        if self._gathered >= SURE * self._wanted and self._outside < SHARE * self._gathered:
+            self._clear()
+        return self._gathered >= self._wanted
 
     def begin(self) -> float:
-        """Watch anew, for hyperparameters are being estimated; the size of the errors over the window gathered."""
-        assert self._errors is not None
+        """Watch anew, for hyperparameters are being estimated; the size of the errors over the end of the window."""
         size = self._errors.size
-        self._attempts, self._learnt, self._outside, self._errors = self._attempts + 1, 0, 0.0, None
+        self._attempts, self._learnt = self._attempts + 1, 0
+        self._clear()
         return size
 
     def state(self) -> Memory:
         """For a file; :meth:`restore` takes it back."""
-        return {'done': self.done, 'attempts': self._attempts, 'learnt': self._learnt, 'outside': self._outside,
-                'errors': None if self._errors is None else self._errors.sums.copy()}
+        return {'done': self.done, 'attempts': self._attempts, 'learnt': self._learnt, 'gathered': self._gathered,
+                'outside': self._outside, 'errors': self._errors.sums.copy()}
 
     def restore(self, state: Memory) -> None:
         """Go on from a state; raises LookupError, TypeError or ValueError for what is none."""
         if not isinstance(state, dict):
             raise TypeError('the state of the renewal is no mapping')
-        self.done, self._outside = bool(state['done']), float(state['outside'])
+        self.done, self._gathered, self._outside = bool(state['done']), int(state['gathered']), int(state['outside'])
         self._attempts, self._learnt = int(state['attempts']), int(state['learnt'])
         if not 0 <= self._attempts <= MOST_ATTEMPTS:
             raise ValueError(f'the hyperparameters were estimated {self._attempts} times')
-        self._errors = None if state['errors'] is None else Errors(self._n_outputs)
-        if self._errors is not None:
-            self._errors.sums = np.array(state['errors'], dtype=float).reshape(4, self._n_outputs)
+        self._errors.sums = np.array(state['errors'], dtype=float).reshape(4, self._n_outputs)
+
+
+def judged(wanted: int) -> int:
+    """Samples at the end of a window over which models are compared: until then both must learn the new motion."""
+    return (wanted + 1) // 2
 
 
 def later_window(learnt: Mask, wanted: int) -> Mask:

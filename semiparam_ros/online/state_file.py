@@ -26,7 +26,7 @@ from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 8
+FORMAT, VERSION = 'semiparam_ros state', 9
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
@@ -165,7 +165,7 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         if bias.shape != (body.n_outputs,):
             raise SemiparamError(f"{path} holds a 'bias' of shape {bias.shape}; expected ({body.n_outputs},).")
         gate = _from_json(meta['gate'], _group(arrays, 'gate'))
-        ContactGate(body.n_outputs).restore(gate)  # which checks it
+        ContactGate(body.n_outputs, body.outputs == 'effort').restore(gate)  # which checks it
         renewal = _from_json(meta['renewal'], _group(arrays, 'renewal'))
         Renewal(settings.initial_samples, body.n_outputs).restore(renewal)
         return SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate, renewal)

@@ -28,7 +28,7 @@ from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
-from semiparam_ros.online.renewal import MOST_WORSE, Errors, later_window
+from semiparam_ros.online.renewal import MOST_WORSE, Errors, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
 
@@ -265,8 +265,8 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
           to_beat: float = np.inf) -> Estimator:
     """The same with hyperparameters from a later window, see :mod:`semiparam_ros.online.renewal`.
 
-    :param to_beat: root mean square over that window, and over the outputs in their own scale, of the errors of the
-        model in force.
+    :param to_beat: root mean square over the end of that window, and over the outputs in their own scale, of the errors
+        of the model in force.
 
     Raises SemiparamError when the window holds too little to estimate from, or the model predicts it worse than that.
     """
@@ -276,11 +276,12 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
         gathering.observe(gathering.predict(sample), chosen, finish=False)
     gathering.finish_window()
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
-    for (sample, learnt), chosen in zip(batch.pairs(), window.tolist(), strict=True):
+    compared = later_window(batch.learnt, judged(settings.initial_samples))
+    for (sample, learns), chosen in zip(batch.pairs(), compared.tolist(), strict=True):
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)
-        estimator.observe(prediction, learnt)
+        estimator.observe(prediction, learns)
     if errors.size > MOST_WORSE * to_beat:
         raise SemiparamError(f'the model that follows has errors of {errors.size:.3g} over that window where the model '
                              f'in force has {to_beat:.3g}.')

@@ -22,19 +22,21 @@ NO_PRIOR = Prior(*[np.zeros(0)] * len(Prior._fields))
 class Stand:
     """A gate with three outputs that is given innovations and speeds, at 20 Hz."""
 
-    def __init__(self, settings=ON):
-        self.gate, self.settings, self.stamp = ContactGate(3), settings, 10**9
+    def __init__(self, settings=ON, of_joints=False):
+        self.gate, self.settings, self.stamp = ContactGate(3, of_joints), settings, 10**9
 
     def judge(self, innovations, speed=0.5, std=1.0, beyond=0.0):
         """Whether each of (N, 3) innovations is refused."""
         return np.array([self._one(row, speed, std, beyond) for row in innovations])
 
-    def _one(self, innovation, speed, std, beyond):
+    def _one(self, innovation, speed, std, beyond, off=False):
+        """``speed``: of the fastest joint, or velocities of all three."""
         self.stamp += 10**9 // RATE_HZ
-        sample = Sample(self.stamp, np.zeros(2), np.array([0.0, -speed]), np.zeros(2), innovation)
+        velocity = speed if np.ndim(speed) else np.array([0.0, -speed, 0.0])
+        sample = Sample(self.stamp, np.zeros(3), velocity, np.zeros(3), innovation)
         prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, True, None, sample, NO_PRIOR,
                                 np.zeros((3, 0)), np.zeros(3), np.ones(3), None,
-                                at_start(self.stamp, sample.position, innovation), beyond)
+                                at_start(self.stamp, sample.position, innovation), beyond, off)
         return self.gate.judge(prediction, self.settings)
 
 
@@ -83,7 +85,7 @@ def test_it_says_in_which_outputs():
 def test_it_works_in_the_first_seconds_while_the_model_improves():
     falling = np.exp(-np.arange(RATE_HZ * 10) / (2.0 * RATE_HZ))[:, None]
     stand, innovations = Stand(), white(RATE_HZ * 10) * (1.0 + 50.0 * falling)
-    innovations[-20:-10, 1] += 80.0
+    innovations[-20:-10, 1] += 120.0
     refused = stand.judge(innovations)
     assert not refused[:-20].any() and refused[-20:-10].all()
 
@@ -96,6 +98,54 @@ def test_a_lasting_change_is_let_in_after_the_timeout_and_pushes_are_found_again
     assert stand.gate.changes == 1
     stand.judge(coloured(RATE_HZ * 20, seed=2))  # by now the model has learnt the load
     assert stand.judge(coloured(10, seed=3) + push).all()
+
+
+def test_a_change_that_leaves_an_output_silent_makes_nothing_louder():
+    """An emergency stop in motion: the motor that holds nothing shows noise alone until the gate has opened."""
+    stand, stopped = Stand(), np.array([300.0, 10.0, 0.0])
+    stand.judge(white(RATE_HZ * 60))
+    refused = stand.judge(0.01 * white(RATE_HZ * 6, seed=1) + stopped)
+    assert refused[:RATE_HZ * 5].all() and stand.gate.changes == 1
+    assert not stand.judge(white(RATE_HZ * 60, seed=2)).any()
+
+
+def test_motors_that_are_off_touch_nothing():
+    """Neither while they are off nor when they hold the arm again; also a gate that had closed meanwhile opens."""
+    stand, weight = Stand(), np.array([300.0, 10.0, 0.0])
+    stand.judge(white(RATE_HZ * 60))
+    stand.judge(0.01 * white(RATE_HZ * 20), speed=0.0)
+    assert stand.judge(0.01 * white(2) - weight, speed=0.0).all()
+    assert not any(stand._one(row - weight, 0.0, 1.0, 0.0, off=True) for row in 0.01 * white(RATE_HZ * 20))
+    assert not stand.gate.closed and not stand.gate.level.any()
+    assert not stand.judge(0.01 * white(RATE_HZ * 20, seed=1), speed=0.0).any()
+    assert stand.judge(0.01 * white(10) + weight, speed=0.0).all()
+
+
+def swinging(seconds, burst, seed=0):
+    """White innovations, and velocities of three joints that swing; with each turn of the second one comes a burst."""
+    time, slow = np.arange(RATE_HZ * seconds) / RATE_HZ, 2.0 * np.pi / np.array([6.0, 8.3, 7.1])
+    velocity = np.sin(time[:, None] * slow)
+    innovations = white(len(time), seed)
+    turn = np.abs(velocity[:, 1]) < 0.1
+    innovations[turn, 1] += burst * np.sign(innovations[turn, 1])
+    return innovations, velocity, turn
+
+
+def test_a_burst_at_each_turn_of_a_joint_is_friction_and_a_push_between_two_turns_is_found():
+    burst = 12.0
+    gates = {}
+    for of_joints in (True, False):
+        stand = gates[of_joints] = Stand(of_joints=of_joints)
+        for row, velocity in zip(*swinging(300, burst)[:2], strict=True):
+            stand._one(row, velocity, 1.0, 0.0)
+    first = gates[True].gate.contacts
+    assert gates[False].gate.contacts > 2 * first, 'scales that do not know of turns take them for contacts'
+    innovations, velocity, _ = swinging(60, burst, seed=1)
+    between = np.abs(velocity[:, 1]) > 0.9
+    between[RATE_HZ * 3:] = False
+    innovations[between, 1] += burst
+    refused = np.array([gates[True]._one(*row, 1.0, 0.0) for row in zip(innovations, velocity, strict=True)])
+    assert refused[between].mean() > 0.9
 
 
 def test_without_a_timeout_it_stays_closed():
@@ -160,14 +210,16 @@ def test_an_arm_that_sets_out_does_not_touch():
 
 
 def test_it_goes_on_where_it_was_saved():
-    one, other = Stand(), Stand()
+    one, other = Stand(of_joints=True), Stand(of_joints=True)
     one.judge(coloured(RATE_HZ * 60))
     other.gate.restore(one.gate.state())
     other.stamp = one.stamp
     rest = coloured(RATE_HZ * 60, seed=1)
     rest[100:120, 1] += 20.0
-    assert one.judge(rest).tolist() == other.judge(rest).tolist()
-    assert one.gate.contacts == other.gate.contacts == 1
+    velocities = swinging(60, 0.0)[1]
+    for row in zip(rest, velocities, strict=True):
+        assert one._one(*row, 1.0, 0.0) == other._one(*row, 1.0, 0.0)
+    assert one.gate.contacts == other.gate.contacts >= 1
     np.testing.assert_array_equal(one.gate.level, other.gate.level)
 
 

@@ -49,7 +49,7 @@ STOP_NS = 12 * 10**9
 
 @pytest.mark.parametrize(('forgetting', 'gate'), [('auto', False), ('auto', True), (1.0, False), (0.998, False)])
 def test_a_stop_teaches_nothing_and_no_error_bursts_after_it(forgetting, gate):
-    """Brakes hold the arm, and efforts mean nothing: zero, or the last one for ever. Or it is gone and comes back."""
+    """Brakes hold the arm, and efforts mean nothing: zero, with or without noise, or the last one. Or it is gone."""
     samples = motion(300, body=BODY)
     before, after = samples[:180], samples[180:]
     stage = Stage(replace(EFFORTS, forgetting=forgetting, gate_enabled=gate), InlineBackground(), BODY)
@@ -58,11 +58,14 @@ def test_a_stop_teaches_nothing_and_no_error_bursts_after_it(forgetting, gate):
     stage.offer(after)
     wanted = residuals(stage, len(after))
     held, zeros = before[-1], np.zeros(BODY.n_joints)
+    noise = 0.01 * np.std([sample.outputs for sample in before], axis=0)
+    rng = np.random.default_rng(2)
     later = [sample._replace(stamp=sample.stamp + STOP_NS) for sample in after]
-    for outputs in (zeros, held.outputs, None):
+    for outputs, jitter in ((zeros, 0.0), (zeros, noise), (held.outputs, 0.0), (None, 0.0)):
         standing = [] if outputs is None else [
             held._replace(stamp=held.stamp + (index + 1) * PERIOD_NS, velocity=zeros, acceleration=zeros,
-                          outputs=outputs) for index in range(STOP_NS // PERIOD_NS)]
+                          outputs=outputs + jitter * rng.standard_normal(len(zeros)))
+            for index in range(STOP_NS // PERIOD_NS)]
         stage.learner.restore(pickle.loads(state))
         stage.learner.learnt = learnt
         stage.offer(standing)

@@ -99,10 +99,10 @@ SCRATCH = {
 
 
 LAYOUT = {
-    8: {
+    9: {
         'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
-                'newest resting speed tails',
+                'newest resting speed tails turns',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
                     'horizon.length initial.samples noise outputs variant',
@@ -122,6 +122,7 @@ LAYOUT = {
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (6,)',  # level, mean, ratio of a closure
         'gate.3': 'f8 (0, 6)', 'gate.4': 'f8 (0, 6)',  # tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 2 else 'f8 (6,)' for number in range(5, 23)},  # six bands
+        'renewal.0': 'f8 (4, 6)',
         'window.rows': 'f8 (0, 144)', 'motion.place': 'f8 (2,)',
         'motion.nearby': 'f8 (2,)', 'motion.outputs': 'f8 (6,)', 'motion.counts': 'i8 (3,)', 'motion.is_news': 'b1 ()',
     },
@@ -162,7 +163,7 @@ def test_other_versions_are_refused(tmp_path):
     meta = json.loads(str(arrays['meta']))
     for version in (1, state_file.VERSION - 1, state_file.VERSION + 1, None):
         np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
-        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 8'):
+        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 9'):
             state_file.load(path, SETTINGS, BODY)
 
 
