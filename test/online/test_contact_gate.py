@@ -36,7 +36,7 @@ class Stand:
         sample = Sample(self.stamp, np.zeros(3), velocity, np.zeros(3), innovation)
         prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, True, None, sample, NO_PRIOR,
                                 np.zeros((3, 0)), np.zeros(3), np.ones(3), None,
-                                at_start(self.stamp, sample.position, innovation), beyond, off)
+                                at_start(self.stamp, sample.position, innovation), beyond, off=off)
         return self.gate.judge(prediction, self.settings)
 
 
