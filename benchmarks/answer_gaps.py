@@ -38,7 +38,9 @@ from live_benchmark import JOINTS, SENSOR, URDF, Motion, Peer, connected, empty_
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
 
-WINDOW = 500
+WINDOW = 2000
+"""Samples: half of the motion's cycle. After a shorter one the motion leaves it again and again, and jobs that estimate
+hyperparameters anew stand before whatever is asked for."""
 AFTER_S, LONGEST_S = 1.0, 180.0
 BUSY, EMPTY_S = 0.3, 20.0
 
@@ -149,7 +151,7 @@ def main() -> int:
     for part in parts:
         table.add_row(part.name, str(part.samples), str(part.answered), f'{part.gap:.1f}', f'{part.own_gap:.1f}',
                       f'{max(part.gap - two, 0.0):.1f}', f'{part.latency:.1f}')
-    console = Console()
+    console = Console(width=120)
     console.print(table)
     alone = empty_loop(options.rate, BUSY, EMPTY_S)
     late = alone.max() - 1e3 * BUSY / options.rate

@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file
 from semiparam_ros.online.checkpoint import Checkpoints
+from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.worker import InlineBackground
 from semiparam_ros.settings.build import build_rigid_body
 from support.learner_stage import Stage
@@ -288,3 +290,13 @@ def test_a_checkpoint_is_written_in_a_thread_as_the_state_was(tmp_path):
     elsewhere.save_in_thread(stage.learner.state(), done.append)
     elsewhere.wait()
     assert 'there is no folder' in str(done[1])
+
+
+def test_files_wait_for_each_other_and_nobody_for_them():
+    thread, disk, done = FileThread('states'), threading.Event(), []
+    thread.submit(disk.wait, lambda result, error: done.append(result))
+    thread.submit(lambda: done[0] / 0, lambda result, error: done.append(type(error)))
+    assert thread.busy and not done
+    disk.set()
+    thread.wait()
+    assert done == [True, ZeroDivisionError] and not thread.busy
