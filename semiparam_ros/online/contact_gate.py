@@ -37,9 +37,10 @@ LONGEST_STEP_S = 0.1
 """What a sample adds to a block at most: a pause is no time under observation."""
 BEYOND = 0.1
 """A position, velocity or acceleration so far outside of those learnt, as a share of their range, is unseen motion."""
-UNSEEN_S, UNSEEN_FACTOR = 2.0, 3.0
-"""For so long after unseen motion, and until hyperparameters follow it, thresholds are so many times as high. They are
-so at a speed that is new, too, and come down with the blocks that are known."""
+UNSEEN_S, UNSEEN_FACTOR = 2.0, 4.0
+"""For so long after unseen motion, and until hyperparameters follow it, thresholds are so many times as high."""
+YOUNG_FACTOR = 3.0
+"""They are so many times as high at a speed that is new, and come down with the blocks that are known."""
 SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
 TAIL_BLOCKS = 600
 
@@ -287,8 +288,8 @@ class ContactGate:
         unseen = unseen or prediction.beyond > BEYOND
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
         familiar = self._familiar >= UNSEEN_S
-        known = self._bands[at].known if familiar else 0.0
-        thresholds = thresholds * (UNSEEN_FACTOR - (UNSEEN_FACTOR - 1.0) * known)
+        young = YOUNG_FACTOR - (YOUNG_FACTOR - 1.0) * self._bands[at].known
+        thresholds = thresholds * (young if familiar else UNSEEN_FACTOR)
         self.level = ratio / thresholds
         if self.closed:
             self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
