@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from semiparam_ros.bags import readings
@@ -41,10 +42,21 @@ class LoadedBag(NamedTuple):
     frame_id: str
     last_fault: str
     losses: Losses
+    stretches: tuple[int, ...]
+    """How many samples each stretch holds that was read of it; one stretch where all was read."""
 
 
-def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics | None = None) -> LoadedBag:
+STRETCHES = 24
+WARM_UP_NS = 1_000_000_000
+"""What filters have of each stretch before its first sample counts."""
+
+
+def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics | None = None,
+                 most: Callable[[float], int] | None = None) -> LoadedBag:
     """Every sample of the bag at ``path``, equal to those the node makes from the same messages.
+
+    :param most: how many samples to read at most, given their rate [Hz]; of a longer bag ``STRETCHES`` equally long
+        stretches are read, evenly spread over it, and the rest is passed over.
 
     A bag without a topic that ``settings`` need, or with no sample at all, raises SemiparamError.
     """
@@ -58,11 +70,17 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
         description = recorded_description(bag, topics.robot_description)
         joints = _joints(settings, description, bag)
         stream = sample_stream(settings, joints, measured, capacity=None)
-        frame_id, samples = _read(bag, stream, topics, needed)
+        outputs = topics.wrench if settings.outputs == 'wrench' else topics.joint_states
+        frame_id, lengths = '', list[int]()
+        samples: list[Sample] = []
+        for window in _windows(bag, bag.topics[outputs].count, most):
+            frame, stretch = _read(bag, stream, topics, needed, window)
+            frame_id, samples = frame_id or frame, samples + stretch
+            lengths.append(len(stretch))
         if not samples:
             raise SemiparamError(_nothing_matched(bag, stream, needed))
         return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, stream.last_fault,
-                         bag.losses)
+                         bag.losses, tuple(lengths))
 
 
 def measured_accelerations(settings: Table, published: bool) -> bool:
@@ -118,18 +136,36 @@ def _joints(settings: Table, description: str | None, bag: BagReader) -> tuple[s
         raise SemiparamError(f'{str(bag.path)!r}: {error}') from error
 
 
-def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: dict[str, str]) -> tuple[str, list[Sample]]:
-    """(frame of the wrenches, samples) of all messages in the order in which they were recorded."""
+def _windows(bag: BagReader, count: int, most: Callable[[float], int] | None) -> list[tuple[int, int] | None]:
+    """Log times [ns], from and before which to read; None for all. ``count``: samples of the whole bag, about."""
+    limit = most(count / max(1e-9 * bag.duration_ns, 1e-9)) if most else count
+    if count <= limit:
+        return [None]
+    length = int(bag.duration_ns * limit / count) // STRETCHES
+    starts = [bag.start_ns + (bag.duration_ns - length) * index // (STRETCHES - 1) for index in range(STRETCHES)]
+    return [(start, start + length) for start in starts]
+
+
+def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: dict[str, str],
+          window: tuple[int, int] | None = None) -> tuple[str, list[Sample]]:
+    """(frame of the wrenches, samples) of all messages in the order in which they were recorded, or of a window."""
     kinds = {topics.joint_states: readings.JOINT_STATE, topics.wrench: readings.WRENCH,
              topics.accelerations: readings.ACCELERATIONS}
     samples: list[Sample] = []
     frame_id = ''
-    for message in bag.messages(needed.keys()):
+    start = end = None
+    if window is not None:
+        stream.reset()
+        start, end = window[0] - WARM_UP_NS, window[1]
+    for message in bag.messages(needed.keys(), start_ns=start, end_ns=end):
         kind = kinds[message.topic]
         reading = kind.read(message.data)
         samples += kind.feed(stream, reading.stamp, *reading.fields)
         if not frame_id and message.topic == topics.wrench:
             frame_id = reading.frame_id
+    if window is not None and window[0] > bag.start_ns and samples:
+        counts = samples[0].stamp + WARM_UP_NS
+        samples = [sample for sample in samples if sample.stamp >= counts]
     return frame_id, samples
 
 

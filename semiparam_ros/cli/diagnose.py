@@ -93,6 +93,8 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     """Load what the options name and diagnose it, with progress on a terminal."""
     from semiparam_ros.cli.evaluate import load_bags
     from semiparam_ros.core.samples import Samples
+    from semiparam_ros.diagnosis.config import DEFAULTS
+    from semiparam_ros.diagnosis.data.preparation import for_stretches, in_whole_groups, most_samples
     from semiparam_ros.diagnosis.data.splits import leading_split
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.settings.build import build_rigid_body, declared_effects
@@ -104,18 +106,25 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     if args.split is not None and len(args.bags) > 1:
         raise SemiparamError(f'--split cuts one recording in two, but there are {len(args.bags)}; name the one that '
                              'judges with --judge.')
-    bags = load_bags(args.bags, settings)
-    other = load_bags([args.judge], settings)[0].samples if args.judge else None
+    bags = load_bags(args.bags, settings, lambda rate: most_samples(rate) // len(args.bags))
+    judges = load_bags([args.judge], settings, most_samples) if args.judge else []
+    for path, bag in zip([*args.bags, args.judge], [*bags, *judges], strict=False):
+        if len(bag.stretches) > 1:
+            console.print(f'{path} is long: {len(bag.stretches)} stretches of it are looked at, {len(bag.samples)} '
+                          f'samples evenly spread over {bag.samples.time[-1]:.0f} s.', highlight=False, markup=False)
     body = build_rigid_body(settings, bags[0].robot_description)
-    samples = bags[0].samples if len(bags) == 1 else Samples.joined([bag.samples for bag in bags])
+    recordings, judging = ([in_whole_groups(bag.samples, bag.stretches) for bag in some] for some in (bags, judges))
+    samples = recordings[0] if len(recordings) == 1 else Samples.joined(recordings)
+    other = (str(args.judge), judging[0]) if judging else None
+    long = any(len(bag.stretches) > 1 for bag in (*bags, *judges))
     train_mask = None if args.split is None else leading_split(len(samples), args.split)
     effects = [*declared_effects(settings), *declared_inside(args, samples)]
     with progress_bar() as bar:
         task = bar.add_task('reading', total=100)
-        return diagnose(body, samples, effects, train_mask, None if other is None else (str(args.judge), other),
+        return diagnose(body, samples, effects, train_mask, other,
                         args.kinds,
                         lambda words, share: bar.update(task, description=words, completed=int(100 * share)),
-                        names=[str(path) for path in args.bags])
+                        for_stretches(samples) if long else DEFAULTS, [str(path) for path in args.bags])
 
 
 def declared_inside(args: argparse.Namespace, samples: Samples) -> list[Effect]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -134,11 +134,12 @@ def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str
     return list(dict.fromkeys(names))
 
 
-def load_bags(paths: Sequence[Path], settings: Settings) -> list[LoadedBag]:
-    """The samples of each recording; what had to be left out is said on standard error."""
+def load_bags(paths: Sequence[Path], settings: Settings,
+              most: Callable[[float], int] | None = None) -> list[LoadedBag]:
+    """The samples of each recording; what had to be left out is said on standard error. ``most``: see load_samples."""
     from semiparam_ros.bags.loading import load_samples
 
-    bags = [load_samples(path, settings) for path in paths]
+    bags = [load_samples(path, settings, most=most) for path in paths]
     for path, bag in zip(paths, bags, strict=True):
         left_out = ', '.join(f'{count} {reason}' for reason, count in sorted(bag.faults.items()) if count)
         if left_out:

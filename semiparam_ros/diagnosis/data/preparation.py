@@ -122,6 +122,30 @@ def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
     return max(int(rate / config.working_rate_hz), 1)
 
 
+def most_samples(rate_hz: float, config: DiagnosisConfig = DEFAULTS) -> int:
+    """How many samples of this rate a diagnosis looks at."""
+    return config.most_working_samples * max(int(rate_hz / config.working_rate_hz), 1)
+
+
+def for_stretches(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> DiagnosisConfig:
+    """Thresholds for samples of several stretches, between which there are gaps: the smoother sees their ends from one
+    side."""
+    ends = working_factor(samples, config) * config.smoothing_ends
+    return replace(config, gap_margin=max(config.gap_margin, ends))
+
+
+def in_whole_groups(samples: Samples, stretches: Sequence[int], config: DiagnosisConfig = DEFAULTS) -> Samples:
+    """Samples of several stretches, with as many of each that no working sample averages across two of them.
+
+    :param stretches: how many samples each holds.
+    """
+    if len(stretches) == 1:
+        return samples
+    factor, starts = working_factor(samples, config), np.cumsum([0, *stretches[:-1]])
+    return samples[np.concatenate([np.arange(start, start + count - count % factor)
+                                   for start, count in zip(starts.tolist(), stretches, strict=True)])]
+
+
 def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
     """Raise SemiparamError when a mask over working samples leaves too few of them."""
     fewest = min(int(mask.sum()) for mask in masks)
