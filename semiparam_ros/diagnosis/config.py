@@ -25,8 +25,8 @@ class DiagnosisConfig:
 
     working_rate_hz: float = 40.0
     """Averages faster recordings down to about this rate [Hz]: arms move below a few hertz (chosen)."""
-    most_working_samples: int = 12_000
-    """Reads longer recordings in stretches that hold so many working samples: five minutes at 40 Hz (chosen)."""
+    most_working_samples: int = 10_000
+    """Reads longer recordings in stretches that hold so many working samples: four minutes at 40 Hz (chosen)."""
     smoothing_ends: int = 5
     """Leaves out so many working samples at either end of a smoothed recording: it sees them from one side."""
     least_working_samples: int = 50
