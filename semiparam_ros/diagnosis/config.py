@@ -230,6 +230,9 @@ class DiagnosisConfig:
     """Refines so many of the best candidates of each joint, since all joints may win in one round (chosen)."""
     refine_evaluations: int = 14
     """Spends so many evaluations on the line search of one value: its bracket then shrinks a thousandfold."""
+    line_search_rounds: int = 6
+    """Searches three values and more so many times in turn, for the best one depends on the others; in the second half
+    of the rounds, the point of application too (chosen)."""
     start_grid: int = 60
     """Tries so many starts of an effect, evenly spread, before the best is refined (chosen)."""
     start_margin: float = 0.1

@@ -15,9 +15,15 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.effects.application_point import POINT, AtPoint
 from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Values, joint_index
 from semiparam_ros.effects.hysteresis import dahl_state
+from semiparam_ros.errors import SemiparamError
 
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 SLIP_SHARES = (0.02, 0.05, 0.12, 0.3, 0.7)
+DIRECTION: Mapping[str, str] = {'azimuth': 'rad', 'elevation': 'rad'}
+ALONG = (*((turn * 0.4 * np.pi, np.arctan(0.5)) for turn in range(5)), (0.0, 0.5 * np.pi))
+"""Azimuth and elevation of the six axes of an icosahedron: no direction is further than 37 degrees from one [rad]."""
+BESIDE = 0.65
+"""How far beside a direction a line search looks [rad]."""
 
 
 class _Cable(AtPoint):
@@ -27,7 +33,7 @@ class _Cable(AtPoint):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return (*loaded_links(body), *body.joints)
+        return (*(link for tip in loaded_links(body) for link in links_beside(body, tip)), *body.joints)
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
@@ -42,10 +48,6 @@ class CableSpring(_Cable):
     sentence: ClassVar[str] = 'a cable or hose pulls like a spring'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_hysteresis', 'external_force', 'gravity_tilt')
     separated_by: ClassVar[str] = 'slow motion over the whole workspace, where inertia plays no part'
-
-    @classmethod
-    def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return (*(link for tip in loaded_links(body) for link in links_beside(body, tip)), *body.joints)
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         if self.where in body.joints:
@@ -67,7 +69,8 @@ class CableSpring(_Cable):
 
 
 class CableHysteresis(_Cable):
-    """Dahl's model: the cable pulls back over ``slip`` of travel, then slips (z' = dx - |dx| z / slip)."""
+    """Dahl's model: the cable pulls back over ``slip`` of travel, then slips (z' = dx - |dx| z / slip). At a link it
+    drags in whichever direction the link moves, or along its own: ``azimuth`` and ``elevation`` in the robot's base."""
 
     kind: ClassVar[str] = 'cable_hysteresis'
     shows_against: ClassVar[Axis] = 'position'
@@ -75,7 +78,7 @@ class CableHysteresis(_Cable):
     sentence: ClassVar[str] = 'a cable or hose drags with hysteresis: it pulls back, then slips'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_spring', 'viscous_drag')
     separated_by: ClassVar[str] = 'reversals after long and after short travels'
-    parameter_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **POINT}
+    parameter_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **DIRECTION, **POINT}
     positive: ClassVar[tuple[str, ...]] = ('slip',)
 
     @classmethod
@@ -84,7 +87,21 @@ class CableHysteresis(_Cable):
             reach = float(np.ptp(samples.position[:, joint_index(body, where)]))
         else:
             reach = float(np.ptp(frame_motion(body, samples, str(where)).position, axis=0).max())
-        return [{'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
+        slips: list[Values] = [{'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
+        if where in body.joints:
+            return slips
+        return slips + [dict(zip(DIRECTION, along, strict=True)) | slip for slip in slips for along in ALONG]
+
+    def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
+        if name in DIRECTION:
+            return self.value(name) - BESIDE, self.value(name) + BESIDE
+        return super().bounds(name, body, samples, residual)
+
+    def check(self, body: RigidBody) -> None:
+        super().check(body)
+        if self.where in body.joints and not self.parameters.keys().isdisjoint(DIRECTION):
+            raise SemiparamError(f"effect '{self.kind}' has a direction at the joint {self.where}; expected one at a "
+                                 'link alone.')
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         if self.where in body.joints:
@@ -98,5 +115,14 @@ class CableHysteresis(_Cable):
             state, memory = dahl_state(travel, slip, memory)
             return state[:, :, None] * np.eye(len(CHANNELS)), memory
         motion = self.motion(body, samples)
-        state, memory = dahl_state(motion.position, slip, memory)
-        return motion.force_map @ -state[:, :, None], memory
+        directions = self._directions()
+        state, memory = dahl_state(motion.position @ directions, slip, memory)
+        return motion.force_map @ -(state @ directions.T)[:, :, None], memory
+
+    def _directions(self) -> Array:
+        """(3, k) directions along which it drags: its own, or all."""
+        if self.parameters.keys().isdisjoint(DIRECTION):
+            return np.eye(3)
+        azimuth, elevation = (self.value(name) for name in DIRECTION)
+        level = np.cos(elevation)
+        return np.array([[level * np.cos(azimuth)], [level * np.sin(azimuth)], [np.sin(elevation)]])

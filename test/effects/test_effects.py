@@ -205,6 +205,7 @@ MISDECLARED = {
     'viscous_friction@r_elbow': 'does not act on outputs wrench; expected outputs effort',
     'thermal_drift{"time_constant_s": 0}': 'has time_constant_s 0; expected more than 0',
     'cable_hysteresis@r_hand{"slip": -0.1}': 'has slip -0.1; expected more than 0',
+    'cable_hysteresis@r_elbow{"slip": 0.1, "azimuth": 0.1}': 'has a direction at the joint r_elbow',
     'payload@r_hand{"start_s": 3, "start_stamp_s": 1.7e9}': 'has start_s and start_stamp_s; expected one of them',
     'terms@fx{"sin(q_elbow)": 1}': "names the joint 'elbow'; expected one of r_shoulder_pitch",
 }

@@ -101,11 +101,29 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     near = _weighed(fit, trial)
     if trial.effect.is_calibration:
         return _calibrated(near, trial)
+    best = _refined_once(near, trial)
+    if len(trial.effect.searched) > 2:
+        best = _settled(fit, best)
+    return _at_best_point(fit, best) if best.physical else trial
+
+
+def _settled(fit: Fit, trial: Trial) -> Trial:
+    """The trial with many nonlinear parameters, of which the best value of one depends on the others."""
+    for number in range(fit.config.line_search_rounds):
+        trial = _refined_once(_weighed(fit, trial), trial)
+        if trial.physical and 2 * number >= fit.config.line_search_rounds:
+            trial = _at_best_point(fit, trial)
+    return trial
+
+
+def _refined_once(fit: Fit, trial: Trial) -> Trial:
+    """The trial with one nonlinear parameter after the other at its best, and at the best link of its body."""
     effect = trial.effect
     for name in effect.searched:
-        effect = _line_search(near, effect, name)
-    best = _at_best_link(near, _linear_trial(near, effect.without_start()))
-    return _at_best_point(fit, best) if best.physical else trial
+        if name not in POINT:
+            effect = _line_search(fit, effect, name)
+    best = _linear_trial(fit, effect.without_start())
+    return best if effect.parameters.keys() & POINT.keys() else _at_best_link(fit, best)
 
 
 def _weighed(fit: Fit, trial: Trial) -> Fit:
