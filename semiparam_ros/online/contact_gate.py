@@ -39,7 +39,7 @@ BEYOND = 0.1
 """A position, velocity or acceleration so far outside of those learnt, as a share of their range, is unseen motion."""
 UNSEEN_S, UNSEEN_FACTOR = 2.0, 4.0
 """For so long after unseen motion, and until hyperparameters follow it, thresholds are so many times as high."""
-YOUNG_FACTOR = 3.0
+YOUNG_FACTOR = 2.0
 """They are so many times as high at a speed that is new, and come down with the blocks that are known."""
 SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
 TAIL_BLOCKS = 600

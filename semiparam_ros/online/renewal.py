@@ -18,6 +18,9 @@ SHARE = 0.25
 """So large a share of a window lies outside, and hyperparameters are estimated from it."""
 SURE = 0.1
 """Share of a window from which on it is dropped when less than ``SHARE`` of it lies outside."""
+LEAD = 0.3
+"""So large a share more is gathered first, while motion sets out and the model in force learns it. The first time, as
+after a slow start, there is no time for it: the hyperparameters are far off."""
 MOST_WORSE = 1.1
 """A model takes over unless its errors over the window are so many times those of the model in force."""
 MOST_ATTEMPTS = 60
@@ -80,11 +83,12 @@ class Renewal:
             return False
         self._gathered += 1
         self._outside += outside
-        if self._gathered > self._wanted - judged(self._wanted):
+        enough = self._wanted * (1.0 + LEAD) if self._attempts else self._wanted
+        if self._gathered > enough - judged(self._wanted):
             self._errors.add(prediction)
         if self._gathered >= SURE * self._wanted and self._outside < SHARE * self._gathered:
             self._clear()
-        return self._gathered >= self._wanted
+        return self._gathered >= enough
 
     def begin(self) -> float:
         """Watch anew, for hyperparameters are being estimated; the size of the errors over the end of the window."""
