@@ -25,7 +25,7 @@ def fails_where(method, unlucky):
 
 if __name__ == '__main__':
     Tare.take = broken
-    Diagnosing._start = broken
+    Diagnosing._diagnose = broken
     Learner.clear_pending = broken
     Learner.check = fails_where(Learner.check, lambda settings: settings.forgetting == 0.9)
     Learner.change = fails_where(Learner.change, lambda settings: settings.forgetting == 0.8)

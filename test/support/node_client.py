@@ -27,7 +27,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-PATIENCE_S = 40.0
+PATIENCE_S = 80.0
 RECENT = 50
 """Reports to look at: five a second from each of the nodes that talk on the topic."""
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=1)

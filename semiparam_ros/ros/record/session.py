@@ -27,7 +27,7 @@ LINE_S = 10.0
 LOOK_S = 0.2
 FLUSH_S = 2.0
 POLL_S = 0.05
-QUIET_S, QUIET_AT_MOST_S = 0.2, 1.0
+QUIET_S, QUIET_AT_MOST_S = 0.5, 2.0
 
 
 class Recording(Protocol):
