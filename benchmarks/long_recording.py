@@ -22,6 +22,8 @@ from pathlib import Path
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
+import numpy as np
+
 from semiparam_ros.bags.recording_layout import JOINT_STATES, ROBOT_DESCRIPTION, TYPES
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
@@ -33,7 +35,9 @@ TILE_S = 300.0
 
 
 def write(path: Path, minutes: float) -> None:
-    """The recording: the same motion again and again, with pauses of 2 s; the load is in the second half."""
+    """The recording: the same motion again and again, with pauses of 2 s and a noise of its own each time; the load is
+    in the second half."""
+    rng = np.random.default_rng(0)
     tiles = max(round(60.0 * minutes / TILE_S), 2)
     samples = round((60.0 * minutes / tiles - 2.0) * RATE_HZ)
     friction = EffectRequest('viscous_friction', 'r_elbow', 1.0)
@@ -43,12 +47,14 @@ def write(path: Path, minutes: float) -> None:
             late = tile >= tiles // 2
             if tile in (0, tiles // 2):
                 made = simulate(Scenario(samples=samples, rate_hz=RATE_HZ, outputs='effort', accelerations=False,
-                                         effects=(friction, load)[:1 + late]))
+                                         effects=(friction, load)[:1 + late], noise=0.1, encoder_noise=0.1))
             if not tile:
                 bag.write(ROBOT_DESCRIPTION, TYPES[ROBOT_DESCRIPTION], {'data': made.urdf}, int(made.stamps[0]))
             shift = tile * round((samples / RATE_HZ + 2.0) * 1e9)
-            for stamp, *rows in zip((made.stamps + shift).tolist(), made.position.tolist(), made.velocity.tolist(),
-                                    made.outputs.tolist(), strict=True):
+            position, velocity, efforts = (values + size * rng.standard_normal(values.shape) for values, size in (
+                (made.position, 1e-4), (made.velocity, 1e-3), (made.outputs, 0.02 * made.outputs.std(axis=0))))
+            for stamp, *rows in zip((made.stamps + shift).tolist(), position.tolist(), velocity.tolist(),
+                                    efforts.tolist(), strict=True):
                 seconds, nanoseconds = divmod(stamp, 10**9)
                 header = {'stamp': {'sec': seconds, 'nanosec': nanoseconds}, 'frame_id': ''}
                 bag.write(JOINT_STATES, TYPES[JOINT_STATES], dict(zip(
