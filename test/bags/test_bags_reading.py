@@ -342,9 +342,10 @@ def test_a_recording_becomes_samples(tmp_path):
 
 def test_measured_accelerations_are_taken_where_they_were_recorded(tmp_path):
     path = robot_bag(tmp_path / 'bag.mcap', accelerations=True)
-    measured = load_samples(path, Settings(joints=('a', 'b'))).samples.acceleration
+    measured = load_samples(path, Settings(joints=('a', 'b'), sensor_frame='ft')).samples.acceleration
     np.testing.assert_array_equal(measured, np.tile([7.0, 8.0], (9, 1)))
-    filtered = load_samples(path, Settings(joints=('a', 'b'), acceleration_source='filter')).samples.acceleration
+    settings = Settings(joints=('a', 'b'), sensor_frame='ft', acceleration_source='filter')
+    filtered = load_samples(path, settings).samples.acceleration
     np.testing.assert_array_equal(filtered, np.zeros((9, 2)))
 
 
