@@ -169,8 +169,8 @@ def play(args: argparse.Namespace, environment: dict[str, str], seam: float) -> 
                            'its hyperparameters were estimated', PLAY_S)
         with Program([*replay, folder / 'replay.json', '--start-offset', seam], environment) as player:
             player.finish(PLAY_S, beside=(estimator, recorder))
+        estimator.stop()  # it ends when the recorder has received everything
         recorder.stop()
-        estimator.stop()
 
 
 def say_pace(args: argparse.Namespace, bag: LoadedBag) -> None:

@@ -191,7 +191,8 @@ def test_windows_that_tell_nothing_are_refused(draw):
 
 
 @pytest.mark.parametrize(('options', 'sentence'), [
-    ({'variant': 'SPX'}, "unknown variant 'SPX'"), ({'variant': 'P', 'method': 'annealing'}, "optimiser 'annealing'"),
+    ({'variant': 'SPX'}, "variant 'SPX' is unknown"),
+    ({'variant': 'P', 'method': 'annealing'}, "optimiser 'annealing'"),
     ({'variant': 'P', 'length_scales': 'two'}, "length scales 'two'")])
 def test_unknown_choices_are_refused(draw, options, sentence):
     with pytest.raises(SemiparamError, match=sentence):

@@ -160,7 +160,8 @@ def test_refused_values_leave_everything_as_it_was_and_say_why(client):
         assert client.get('learning')[0].bool_value is True
         return results[0].reason
 
-    assert refusal(variant='SPK') == "variant is 'SPK'; expected one of P, NP-ML, SP-ML, SP2-ML, SPK-ML, NP-VS, SP2-VS."
+    assert refusal(variant='SPK') == ("variant is 'SPK'; expected one of P, NP-ML, SP-ML, SP2-ML, SPK-ML, NP-VS, "
+                                      'SP2-VS, auto.')
     assert refusal(forgetting=2.0) == 'forgetting is 2.0; expected 0.5 to 1, or auto.'
     assert refusal(forgetting='fast') == "forgetting is 'fast'; expected a number, 0.5 to 1, or auto."
     assert refusal(forgetting=float('nan')).startswith('forgetting is nan')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -39,6 +40,8 @@ from semiparam_ros.settings.parameter_table import BY_NAME
 from semiparam_ros.settings.snapshot import Settings, unknown_name
 
 NAME = 'estimator'
+DELIVER_S = 3.5
+"""At the end, how long subscribers may take to receive the last answers: DDS sends again after 3 s what was missed."""
 
 
 class EstimatorNode(Node):
@@ -81,11 +84,14 @@ class EstimatorNode(Node):
         return self._live.settings
 
     def close(self) -> None:
-        """End the background processes and leave the graph."""
+        """End the background processes, let the last answers arrive, and leave the graph."""
         self._autosave.close()
         self._requests.close()
         self._diagnosing.close()
         self._background.close()
+        deadline = time.monotonic() + DELIVER_S
+        for publisher in self.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
         self.destroy_node()
 
     # The robot and its learner
