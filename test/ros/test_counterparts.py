@@ -3,8 +3,10 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -59,15 +61,22 @@ def cyclone(tmp_path_factory):
     params.write_text(PARAMS)
     environment = {name: value for name, value in os.environ.items() if name != 'ROS_AUTOMATIC_DISCOVERY_RANGE'}
     with _free_domain() as domain:
-        for _ in range(2):  # the binding of the other vendor dies of a segmentation fault now and then
-            done = subprocess.run(
-                [*alone(), sys.executable, SUPPORT / 'counterpart_cyclone.py', bag, params, out], capture_output=True,
-                text=True, timeout=200,
-                env={**environment, 'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(folder / 'ros_log')})
-            if done.returncode >= 0:
+        command = [*alone(), sys.executable, SUPPORT / 'counterpart_cyclone.py', bag, params, out]
+        environment |= {'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(folder / 'ros_log')}
+        for _ in range(4):  # the binding of the other vendor dies of a segmentation fault now and then, or hangs
+            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+                                       env=environment, start_new_session=True)
+            try:
+                _, said = process.communicate(timeout=60)
+            except subprocess.TimeoutExpired:
+                said = 'it hung'
+            finally:
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)  # the estimator that it started, too
+            if process.wait() >= 0:
                 break
     log = out.with_suffix('.log')
-    assert done.returncode == 0, done.stderr + (log.read_text() if log.exists() else '')
+    assert process.returncode == 0, said + (log.read_text() if log.exists() else '')
     return json.loads(out.read_text()), bag, params
 
 
