@@ -347,7 +347,6 @@ class ContactGate:
             band.restore(self._sized(peaks, 2))
             band.peak, band.ratio, band.seconds = self._sized(peak, 1), self._sized(ratio, 1), seconds
             band.blocks = blocks
-
         if self._turns is not None:
             turns = state['turns']
             self._turns.restore({name: self._sized(turns[name], 2 if name == 'peaks' else 1)

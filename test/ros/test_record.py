@@ -3,6 +3,7 @@
 import json
 import signal
 import time
+from contextlib import contextmanager
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -24,6 +25,17 @@ class Source(Peer):
 
     def wait_for_listeners(self, *outputs):
         self.wait_for(lambda: all(output.get_subscription_count() for output in outputs), 'nobody records')
+
+
+@contextmanager
+def recorder(out):
+    """A recorder of /wrench that listens to a source: source, publisher and recorder."""
+    with Source() as source:
+        wrench = source.offer('/wrench', WRENCH)
+        with Tool(out.parent, 'record', out, '--topics', '/wrench') as record:
+            source.wait_for_listeners(wrench)
+            source.wait_for(lambda: record.said('recording 1 topics'))
+            yield source, wrench, record
 
 
 def topics_of(path):
@@ -78,50 +90,39 @@ def test_it_ends_when_nothing_comes_any_more(tmp_path):
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_and_the_file_is_whole(tmp_path, number):
     out = tmp_path / 'out.mcap'
-    with Source() as source:
-        wrench = source.offer('/wrench', WRENCH)
-        with Tool(tmp_path, 'record', out, '--topics', '/wrench') as record:
-            source.wait_for_listeners(wrench)
-            source.wait_for(lambda: record.said('recording 1 topics'))
-            for _ in range(50):
-                wrench.publish(message_class(WRENCH)())
-            record.interrupt(number)
-            assert record.wait() == 0, record.output
+    with recorder(out) as (_, wrench, record):
+        for _ in range(50):
+            wrench.publish(message_class(WRENCH)())
+        record.interrupt(number)
+        assert record.wait() == 0, record.output
     assert topics_of(out) == {'/wrench': 50}
     assert record.said('recorded 50 messages') and not list(tmp_path.glob('*.partial'))
 
 
 def test_what_was_published_before_the_signal_is_recorded_also_after_a_pause(tmp_path):
     out = tmp_path / 'out.mcap'
-    with Source() as peer:
-        output = peer.offer('/wrench', WRENCH)
-        with Tool(tmp_path, 'record', out, '--topics', '/wrench') as record:
-            peer.wait_for_listeners(output)
-            peer.wait_for(lambda: record.said('recording 1 topics'))
-            output.publish(message_class(WRENCH)())
-            time.sleep(1.0)
-            record.interrupt(signal.SIGSTOP)  # as on a machine that gives it no time
-            for _ in range(50):
-                output.publish(message_class(WRENCH)())
-            record.interrupt(signal.SIGINT)
-            record.interrupt(signal.SIGCONT)
-            assert record.wait() == 0, record.output
+    with recorder(out) as (_, wrench, record):
+        wrench.publish(message_class(WRENCH)())
+        time.sleep(1.0)
+        record.interrupt(signal.SIGSTOP)  # as on a machine that gives it no time
+        for _ in range(50):
+            wrench.publish(message_class(WRENCH)())
+        record.interrupt(signal.SIGINT)
+        record.interrupt(signal.SIGCONT)
+        assert record.wait() == 0, record.output
     assert topics_of(out) == {'/wrench': 51}
 
 
 def test_a_killed_recorder_leaves_what_it_had_under_another_name(tmp_path):
     out = tmp_path / 'out.mcap'
-    with Source() as source:
-        wrench = source.offer('/wrench', WRENCH)
-        with Tool(tmp_path, 'record', out, '--topics', '/wrench') as record:
-            source.wait_for_listeners(wrench)
-            timer = source.node.create_timer(0.01, lambda: wrench.publish(message_class(WRENCH)()))
-            partial = tmp_path / 'out.mcap.partial'
-            # The file grows with each flush, every two seconds.
-            source.wait_for(lambda: partial.exists() and partial.stat().st_size > 1000)
-            record.process.kill()
-            record.wait()
-            timer.cancel()
+    with recorder(out) as (source, wrench, record):
+        timer = source.node.create_timer(0.01, lambda: wrench.publish(message_class(WRENCH)()))
+        partial = tmp_path / 'out.mcap.partial'
+        # The file grows with each flush, every two seconds.
+        source.wait_for(lambda: partial.exists() and partial.stat().st_size > 1000)
+        record.process.kill()
+        record.wait()
+        timer.cancel()
     assert not out.exists() and topics_of(partial)['/wrench'] > 10
 
 

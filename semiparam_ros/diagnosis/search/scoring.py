@@ -38,6 +38,11 @@ class Trial:
     physical: bool = True  # the cause can have these coefficients
     evidence: float = 0.0  # [nat] over the declared model
 
+    @property
+    def many_valued(self) -> bool:
+        """Whether the best value of one nonlinear parameter depends on several others; a coarse search tries few."""
+        return len(self.effect.searched) > 2
+
 
 def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
     """The candidate at the best of its coarse values and starts; None when none is physical."""
@@ -102,7 +107,7 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     if trial.effect.is_calibration:
         return _calibrated(near, trial)
     best = _refined_once(near, trial)
-    if len(trial.effect.searched) > 2:
+    if trial.many_valued:
         best = _settled(fit, best)
     return _at_best_point(fit, best) if best.physical else trial
 

@@ -137,15 +137,18 @@ def ranked(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> list
 
 
 def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
-    """Those worth refining: the best, calibrations (which are linear only while small), the best of each kind that has
-    many values (of which a coarse search tries few), and of efforts each joint's."""
+    """Those worth refining: the best, calibrations (which are linear only while small), the best of each kind with many
+    values, and of efforts each joint's."""
     config = fit.config
     chosen = trials[:config.refined_candidates]
     chosen += [trial for trial in trials[config.refined_candidates:]
                if trial.effect.is_calibration and trial.evidence > config.least_evidence]
-    for kind in {trial.effect.kind for trial in trials if len(trial.effect.searched) > 2}:
-        of_kind = next(trial for trial in trials if trial.effect.kind == kind and len(trial.effect.searched) > 2)
-        chosen += [of_kind] if of_kind not in chosen and of_kind.evidence > config.least_evidence else []
+    best_of_kind: dict[str, Trial] = {}
+    for trial in trials:
+        if trial.many_valued:
+            best_of_kind.setdefault(trial.effect.kind, trial)
+    chosen += [trial for trial in best_of_kind.values()
+               if trial not in chosen and trial.evidence > config.least_evidence]
     for joint in fit.body.joints if fit.body.outputs == 'effort' else ():
         at_joint = [trial for trial in trials if trial.effect.where == joint]
         chosen += [trial for trial in at_joint[:config.refined_at_joint]

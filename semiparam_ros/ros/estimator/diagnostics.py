@@ -171,7 +171,6 @@ class InputReport:
             return Report(WARN, f'{news} messages refused in the last second: {values["last refusal"]}', values)
         return Report(OK, 'receiving.', values)
 
-
     def _remedy(self, absent: Sequence[str]) -> str:
         if WRENCH in absent and self._inputs.has_efforts:
             return ' The joint states hold efforts: outputs: effort predicts those.'
