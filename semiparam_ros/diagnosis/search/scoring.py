@@ -40,8 +40,8 @@ class Trial:
 
     @property
     def many_valued(self) -> bool:
-        """Whether the best value of one nonlinear parameter depends on several others; a coarse search tries few."""
-        return len(self.effect.searched) > 2
+        """Whether the best value of one nonlinear parameter depends on another; a coarse search tries few."""
+        return len(self.effect.searched) > 1
 
 
 def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
