@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -18,6 +18,7 @@ from semiparam_ros.diagnosis.diagnose import Diagnosis, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.effects import kinds
+from semiparam_ros.effects.base import CHANNELS
 from semiparam_ros.simulation.causes import CAUSES
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario, SimulatedRecording
 from semiparam_ros.simulation.simulate import simulate
@@ -26,6 +27,10 @@ NOTHING = 'nothing'
 MOTION = 'circle_xy'
 TOGETHER = '+'
 """Between kinds that are hidden at once."""
+NEAR_SAMPLES = 2.0
+"""A start counts as right within so many samples."""
+SURE_DEVIATIONS = 2.0
+"""A value counts as right within so many of its standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,7 @@ class Plan:
 
     :param kinds: those to hide, or several at once as ``viscous_friction+time_delay``; each one unless given.
     :param accelerations: whether they are measured; a diagnosis estimates them otherwise.
+    :param noise_correlation_s: time over which the outputs' noise is correlated [s]; 0 for white noise.
     """
 
     outputs: str
@@ -43,6 +49,8 @@ class Plan:
     samples: int
     first_seed: int = 0
     accelerations: bool = True
+    rate_hz: float = 20.0
+    noise_correlation_s: float = 0.0
 
     @property
     def cases(self) -> list[tuple[str, float, int]]:
@@ -71,6 +79,8 @@ class Row(TypedDict):
     found_where: list[str | None]
     group: list[str]
     removed: float | None
+    start_off_samples: float | None  # of a hidden start whose kind was found first; all of them where no start was
+    deviations_off: list[float]  # of the true kind's values, where it was found at its place
 
 
 class Summary(TypedDict):
@@ -80,6 +90,8 @@ class Summary(TypedDict):
     right_or_in_group: float | None
     exactly: float | None
     false_alarms: float | None
+    starts_near: float | None
+    values_sure: float | None
     removed_median: float | None
     by_kind: dict[str, float]
     confusion: dict[str, dict[str, int]]
@@ -108,8 +120,8 @@ def case(plan: Plan, kind: str, size: float, seed: int) -> Row:
     """One recording: what was hidden, what was found, and the share of the removable error that was removed."""
     hidden = () if kind == NOTHING else tuple(
         EffectRequest(name, size=size) for name in kind.split(TOGETHER))
-    clean = Scenario(motion=MOTION, samples=plan.samples, seed=seed, outputs=plan.outputs,
-                     accelerations=plan.accelerations)
+    clean = Scenario(motion=MOTION, samples=plan.samples, rate_hz=plan.rate_hz, seed=seed, outputs=plan.outputs,
+                     accelerations=plan.accelerations, noise_correlation_s=plan.noise_correlation_s)
     recording = simulate(replace(clean, effects=hidden))
     found = diagnose(body_of(recording), samples_of(recording))
     truth = recording.truth[0] if recording.truth else {}
@@ -118,7 +130,69 @@ def case(plan: Plan, kind: str, size: float, seed: int) -> Row:
             'found': [finding.effect.kind for finding in found.findings],
             'found_where': [finding.effect.where for finding in found.findings],
             'group': [rival.kind for rival in found.findings[0].rivals] if found.findings else [],
-            'removed': removed_share(found, samples_of(simulate(clean))) if hidden else None}
+            'removed': removed_share(found, samples_of(simulate(clean))) if hidden else None,
+            'start_off_samples': start_off(found, recording.truth, plan),
+            'deviations_off': [off for true in recording.truth for off in deviations_off(found, true)]}
+
+
+def start_off(found: Diagnosis, truth: Sequence[dict[str, Any]], plan: Plan) -> float | None:
+    """Samples between the first hidden start and the one found for it, all of them where no start was found; None where
+    that kind was not found first."""
+    starts = [true for true in truth if true['start_s'] is not None]
+    if not starts or not found.findings or found.findings[0].effect.kind != starts[0]['kind']:
+        return None
+    told = found.findings[0].effect.start_s
+    return float(plan.samples) if told is None else abs(told - float(starts[0]['start_s'])) * plan.rate_hz
+
+
+def deviations_off(found: Diagnosis, true: dict[str, Any]) -> list[float]:
+    """How many standard deviations each value lies from the true one, where the cause was found at its place."""
+    at_place = [finding for finding in found.findings if finding.effect.kind == true['kind']
+                and (finding.effect.where == true['where'] or true['kind'] == 'sensor_gain')]
+    if not at_place:
+        return []
+    told = at_place[0].parameters
+    return [(told[name].value - value) / deviation for name, value in true_values(true).items()
+            if name in told and (deviation := told[name].std)]
+
+
+def true_values(true: dict[str, Any]) -> dict[str, float]:
+    """Name of a coefficient or calibration -> its true value, from an entry of a simulated recording's truth.
+
+    Those that mean the same to the effect: not the stiffnesses of a cable, which the effect linearises.
+    """
+    values = {name: entry['value'] for name, entry in true['parameters'].items()}
+    kind = true['kind']
+    if kind.startswith('cable_'):
+        return {}
+    if kind == 'payload':
+        return {'mass': values['mass']} | {f'first_moment_{axis}': values['mass'] * place
+                                           for axis, place in zip('xyz', values['centre'], strict=True)}
+    if kind == 'sensor_gain':
+        return {f'gain_{true["where"]}': values['gain']}
+    if kind == 'sensor_crosstalk':
+        return {f'{to}_from_{by}': values['crosstalk'][row][column] for row, to in enumerate(CHANNELS)
+                for column, by in enumerate(CHANNELS) if row != column}
+    if kind == 'joint_spring':
+        return {'stiffness': values['stiffness'], 'rest_torque': -values['stiffness'] * values['rest_position']}
+    if kind in ('transmission_ripple', 'periodic_disturbance'):
+        return _waves(values)
+    names = {'force': [f'force_{axis}' for axis in 'xyz'], 'rotation_vector': [f'rotation_{axis}' for axis in 'xyz']}
+    flat: dict[str, float] = {}
+    for name, value in values.items():
+        each = names.get(name, CHANNELS) if isinstance(value, list) else [name]
+        flat |= dict(zip(each, value if isinstance(value, list) else [value], strict=True))
+    return flat
+
+
+def _waves(values: dict[str, Any]) -> dict[str, float]:
+    """Sine and cosine of a wave of known amplitude (of a joint, or three of a force) and phase."""
+    parts = {'sin': np.cos(values['phase']), 'cos': np.sin(values['phase'])}
+    if 'force' in values:
+        return {f'{part}_force_{axis}': share * size for part, share in parts.items()
+                for axis, size in zip('xyz', values['force'], strict=True)}
+    size = values['amplitude'] if 'amplitude' in values else values['torque']
+    return {part: share * size for part, share in parts.items()}
 
 
 def body_of(recording: SimulatedRecording) -> RigidBody:
@@ -161,6 +235,9 @@ def summary(rows: Sequence[Row]) -> Summary:
             'right_or_in_group': _share([named(row) for row in hidden]),
             'exactly': _share([exactly(row) for row in hidden]),
             'false_alarms': _share([row['verdict'] != 'nothing_missing' for row in clean]),
+            'starts_near': _share([row['start_off_samples'] <= NEAR_SAMPLES for row in hidden
+                                   if row['start_off_samples'] is not None]),
+            'values_sure': _share([abs(off) <= SURE_DEVIATIONS for row in hidden for off in row['deviations_off']]),
             'removed_median': float(np.median([row['removed'] for row in hidden])) if hidden else None,
             'by_kind': {name: float(np.mean([named(row) for row in hidden if row['kind'] == name])) for name in names},
             'confusion': confusion}
@@ -199,6 +276,8 @@ def print_scoreboard(console: Console, result: Scores) -> None:
                          ('right kind first or in its group', totals['right_or_in_group']),
                          ('exactly the hidden kinds, and nothing beside them', totals['exactly']),
                          ('false alarms', totals['false_alarms']),
+                         (f'starts found within {NEAR_SAMPLES:g} samples', totals['starts_near']),
+                         (f'true values within {SURE_DEVIATIONS:g} standard deviations', totals['values_sure']),
                          ('removable error removed, median', totals['removed_median'])):
         if share is not None:
             console.print(f'{label}: {100 * share:.1f} %', highlight=False)

@@ -30,6 +30,7 @@ class Scenario:
     :param robot_seed: what the true inertias are drawn from; None takes ``seed``.
     :param baseline: ``none`` (nothing else is missing) or ``bundled`` (a few small unmodelled effects more).
     :param noise: scale of the outputs' noise, 2 % of their standard deviation at 1.
+    :param noise_correlation_s: time over which the outputs' noise is correlated [s]; 0 for white noise.
     :param encoder_noise: scale of the noise of positions, velocities and accelerations.
     :param home: posture [rad] that circles go around.
     """
@@ -47,6 +48,7 @@ class Scenario:
     convention: str = 'reaction'
     baseline: str = 'none'
     noise: float = 1.0
+    noise_correlation_s: float = 0.0
     encoder_noise: float = 1.0
     accelerations: bool = True
     home: tuple[float, ...] | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -48,7 +49,7 @@ def check(scenario: Scenario) -> None:
         raise SemiparamError(f'rate {scenario.rate_hz} Hz is out of range; expected more than 0 and at most 1000.')
     if scenario.seed < 0 or (scenario.robot_seed or 0) < 0:
         raise SemiparamError('a seed is negative; expected a whole number from 0 on.')
-    for name in ('noise', 'encoder_noise'):
+    for name in ('noise', 'noise_correlation_s', 'encoder_noise'):
         if not (np.isfinite(getattr(scenario, name)) and getattr(scenario, name) >= 0):
             raise SemiparamError(f'{name} {getattr(scenario, name)} is out of range; expected 0 or more.')
     check_baseline(scenario.baseline)
@@ -80,10 +81,20 @@ def joint_readings(motion: Instants, scale: float, rng: np.random.Generator) -> 
     return position, velocity, acceleration
 
 
-def output_readings(outputs: Array, std: Array, rng: np.random.Generator) -> Array:
-    """Outputs (N, n) as converted, with white noise of ``std`` (n,); the converter's step suits the largest value."""
-    noisy = outputs + std * rng.standard_normal(outputs.shape)
+def output_readings(outputs: Array, std: Array, rng: np.random.Generator, correlation: float = 0.0) -> Array:
+    """Outputs (N, n) as converted, with noise of ``std`` (n,) that is correlated over ``correlation`` samples; the
+    converter's step suits the largest value."""
+    noisy = outputs + std * correlated(rng.standard_normal(outputs.shape), correlation)
     return in_steps(noisy, OUTPUT_STEP * 2.0 ** np.ceil(np.log2(np.abs(noisy).max(axis=0) + 1e-6)))
+
+
+def correlated(white: Array, samples: float) -> Array:
+    """White noise (N, n) filtered to an autoregression that forgets within so many samples, as large as before."""
+    if not samples > 0.0:
+        return white
+    keeps = float(np.exp(-1.0 / samples))
+    adds = float(np.sqrt(1.0 - keeps**2))
+    return np.asarray(lfilter([adds], [1.0, -keeps], white, axis=0, zi=(1.0 - adds) * white[:1])[0])
 
 
 def constant_offset(rng: np.random.Generator) -> Array:
@@ -139,6 +150,8 @@ def measured(scenario: Scenario, world: World, offset: Array, scale: Array, rng:
     return SimulatedRecording(
         stamps=START_NS + np.round(world.times * 1e9).astype(np.int64), joint_names=world.arm.joints,
         position=position, velocity=velocity, acceleration=acceleration if scenario.accelerations else None,
-        outputs=output_readings(world.outputs + offset, noise_std, rng), outputs_kind=world.arm.outputs,
-        convention=scenario.convention, frame_id=world.arm.sensor_frame or '', urdf=world.arm.urdf,
+        outputs=output_readings(world.outputs + offset, noise_std, rng,
+                                scenario.noise_correlation_s * scenario.rate_hz),
+        outputs_kind=world.arm.outputs, convention=scenario.convention,
+        frame_id=world.arm.sensor_frame or '', urdf=world.arm.urdf,
         noise_std=noise_std, truth=tuple(truth), baseline_truth=tuple(extra))

@@ -87,6 +87,16 @@ def test_friction_stands_alone_where_accelerations_are_estimated(kind):
     assert named == [(kind, made.truth[0]['where'])] and found.refinements == []
 
 
+def test_both_shapes_of_sticking_friction_are_settled():
+    """Each was searched once while the other was off: dry friction explained more than the one that holds it."""
+    made = simulate(Scenario(samples=2000, outputs='effort', effects=(EffectRequest('stribeck_friction', size=2.0),),
+                             seed=12, accelerations=False))
+    found = diagnose(body_of(made), samples_of(made), only=['coulomb_friction', 'stribeck_friction', 'effort_gain'])
+    assert [finding.effect.kind for finding in found.findings] == ['stribeck_friction']
+    evidence = {trial.effect.kind: trial.evidence for trial in reversed(found.steps[0].ranking)}
+    assert evidence['stribeck_friction'] > evidence['coulomb_friction'] + 100.0
+
+
 def test_errors_of_estimated_accelerations_are_no_force_beside_friction():
     recording = simulate(Scenario(motion='circle_xy', samples=4000, seed=11, outputs='effort', accelerations=False,
                                   effects=(EffectRequest('coulomb_friction'),)))

@@ -28,6 +28,19 @@ def test_without_effects_only_noise_is_left(outputs):
     assert recording.truth == recording.baseline_truth == ()
 
 
+@pytest.mark.parametrize('seconds', [0.2, 1.0])
+def test_correlated_noise_forgets_within_its_time_and_is_as_large(seconds):
+    scenario = replace(SHORT, samples=20_000, encoder_noise=0.0, noise_correlation_s=seconds)
+    recording, white = simulate(scenario), simulate(replace(scenario, noise_correlation_s=0.0))
+    quiet = simulate(replace(scenario, noise=0.0))
+    noise = recording.outputs - quiet.outputs
+    assert np.allclose(noise.std(axis=0), recording.noise_std, rtol=0.1)
+    steps = round(seconds * scenario.rate_hz)
+    alike = np.mean(noise[steps:] * noise[:-steps], axis=0) / noise.var(axis=0)
+    assert np.allclose(alike, np.exp(-1.0), atol=0.1)
+    assert np.allclose(white.noise_std, recording.noise_std)
+
+
 def test_joints_are_measured_with_noise():
     noisy, clean = simulate(SHORT), simulate(replace(SHORT, encoder_noise=0.0))
     for name, level in (('position', 1e-4), ('velocity', 2e-3), ('acceleration', 2e-2)):
