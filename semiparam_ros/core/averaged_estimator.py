@@ -183,12 +183,10 @@ class AveragedEstimator(Estimator):
         super()._take_in(own, learn, past[0])
         for other, its, charged in zip(self._others, beside, past[1:], strict=True):
             other._take_in(its, learn, charged)
-        complete = self._horizons.score_average(
-            [each.output_scale * charged for each, charged in zip(prediction.members, past, strict=True)], outputs)
         if prediction.motion.is_news and counts:
             self._weights.learn(outputs - _stacked(prediction.members, 'mean'), _stacked(prediction.members, 'std'))
-        self._horizons.remember_weights(stamp, self._weights.weights)
-        return complete
+        charged = [each.output_scale * errors for each, errors in zip(prediction.members, past, strict=True)]
+        return self._horizons.advance_average(stamp, charged, outputs, self._weights.weights)
 
     def _averaged(self, members: tuple[Prediction, ...]) -> Prediction:
         weights, own = self._weights.weights, members[0]

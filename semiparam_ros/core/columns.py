@@ -107,7 +107,6 @@ class CoupledColumns:
         self._effect_scales = [effect.prior_scale(body) for effect in self.effects]
         self.has_offset = body.outputs == 'wrench'
         self._offset = np.eye(body.n_outputs)[:, :body.n_outputs * self.has_offset]
-        self._rigid_body = slice(body.n_parameters)
         self._without_effects = np.hstack([np.zeros((body.n_outputs, body.n_parameters)), self._offset])
 
     @property
@@ -156,8 +155,7 @@ class CoupledColumns:
         """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]: where time starts."""
         if not self.effects:
             columns = self._without_effects.copy()
-            columns[:, self._rigid_body] = self.body.regressor(sample.position, sample.velocity, sample.acceleration)
-            return columns, None
+            return self.body.regressor(sample.position, sample.velocity, sample.acceleration, out=columns), None
         columns, memory = self.batch(Samples(np.array([sample.stamp]), sample.position[None], sample.velocity[None],
                                              sample.acceleration[None], sample.outputs[None], origin), memory)
         return columns[0], memory

@@ -22,7 +22,7 @@ else:
 
 VECTOR, MATRIX, BLOCKS = 'float64[::1]', 'float64[:,::1]', 'float64[:,:,::1]'
 """Types of arguments: arrays without gaps, by rows. One by columns is passed as its transpose."""
-INTEGER, NUMBER = 'int64', 'float64'
+INTEGER, NUMBER, INTEGERS = 'int64', 'float64', 'int64[::1]'
 
 _FAST = {'reassoc', 'contract', 'nsz'}
 """Sums may be added in any order, so that the processor's vectors are used; what is not finite stays so."""

@@ -279,8 +279,9 @@ class Estimator:
         columns, memory = self.columns.one(sample, self._origin_at(sample.stamp), memory)
         if self.columns.effects:
             require_finite('columns of the effects', columns)
-        motion = self.motion.after(sample.stamp, sample.position, sample.outputs) if self.motion else \
-            at_start(sample.stamp, sample.position, sample.outputs)
+        position = x[:self.body.n_joints]
+        motion = self.motion.after(sample.stamp, position, sample.outputs) if self.motion else \
+            at_start(sample.stamp, position, sample.outputs)
         return Seen(sample, x, columns, memory, motion, beyond(self.inputs_learnt, x, self.body.n_joints))
 
     def _answer(self, seen: Seen) -> Prediction:
@@ -340,7 +341,7 @@ class Estimator:
         require_finite('outputs', sample.outputs)
         self.origin, self._newest = self._origin_at(sample.stamp), sample.stamp
         self._memory = prediction.memory
-        if learn:
+        if learn and (prediction.beyond or not len(self.inputs_learnt)):
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
         complete = self._take_in(prediction, learn)
         self.motion = prediction.motion
@@ -351,19 +352,18 @@ class Estimator:
         return complete
 
     def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
-        """What a sample changes of what is learnt. :param errors: see :meth:`HorizonIndex.score`."""
+        """What a sample changes of what is learnt. :param errors: see :meth:`HorizonIndex.advance`."""
         sample, recursion = prediction.sample, self.model.recursion
         outputs = sample.outputs / prediction.output_scale
-        complete = self.horizon.score(prediction.prior, prediction.fixed, outputs, errors)
         due = learn and self._is_due(prediction.prior)
-        correction = recursion.learn(prediction.prior, outputs - prediction.fixed) if due else None
+        innovations = recursion.learn(prediction.prior, outputs - prediction.fixed) if due else None
         if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
         if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
             self._follow(sample.outputs, prediction.model_mean, prediction.model_std, learn)
         parts = None if self.wandering is None else self.wandering.parts / prediction.output_scale
-        self.horizon.remember(sample.stamp, recursion.theta, correction, parts)
-        return complete
+        return self.horizon.advance(sample.stamp, prediction.prior, prediction.fixed, outputs, recursion.theta,
+                                    innovations, parts, errors)
 
     def _is_due(self, prior: Prior) -> bool:
         """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.

@@ -3,9 +3,9 @@
     eps_t[k] = sum_{s=1..T} (y_{t+s}[k] - yhat_{t+s|t}[k])^2 / sum_{s=1..T} y_{t+s}[k]^2
 
 with the model as it stood at t and the inputs as they came. Every sample is thus predicted by the last T models, none
-of which is kept: learning sample i added g_i E_i' to Theta, so that a model of the past says
+of which is kept: learning sample i added g_i E_i to Theta, so that a model of the past says
 
-    phi' Theta_t = phi' Theta_now - sum_{i > t} (phi' g_i) E_i'
+    phi' Theta_t = phi' Theta_now - sum_{i > t} (phi' g_i) E_i
 
 and T gains and innovations do the work of T models: T (D + n p) operations a sample in place of T D n.
 """
@@ -17,14 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, BLOCKS, MATRIX, VECTOR, compiled
-from semiparam_ros.core.recursion import Correction, Prior
+from semiparam_ros.core.compiled import AVAILABLE, BLOCKS, INTEGER, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 
 LEAST_POWER = 1e-18
 """Floor of a denominator for each sample, in squared outputs: far below any sensor, and keeps the index finite."""
-TRIANGLE = np.tri(32, k=-1)
 
 
 class HorizonErrors(NamedTuple):
@@ -50,13 +49,12 @@ class HorizonIndex:
         self.length = length
         rows = 2 * length
         self._gains = np.zeros((rows, n_features))
-        self._innovations = np.zeros((rows, (n_columns + 1) * n_outputs))
-        self._theta = np.ones((rows, n_columns + 1))  # [-theta, 1], which takes phi' Theta to the outputs
+        self._innovations = np.zeros((rows, n_outputs, n_columns + 1))
+        self._theta = np.zeros((rows, n_columns))
         self._squared_error = np.zeros((rows, n_outputs))
-        self._no_errors = np.zeros((0, n_outputs))
+        self._nothing, self._no_parts = np.zeros((0, 1)), np.zeros((0, n_outputs))
         self._outputs = np.zeros((rows, n_outputs))
         self._origins = np.zeros(rows, dtype=np.int64)
-        self._ones = np.ones(length)
         self._decay = np.zeros((0, 1)) if decay is None else decay
         self._parts = np.zeros((rows, len(self._decay), n_outputs))
         self.clear()
@@ -91,86 +89,79 @@ class HorizonIndex:
                 'squared_error': self._squared_error, 'outputs': self._outputs, 'origins': self._origins,
                 'offsets': self._parts}
 
-    def score(self, prior: Prior, fixed: Array, outputs: Array, errors: Array | None = None) -> HorizonErrors | None:
-        """Charge one sample to the last T models; the errors of the oldest when its horizon is now complete.
+    def advance(self, stamp: int, prior: Prior, fixed: Array, outputs: Array, theta: Array, innovations: Array | None,
+                offsets: Array | None = None, errors: Array | None = None) -> HorizonErrors | None:
+        """Charge one sample of ``stamp`` [ns] to the last T models, and keep the model as it stands after it.
 
         :param prior: of the sample. :param fixed: (n,) the part that no model learns. :param outputs: (n,) measured.
+        :param theta: (p,) of the model after the sample. :param innovations: (n, p + 1) what it learnt, None if it did
+            not learn it. :param offsets: (K, n) the parts of its offset at the next sample.
         :param errors: (T, n) takes the errors of the last k <= T models at this sample, newest first.
-        Call it before the sample is learnt, then :meth:`remember` afterwards.
+        :return: the errors of the oldest of them when its horizon is now complete.
         """
+        learnt = self._nothing if innovations is None else innovations
+        parts = self._no_parts if offsets is None else offsets
         self._make_room()
-        self._outputs[self._start - 1] = outputs
-        if self._filled:
-            models = slice(self._start, self._start + self._filled)
-            self._charge(prior, outputs - fixed, models, self._no_errors if errors is None else errors)
-        return self._complete() if self._filled == self.length else None
+        row, oldest = self._start - 1, self._start + self.length - 1
+        if AVAILABLE:
+            eps = np.empty((2, len(outputs)))
+            _advance(self._start, self._filled, self._gains, self._innovations, self._theta, self._parts, self._decay,
+                     self._squared_error, self._outputs, outputs, fixed, prior.phi, prior.projection.reach, prior.s,
+                     prior.regressed, prior.columns_left, theta, learnt, parts,
+                     self._no_parts if errors is None else errors, eps)
+        else:
+            self._outputs[row] = outputs
+            if self._filled:
+                self._charge(prior, outputs - fixed, errors)
+            eps = self._complete() if self._filled == self.length else self._no_parts
+            self._theta[row], self._squared_error[row] = theta, 0.0
+            self._gains[row] = prior.projection.reach / prior.s if len(learnt) else 0.0
+            self._innovations[row] = learnt if len(learnt) else 0.0
+            if len(parts):
+                self._parts[row] = parts
+        return self._moved_on(stamp, eps, oldest)
 
-    def remember(self, stamp: int, theta: Array, correction: Correction | None, offsets: Array | None = None) -> None:
-        """Keep the model as it stands after the sample of ``stamp`` [ns], and let go of the oldest.
-
-        :param theta: (p,) its coefficients. :param correction: what learning the sample did, None if it did not.
-        :param offsets: (K, n) the parts of its offset at the next sample.
-        """
+    def _moved_on(self, stamp: int, eps: Array, oldest: int) -> HorizonErrors | None:
+        """The newest model is that of ``stamp``; what a horizon gave, if it was complete, from the oldest one on."""
+        found = HorizonErrors(int(self._origins[oldest]), eps[0], eps[1]) if self._filled == self.length else None
         self._start -= 1
         self._filled = min(self._filled + 1, self.length)
-        self._gains[self._start] = 0.0 if correction is None else correction.gain
-        self._innovations[self._start] = 0.0 if correction is None else correction.innovations.ravel()
-        np.negative(theta, out=self._theta[self._start, :-1])
-        self._squared_error[self._start] = 0.0
-        if offsets is not None:
-            self._parts[self._start] = offsets
         self._origins[self._start] = stamp
+        return found
 
-    def _charge(self, prior: Prior, outputs: Array, models: slice, errors: Array) -> None:
-        """Add the squared errors of k models of the past, and let their offsets ebb."""
-        if AVAILABLE:
-            _charge(self._gains[models], self._innovations[models], self._theta[models], self._parts[models],
-                    self._decay, self._squared_error[models], outputs, prior.phi, prior.regressed,
-                    np.ascontiguousarray(prior.columns_left), errors)
-            return
+    def _charge(self, prior: Prior, outputs: Array, errors: Array | None) -> None:
+        """Add the squared errors of the k models of the past, and let their offsets ebb."""
+        models = slice(self._start, self._start + self._filled)
         error = outputs - self._predictions(prior, models)
         if len(self._decay):
             offsets = self._parts[models]
             error -= offsets.sum(axis=1)
             offsets *= self._decay
-        if len(errors):
+        if errors is not None:
             errors[:len(error)] = error
         self._squared_error[models] += error * error
 
     def _predictions(self, prior: Prior, models: slice) -> Array:
         """(k, n) what k models of the past say of a sample."""
-        theta = self._theta[models]
         later = self._learnt_later(self._gains[models] @ prior.phi, self._innovations[models])
-        now = prior.regressed[-1] - theta[:, :-1] @ prior.columns_left.T
-        return np.asarray(now - (theta[:, None] @ later.reshape(len(theta), *prior.regressed.shape))[:, 0])
+        left = prior.columns_left + later[:, :, :-1]
+        return np.asarray(prior.regressed[:, -1] - later[:, :, -1] + (left @ self._theta[models, :, None])[:, :, 0])
 
-    def _learnt_later(self, weights: Array, innovations: Array) -> Array:
-        """(k, q) what learning after each of k models, newest first, added to phi' Theta.
+    @staticmethod
+    def _learnt_later(weights: Array, innovations: Array) -> Array:
+        """(k, n, p + 1) what learning after each of k models, newest first, added to phi' Theta.
 
-        Running sums of ``weights`` (k,) times ``innovations`` (k, q), a block at a time by a triangle of ones.
+        Sums of ``weights`` (k,) times ``innovations`` (k, n, p + 1), each of those before it.
         """
-        later = np.empty_like(innovations)
-        for start in range(0, len(weights), len(TRIANGLE)):
-            block = slice(start, start + len(TRIANGLE))
-            size = len(weights[block])
-            np.matmul(TRIANGLE[:size, :size] * weights[block], innovations[block], out=later[block])
-            if start:
-                later[block] += later[start - 1] + weights[start - 1] * innovations[start - 1]
-        return later
+        added = weights[:, None, None] * innovations
+        return np.asarray(np.cumsum(added, axis=0) - added)
 
-    def _complete(self) -> HorizonErrors:
-        oldest = self._start + self.length - 1
-        y = self._outputs[self._start - 1:oldest]
-        if AVAILABLE:
-            eps, eps_centred = np.empty((2, y.shape[1]))
-            _complete(y, self._squared_error[oldest], eps, eps_centred)
-            return HorizonErrors(int(self._origins[oldest]), eps, eps_centred)
-        ones = self._ones
-        centred = y - ones @ y / self.length
-        floor = LEAST_POWER * self.length
-        power, spread = (np.maximum(ones @ (values * values), floor) for values in (y, centred))
-        error = self._squared_error[oldest]
-        return HorizonErrors(int(self._origins[oldest]), error / power, error / spread)
+    def _complete(self) -> Array:
+        """(2, n) the index of the oldest model, and the centred one."""
+        y = self._outputs[self._start - 1:self._start - 1 + self.length]
+        centred = y - y.mean(axis=0)
+        power = np.maximum([(values * values).sum(axis=0) for values in (y, centred)], LEAST_POWER * self.length)
+        return np.asarray(self._squared_error[self._start + self.length - 1] / power)
 
     def _make_room(self) -> None:
         """Move the rows back to the end when they have reached the front: once in T samples."""
@@ -182,35 +173,62 @@ class HorizonIndex:
         self._start = end - self._filled
 
 
-@compiled(MATRIX, MATRIX, MATRIX, BLOCKS, MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX)
-def _charge(gains: Array, innovations: Array, theta: Array, parts: Array, decay: Array, squared_error: Array,
-            outputs: Array, phi: Array, regressed: Array, left: Array, errors: Array) -> None:
+@compiled(MATRIX, VECTOR, MATRIX)
+def _complete(outputs: Array, error: Array, eps: Array) -> None:
+    length = len(outputs)
+    for k in range(len(error)):
+        mean = power = spread = 0.0
+        for row in range(length):
+            mean += outputs[row, k] / length
+            power += outputs[row, k] * outputs[row, k]
+        for row in range(length):
+            spread += (outputs[row, k] - mean) ** 2
+        eps[0, k] = error[k] / max(power, LEAST_POWER * length)
+        eps[1, k] = error[k] / max(spread, LEAST_POWER * length)
+
+
+@compiled(INTEGER, INTEGER, MATRIX, BLOCKS, MATRIX, BLOCKS, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR,
+          NUMBER, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX)
+def _advance(start: int, filled: int, gains: Array, innovations: Array, thetas: Array, parts: Array, decay: Array,
+             squared_error: Array, measured: Array, outputs: Array, fixed: Array, phi: Array, reach: Array, s: float,
+             regressed: Array, left: Array, theta: Array, learnt: Array, offsets: Array, errors: Array,
+             eps: Array) -> None:
     n, p = left.shape
-    running = np.zeros((p + 1) * n)  # E_C, and what was learnt after a model
-    for c in range(p):
+    running = regressed.copy()  # E_C, and the prediction of y without it, of each model in turn
+    running[:, :p] = left
+    for row in range(start, start + filled):
         for k in range(n):
-            running[c * n + k] = left[k, c]
-    error = np.empty(n)
-    for row in range(len(gains)):
-        for k in range(n):
-            error[k] = outputs[k] - regressed[p, k]
-        for c in range(p + 1):
-            for k in range(n):
-                error[k] += theta[row, c] * running[c * n + k]
-        for g in range(len(decay)):
-            for k in range(n):
-                error[k] -= parts[row, g, k]
+            error = outputs[k] - fixed[k] - running[k, p]
+            for c in range(p):
+                error -= thetas[row, c] * running[k, c]
+            for g in range(len(decay)):
+                error -= parts[row, g, k]
                 parts[row, g, k] *= decay[g, 0]
-        for k in range(n):
-            squared_error[row, k] += error[k] * error[k]
-        if len(errors):
-            for k in range(n):
-                errors[row, k] = error[k]
+            squared_error[row, k] += error * error
+            if len(errors):
+                errors[row - start, k] = error
         weight = 0.0
         for d in range(len(phi)):
             weight += gains[row, d] * phi[d]
-        for q in range(len(running)):
-            running[q] += weight * innovations[row, q]
+        for k in range(n):
+            for c in range(p):
+                running[k, c] += weight * innovations[row, k, c]
+            running[k, p] -= weight * innovations[row, k, p]
+    newest, length = start - 1, len(gains) // 2
+    measured[newest] = outputs
+    if filled == length:
+        _complete(measured[newest:newest + length], squared_error[newest + length], eps)
+    squared_error[newest] = 0.0
+    thetas[newest] = theta
+    if len(learnt):
+        innovations[newest] = learnt
+        for d in range(len(phi)):
+            gains[newest, d] = reach[d] / s
+    else:
+        innovations[newest] = 0.0
+        gains[newest] = 0.0
+    if len(offsets):
+        parts[newest] = offsets
 
 
 class AveragedHorizons(HorizonIndex):
@@ -227,38 +245,20 @@ class AveragedHorizons(HorizonIndex):
         return {'weights': self._shares, 'squared_error': self._squared_error, 'outputs': self._outputs,
                 'origins': self._origins}
 
-    def score_average(self, errors: list[Array], outputs: Array) -> HorizonErrors | None:
-        """Charge one sample, from the errors (T, n) that each model's own index charged it with; see :meth:`score`."""
+    def advance_average(self, stamp: int, errors: list[Array], outputs: Array, weights: Array) -> HorizonErrors | None:
+        """Charge one sample, from the errors (T, n) that each model's own index charged it with, and keep the weights
+        (K, n) as they stand after it; see :meth:`advance`."""
         self._make_room()
-        self._outputs[self._start - 1] = outputs
+        row, oldest = self._start - 1, self._start + self.length - 1
+        self._outputs[row] = outputs
         models = slice(self._start, self._start + self._filled)
         average = np.zeros((self._filled, len(outputs)))
         for index, each in enumerate(errors):
             average += self._shares[models, index] * each[:self._filled]
         self._squared_error[models] += average * average
-        return self._complete() if self._filled == self.length else None
-
-    def remember_weights(self, stamp: int, weights: Array) -> None:
-        """Keep the weights (K, n) as they stand after the sample of ``stamp`` [ns], and let go of the oldest."""
-        self._start -= 1
-        self._filled = min(self._filled + 1, self.length)
-        self._shares[self._start] = weights
-        self._squared_error[self._start] = 0.0
-        self._origins[self._start] = stamp
-
-
-@compiled(MATRIX, VECTOR, VECTOR, VECTOR)
-def _complete(outputs: Array, error: Array, eps: Array, eps_centred: Array) -> None:
-    length = len(outputs)
-    for k in range(len(error)):
-        mean = power = spread = 0.0
-        for row in range(length):
-            mean += outputs[row, k] / length
-            power += outputs[row, k] * outputs[row, k]
-        for row in range(length):
-            spread += (outputs[row, k] - mean) ** 2
-        eps[k] = error[k] / max(power, LEAST_POWER * length)
-        eps_centred[k] = error[k] / max(spread, LEAST_POWER * length)
+        eps = self._complete() if self._filled == self.length else self._no_parts
+        self._shares[row], self._squared_error[row] = weights, 0.0
+        return self._moved_on(stamp, eps, oldest)
 
 
 def force_and_torque(eps: Array) -> tuple[float, float]:

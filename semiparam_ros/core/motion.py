@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
+from semiparam_ros.core.compiled import NUMBER, VECTOR, compiled
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array
 
@@ -47,10 +46,10 @@ class Motion(NamedTuple):
         """
         if not 0 <= stamp - self.newest <= LONGEST_PAUSE_NS:
             return at_start(stamp, position, outputs)._replace(is_news=False)
-        if np.abs(position - self.place).max(initial=0.0) > STEP:
+        if farthest(position, self.place) > STEP:
             return at_start(stamp, position, outputs)
         nearby, still = self.nearby, self.still + 1
-        if np.abs(position - nearby).max(initial=0.0) > STILL:
+        if farthest(position, nearby) > STILL:
             nearby, still = position, 1
         is_news = stamp - self.since <= REST_NS and still <= STILL_SAMPLES
         if is_news and still > 1:
@@ -65,3 +64,12 @@ class Motion(NamedTuple):
 def at_start(stamp: int, position: Array, outputs: Array) -> Motion:
     """Of the first sample, and of a step."""
     return Motion(position, stamp, stamp, position, 1, outputs, True)
+
+
+@compiled(VECTOR, VECTOR, returns=NUMBER)
+def farthest(position: Array, other: Array) -> float:
+    """Largest distance of a joint between two places (n_joints,)."""
+    largest = 0.0
+    for joint in range(len(position)):
+        largest = max(largest, abs(position[joint] - other[joint]))
+    return largest

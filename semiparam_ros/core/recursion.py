@@ -4,14 +4,12 @@ Every output shares the features, so the estimate needs one D x D root and one p
 features regress the outputs and the coupled columns together; what they cannot explain of the columns carries theta
 (docs/mathematics.md derives it):
 
-    Theta : D x (1 + p) n     coefficients of [y | C] on phi
+    Theta : D x n (p + 1)     coefficients of [C | y] on phi, output by output
     S     : D x D             P = S S', covariance of the feature weights given theta
-    f = S' phi,  s = sigma^2 + f'f,  E = [y | C] - phi' Theta
-    Theta += g E' with g = S f / s,   S -= S f f' / (s + sigma sqrt(s))           (Potter 1963)
-    R     : (p + 1) square    R'R = prior + sum [E_C | E_y]'[E_C | E_y] / s   (triangular; updated by QR)
+    f = S' phi,  s = sigma^2 + f'f,  E = [C | y] - phi' Theta
+    Theta += g E  with g = S f / s,   S -= S f f' / (s + sigma sqrt(s))           (Potter 1963)
+    R     : (p + 1) square    R'R = prior + sum E'E / s   (triangular; updated by QR)
     theta = R_CC^-1 R_Cy,     alpha = Theta_y - Theta_C theta
-
-In memory y comes last, after the p columns of C: the order in which the triangular root takes its rows.
 """
 
 from __future__ import annotations
@@ -42,16 +40,9 @@ class Prior(NamedTuple):
     phi: Array  # (D,)
     projection: Projection  # of phi on [S | Theta]
     s: float  # sigma^2 + f'f
-    regressed: Array  # (p + 1, n) phi' Theta, y last
+    regressed: Array  # (n, p + 1) phi' Theta, y last
     columns_left: Array  # (n, p) E_C, what the features leave of the coupled columns
     revision: int  # of the model that it was computed from
-
-
-class Correction(NamedTuple):
-    """What learning one sample did to Theta: it added g E'."""
-
-    gain: Array  # (D,) g
-    innovations: Array  # (p + 1, n) E', y last
 
 
 class SemiParametricRecursion:
@@ -79,7 +70,6 @@ class SemiParametricRecursion:
         diagonal = np.arange(self.n_columns)
         self._information[diagonal, diagonal] = 1.0 / self._prior_std
         self._information[:-1, -1] = self.theta / self._prior_std
-        self._identity = np.eye(n_outputs)
         nothing = np.zeros(0)
         self._no_features = Projection(nothing, nothing, np.zeros((self.n_columns + 1) * n_outputs))
         self.revise()
@@ -87,42 +77,46 @@ class SemiParametricRecursion:
     def predict(self, phi: Array, columns: Array) -> Prior:
         """Mean and covariance of the outputs at features (D,) and coupled columns (n, p)."""
         projection = self._weights.project(phi) if self.n_features else self._no_features
-        regressed = projection.regressed.reshape(self.n_columns + 1, self.n_outputs)
-        s = self.sigma**2 + float(projection.f @ projection.f)
+        regressed = projection.regressed.reshape(self.n_outputs, self.n_columns + 1)
         if AVAILABLE:
-            left, mean, covariance = np.empty_like(columns, order='C'), np.empty(self.n_outputs), self._identity.copy()
-            _predict(regressed, np.ascontiguousarray(columns), s, self._information.T, self.theta, left, mean,
-                     covariance)
+            n = self.n_outputs
+            left, mean, covariance = np.empty((n, self.n_columns)), np.empty(n), np.empty((n, n))
+            s = _predict(projection.f, self.sigma, regressed, np.ascontiguousarray(columns), self._information.T,
+                         self.theta, left, mean, covariance)
         else:
-            left, mean, covariance = self._predict(regressed, columns, s)
+            s, left, mean, covariance = self._predict(projection.f, regressed, columns)
         return Prior(mean, covariance, phi, projection, s, regressed, left, self.revision)
 
-    def _predict(self, regressed: Array, columns: Array, s: float) -> tuple[Array, Array, Array]:
-        left = columns - regressed[:-1].T
-        mean = regressed[-1] + left @ self.theta
-        covariance = s * self._identity
+    def _predict(self, f: Array, regressed: Array, columns: Array) -> tuple[float, Array, Array, Array]:
+        s = self.sigma**2 + float(f @ f)
+        left = columns - regressed[:, :-1]
+        mean = regressed[:, -1] + left @ self.theta
+        covariance = s * np.eye(self.n_outputs)
         if self.n_columns:
             half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
             covariance += half.T @ half
-        return left, mean, covariance
+        return s, left, mean, covariance
 
-    def learn(self, prior: Prior, outputs: Array) -> Correction:
-        """Learn the outputs (n,) of the sample that ``prior`` was computed for.
+    def learn(self, prior: Prior, outputs: Array) -> Array:
+        """Learn the outputs (n,) of the sample that ``prior`` was computed for; the innovations E (n, p + 1), y last.
 
         Raises SemiparamError, with nothing changed, when the model has changed since.
         """
         self.require_current(prior)
         self.revise()
-        innovations = np.empty((self.n_columns + 1, self.n_outputs))
-        innovations[:-1] = prior.columns_left.T
-        innovations[-1] = outputs - prior.regressed[-1]
+        innovations = np.empty((self.n_outputs, self.n_columns + 1))
+        if AVAILABLE:
+            self.theta = np.empty(self.n_columns)
+            _learn(prior.regressed, prior.columns_left, outputs, prior.s, innovations, self._information.T, self.theta)
+        else:
+            innovations[:, :-1] = prior.columns_left
+            innovations[:, -1] = outputs - prior.regressed[:, -1]
+            self._learn_columns(innovations / np.sqrt(prior.s))
         if self.n_features:
             self._weights.learn(prior.projection, self.sigma, innovations.ravel())
-        if self.n_columns:
-            self._learn_columns(innovations / np.sqrt(prior.s))
         if self.forgetting < 1.0:
             self._forget()
-        return Correction(prior.projection.reach / prior.s, innovations)
+        return innovations
 
     def revise(self) -> None:
         """Make every prior computed so far stale; each change of the model does."""
@@ -136,8 +130,8 @@ class SemiParametricRecursion:
 
     def weights(self) -> Array:
         """(n, D) feature weights alpha' of each output."""
-        flat = self._weights.estimates().reshape(self.n_columns + 1, -1)
-        return np.asarray(np.append(-self.theta, 1.0) @ flat).reshape(self.n_outputs, self.n_features)
+        estimates = self._weights.estimates().reshape(self.n_outputs, self.n_columns + 1, self.n_features)
+        return np.asarray(np.append(-self.theta, 1.0) @ estimates)
 
     def theta_covariance(self) -> Array:
         """(p, p) covariance of theta given the features' prior and all samples learnt."""
@@ -175,12 +169,9 @@ class SemiParametricRecursion:
             raise SemiparamError(f'forgetting is {self.forgetting}; expected a value above 0 and at most 1.')
 
     def _learn_columns(self, rows: Array) -> None:
-        """R and theta with further rows (n, p + 1), given as ``rows`` (p + 1, n), which are used up."""
-        if AVAILABLE:
-            self.theta = np.empty(self.n_columns)
-            _learn_columns(self._information.T, rows, self.theta)
-        else:
-            self._update_information(rows.T)
+        """R and theta with further rows (n, p + 1)."""
+        if self.n_columns:
+            self._update_information(rows)
             self.theta, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
 
     def _update_information(self, rows: Array) -> None:
@@ -215,17 +206,21 @@ class SemiParametricRecursion:
         self._update_information(row)
 
 
-@compiled(MATRIX, MATRIX, NUMBER, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX)
-def _predict(regressed: Array, columns: Array, s: float, information: Array, theta: Array, left: Array, mean: Array,
-             covariance: Array) -> None:
-    """E_C, mean and covariance, which comes as the identity, from R' as ``information``."""
+@compiled(VECTOR, NUMBER, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX, returns=NUMBER)
+def _predict(f: Array, sigma: float, regressed: Array, columns: Array, information: Array, theta: Array, left: Array,
+             mean: Array, covariance: Array) -> float:
+    """s; and E_C, mean and covariance, from R' as ``information``."""
     n, p = columns.shape
     half = np.empty((p, n))
+    s = sigma * sigma
+    for i in range(len(f)):
+        s += f[i] * f[i]
+    covariance[:] = 0.0
     for k in range(n):
-        mean[k] = regressed[p, k]
+        mean[k] = regressed[k, p]
         covariance[k, k] = s
         for c in range(p):
-            left[k, c] = columns[k, c] - regressed[c, k]
+            left[k, c] = columns[k, c] - regressed[k, c]
             mean[k] += left[k, c] * theta[c]
     for c in range(p):
         for k in range(n):
@@ -238,12 +233,24 @@ def _predict(regressed: Array, columns: Array, s: float, information: Array, the
         for k in range(n):
             for j in range(n):
                 covariance[k, j] += half[c, k] * half[c, j]
+    return s
 
 
-@compiled(MATRIX, MATRIX, VECTOR)
-def _learn_columns(information: Array, rows: Array, theta: Array) -> None:
-    """Householder reflections that make R with rows below it triangular again, and theta, from R' and (p + 1, n)."""
-    size, n = rows.shape
+@compiled(MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, MATRIX, VECTOR)
+def _learn(regressed: Array, left: Array, outputs: Array, s: float, innovations: Array, information: Array,
+           theta: Array) -> None:
+    """E and theta, and R' as ``information`` with further rows: reflections make it triangular again (Householder)."""
+    n, size = innovations.shape
+    rows, share = np.empty((size, n)), 1.0 / np.sqrt(s)
+    for k in range(n):
+        for c in range(size - 1):
+            innovations[k, c] = left[k, c]
+        innovations[k, size - 1] = outputs[k] - regressed[k, size - 1]
+    if size == 1:
+        return
+    for c in range(size):
+        for k in range(n):
+            rows[c, k] = share * innovations[k, c]
     for c in range(size):
         below = 0.0
         for k in range(n):

@@ -55,14 +55,15 @@ def test_the_horizon(monkeypatch, features, columns, decay):
     for stamp in range(60):
         prior = model.predict(rng.standard_normal(features), rng.standard_normal((N, columns)))
         outputs, fixed = rng.standard_normal((2, N))
-        errors = fast.score(prior, fixed, outputs)
+        innovations = model.learn(prior, outputs - fixed) if stamp % 5 else None
+        parts = None if decay is None else rng.standard_normal((len(decay), N))
+        charged, expected_charged = np.zeros((2, 7, N))
+        said = stamp, prior, fixed, outputs, model.theta, innovations, parts
+        errors = fast.advance(*said, charged)
         with monkeypatch.context() as without:
             without.setattr(horizon_error, 'AVAILABLE', False)
-            expected = readable.score(prior, fixed, outputs)
-        correction = model.learn(prior, outputs - fixed)
-        parts = None if decay is None else rng.standard_normal((len(decay), N))
-        for index in (fast, readable):
-            index.remember(stamp, model.theta, correction, parts)
+            expected = readable.advance(*said, expected_charged)
+        np.testing.assert_allclose(charged, expected_charged, rtol=1e-11, atol=1e-12)
         if errors is not None:
             np.testing.assert_allclose(errors.eps_centred, expected.eps_centred, rtol=1e-11)
             np.testing.assert_allclose(errors.eps, expected.eps, rtol=1e-11)

@@ -101,7 +101,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    9: {
+    10: {
         'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns',
@@ -116,7 +116,7 @@ LAYOUT = {
         'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()', 'recursion.renewed': 'i8 ()',
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.gains': 'f8 (5, 40)',
-        'horizon.innovations': 'f8 (5, 138)', 'horizon.theta': 'f8 (5, 23)', 'horizon.squared_error': 'f8 (5, 6)',
+        'horizon.innovations': 'f8 (5, 6, 23)', 'horizon.theta': 'f8 (5, 22)', 'horizon.squared_error': 'f8 (5, 6)',
         'horizon.outputs': 'f8 (5, 6)', 'horizon.origins': 'i8 (5,)', 'horizon.offsets': 'f8 (5, 5, 6)',
         'calibration.scales': 'f8 (5, 6)', 'calibration.log_weights': 'f8 (5, 6)', 'calibration.factor': 'f8 (6,)',
         'wandering.offsets': 'f8 (5, 6)', 'wandering.log_weights': 'f8 (5, 6)', 'wandering.parts': 'f8 (5, 6)',
@@ -165,7 +165,7 @@ def test_other_versions_are_refused(tmp_path):
     meta = json.loads(str(arrays['meta']))
     for version in (1, state_file.VERSION - 1, state_file.VERSION + 1, None):
         np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
-        with pytest.raises(SemiparamError, match=f'is of version {version}; this node reads version 9'):
+        with pytest.raises(SemiparamError, match=f'version {version}; this node reads version {state_file.VERSION}'):
             state_file.load(path, SETTINGS, BODY)
 
 

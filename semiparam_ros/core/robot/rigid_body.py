@@ -18,9 +18,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, MATRIX, compiled
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -33,6 +34,7 @@ CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
 RANK_TOLERANCE = 1e-8
 INDEPENDENT = 1e-6
 PROBES = 400
+ROUNDING = 1e-12
 
 
 def build(robot: ElementTree.Element, root: pin.JointModel | None = None) -> pin.Model:
@@ -114,6 +116,7 @@ class RigidBody:
         self._make_data()
         self.arm_columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
         self._arm_order = self.arm_columns.argsort()
+        self._in_order = bool((np.diff(self._arm_order) > 0).all())
         if distal is not None:
             self.sensor_index = arm.getFrameId(SENSOR)
             shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
@@ -216,11 +219,18 @@ class RigidBody:
 
     def _reduce_by(self, from_base: Array) -> None:
         self._from_base, self._to_outputs = from_base, self.sign * from_base
+        # Few: a base parameter combines those of a body or two.
+        self._entries = tuple(index.astype(np.int64) for index in from_base.nonzero())
 
-    def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """(n, p) matrix psi with outputs = psi @ base_parameters."""
+    def regressor(self, position: Array, velocity: Array, acceleration: Array, out: Array | None = None) -> Array:
+        """(n, p) matrix psi with outputs = psi @ base_parameters; in the first columns of ``out`` where it is given."""
         full = self.rows(self.arm_vector(position), self.arm_vector(velocity), self.arm_vector(acceleration))
-        return np.asarray(full @ self._to_outputs)
+        psi = np.empty((self.n_outputs, self.n_parameters)) if out is None else out
+        if AVAILABLE:
+            _reduce(np.ascontiguousarray(full), self._to_outputs, *self._entries, psi)
+        else:
+            psi[:, :self.n_parameters] = full @ self._to_outputs
+        return psi
 
     def regressors(self, samples: Samples) -> Array:
         """(N, n, p) one regressor for each sample, to read alone: the latest few are remembered."""
@@ -320,7 +330,7 @@ class RigidBody:
 
     def arm_vector(self, values: Array) -> Array:
         """Values (..., n_joints) of the named joints in the order of the model."""
-        return values.take(self._arm_order, -1)
+        return values if self._in_order else values.take(self._arm_order, -1)
 
     def _identifiable_basis(self) -> Array:
         rng = np.random.default_rng(0)
@@ -345,7 +355,18 @@ def _canonical(basis: Array) -> Array:
         rest -= chosen @ (chosen.T @ rest)  # once more, for orthogonality to the last digit
         if np.linalg.norm(rest) > INDEPENDENT:
             chosen = np.column_stack([chosen, rest / np.linalg.norm(rest)])
-    return np.ascontiguousarray(chosen if chosen.shape == basis.shape else basis)
+    chosen = chosen if chosen.shape == basis.shape else basis
+    return np.ascontiguousarray(np.where(np.abs(chosen) > ROUNDING, chosen, 0.0))
+
+
+@compiled(MATRIX, MATRIX, INTEGERS, INTEGERS, MATRIX)
+def _reduce(full: Array, to_outputs: Array, rows: Indices, columns: Indices, psi: Array) -> None:
+    """full @ to_outputs by the entries of to_outputs that are not zero, into the first columns of psi."""
+    for k in range(len(full)):
+        psi[k, :to_outputs.shape[1]] = 0.0
+        for entry in range(len(rows)):
+            i, j = rows[entry], columns[entry]
+            psi[k, j] += full[k, i] * to_outputs[i, j]
 
 
 @lru_cache(maxsize=4)
