@@ -2,8 +2,10 @@
 
 import json
 import signal
+import subprocess
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -12,6 +14,7 @@ from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.record.options import Limits, RecordOptions, parse_count
+from support.node_helpers import JOINTS, SETTINGS, motion
 from support.replay_peers import EVERYTHING, LATCHED, STATES, TEXT, WRENCH, Peer, Tool, write_robot
 
 pytestmark = pytest.mark.usefixtures('ros_domain')
@@ -193,3 +196,29 @@ def test_counts_and_limits_as_written():
     assert Limits(idle_s=1.0).idle_s == 1.0
     with pytest.raises(SemiparamError, match='duration must be above 0'):
         Limits(duration_s=-time.monotonic())
+
+
+def test_a_node_that_ends_waits_until_a_busy_recorder_has_its_last_answers(tmp_path, start_node):
+    node, client = start_node(replace(SETTINGS, variant='P', acceleration_source='measured'))
+    client.offer('joint_states', 'joint_accelerations', 'wrench')
+    out, topic, samples = tmp_path / 'out.mcap', '/estimator/predicted_wrench', motion(400)
+    with Tool(tmp_path, 'record', out, '--topics', topic) as record:
+        client.wait(lambda: record.said('recording 1 topics'))
+        client.wait(lambda: client.node.count_subscribers(topic) == 2)
+        played, partial = 0, tmp_path / 'out.mcap.partial'
+        while not partial.exists() or partial.stat().st_size < 1000:  # it is flushed every two seconds
+            client.play(samples[played:played + 1], JOINTS)
+            played += 1
+            client.wait(lambda: len(client.stamps('predicted_wrench')) == played)  # noqa: B023
+            time.sleep(0.05)
+        record.interrupt(signal.SIGSTOP)  # as on a machine that gives it no time
+        client.play(samples[played:], JOINTS)
+        client.wait(lambda: len(client.stamps('predicted_wrench')) == len(samples))
+        node.process.send_signal(signal.SIGINT)
+        with pytest.raises(subprocess.TimeoutExpired):
+            node.process.wait(0.3)
+        record.interrupt(signal.SIGCONT)
+        assert node.process.wait(60.0) == 0
+        record.interrupt()
+        assert record.wait() == 0, record.output
+    assert topics_of(out) == {topic: len(samples)}
