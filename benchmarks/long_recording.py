@@ -3,8 +3,8 @@
     python benchmarks/long_recording.py long.mcap                 one hour at 500 Hz, 1.8 million samples
     python benchmarks/long_recording.py long.mcap --minutes 5
 
-Makes the recording where the file is not there yet: efforts of the package's iCub arm, with viscous friction in one
-joint all along and a load from the middle on. Then `semiparam diagnose` runs as a process of its own.
+Makes the recording where the file is not there yet (3 GB of memory for an hour): efforts of the package's iCub arm, with
+viscous friction in one joint all along and a load from the middle on. Then `semiparam diagnose` runs as a process of its own.
 """
 
 from __future__ import annotations
@@ -22,44 +22,29 @@ from pathlib import Path
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-import numpy as np
-
 from semiparam_ros.bags.recording_layout import JOINT_STATES, ROBOT_DESCRIPTION, TYPES
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 
 RATE_HZ = 500.0
-TILE_S = 300.0
-"""The simulator makes so much at a time."""
 
 
 def write(path: Path, minutes: float) -> None:
-    """The recording: the same motion again and again, with pauses of 2 s and a noise of its own each time; the load is
-    in the second half."""
-    rng = np.random.default_rng(0)
-    tiles = max(round(60.0 * minutes / TILE_S), 2)
-    samples = round((60.0 * minutes / tiles - 2.0) * RATE_HZ)
-    friction = EffectRequest('viscous_friction', 'r_elbow', 1.0)
-    load = EffectRequest('payload', 'r_hand', 1.0)
+    """The recording: circles, sums of sines and reaching in turn, which never repeat; the load is in the second half."""
+    made = simulate(Scenario(
+        motion='mixed', samples=round(60.0 * minutes * RATE_HZ), rate_hz=RATE_HZ, outputs='effort', accelerations=False,
+        effects=(EffectRequest('viscous_friction', 'r_elbow', 1.0),
+                 EffectRequest('payload', 'r_hand', 1.0, start_s=30.0 * minutes))))
+    names = list(made.joint_names)
     with BagWriter(path) as bag:
-        for tile in range(tiles):
-            late = tile >= tiles // 2
-            if tile in (0, tiles // 2):
-                made = simulate(Scenario(samples=samples, rate_hz=RATE_HZ, outputs='effort', accelerations=False,
-                                         effects=(friction, load)[:1 + late], noise=0.1, encoder_noise=0.1))
-            if not tile:
-                bag.write(ROBOT_DESCRIPTION, TYPES[ROBOT_DESCRIPTION], {'data': made.urdf}, int(made.stamps[0]))
-            shift = tile * round((samples / RATE_HZ + 2.0) * 1e9)
-            position, velocity, efforts = (values + size * rng.standard_normal(values.shape) for values, size in (
-                (made.position, 1e-4), (made.velocity, 1e-3), (made.outputs, 0.02 * made.outputs.std(axis=0))))
-            for stamp, *rows in zip((made.stamps + shift).tolist(), position.tolist(), velocity.tolist(),
-                                    efforts.tolist(), strict=True):
-                seconds, nanoseconds = divmod(stamp, 10**9)
-                header = {'stamp': {'sec': seconds, 'nanosec': nanoseconds}, 'frame_id': ''}
-                bag.write(JOINT_STATES, TYPES[JOINT_STATES], dict(zip(
-                    ('header', 'name', 'position', 'velocity', 'effort'), (header, list(made.joint_names), *rows),
-                    strict=True)), stamp)
+        bag.write(ROBOT_DESCRIPTION, TYPES[ROBOT_DESCRIPTION], {'data': made.urdf}, int(made.stamps[0]))
+        for stamp, *rows in zip(made.stamps.tolist(), made.position, made.velocity, made.outputs, strict=True):
+            seconds, nanoseconds = divmod(stamp, 10**9)
+            header = {'stamp': {'sec': seconds, 'nanosec': nanoseconds}, 'frame_id': ''}
+            bag.write(JOINT_STATES, TYPES[JOINT_STATES], dict(zip(
+                ('header', 'name', 'position', 'velocity', 'effort'),
+                (header, names, *(row.tolist() for row in rows)), strict=True)), stamp)
 
 
 def main() -> int:

@@ -182,8 +182,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     first = _calibrated(starting_fit(body, chosen, effects, fitting, config, counted))
     steps, setup = _searched(first if inputs.motion == 'recorded' else with_error_columns(first),
                              considered(body, only), suspected, progress)
-    steps = [replace(step, before=without_error_columns(step.before), after=without_error_columns(step.after))
-             for step in steps]
+    steps = _on_the_motion(steps)
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
     structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config,
@@ -203,6 +202,9 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     if steps and other is None:
         everything = fitted_to_all(final, fitting | held_out, [index for index, _, _ in places_in(final, steps)])
     found, refinements = split_off_refinements(findings(final, steps, everything), steps)
+    touches = [] if setup else contacts(final)
+    for fit in (first, final, everything):
+        fit.forget()
     return Diagnosis(
         config=config, verdict=verdict(first, final, steps, structure, setup),
         findings=found, refinements=refinements, steps=steps, first=first, final=final, everything=everything,
@@ -211,7 +213,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *fast,
                *unidentifiable(body, samples, config), *_left_out(clean)],
-        recorded=recorded, elsewhere=elsewhere, names=names, contacts=[] if setup else contacts(final))
+        recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
 
 
 def _calibrated(fit: Fit) -> Fit:
@@ -231,6 +233,17 @@ def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[S
         return [], suspected
     steps = search(first, considered, progress, _unlike if suspected else lambda fit: False)
     return ([], suspected) if suspected and (not steps or _unlike(steps[-1].after)) else (steps, [])
+
+
+def _on_the_motion(steps: list[Step]) -> list[Step]:
+    """The steps with the models of each fitted to the motion as it is."""
+    fits: dict[Fit, Fit] = {}
+    for fit in (model for step in steps for model in (step.before, step.after)):
+        if fit not in fits:
+            fits[fit] = without_error_columns(fit)
+            for one in (fit, fits[fit]):
+                one.forget()
+    return [replace(step, before=fits[step.before], after=fits[step.after]) for step in steps]
 
 
 def _unlike(fit: Fit) -> bool:

@@ -20,6 +20,10 @@ from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.effects import Effect
 
 
+LARGE = ('columns', 'corrected', 'scaled')
+"""What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
+
+
 class Explained(NamedTuple):
     """What columns explain beyond the declared ones."""
 
@@ -34,7 +38,7 @@ class Fit:
     """The declared model fitted to the samples where ``train_mask`` is true.
 
     :param train_mask: (N,) samples that fit. :param counted: (N, n) outputs that tell something, in use or not.
-    :param scale: (n,) weight of channel k is 1 / scale[k]^2. :param columns: C (N, n, p). :param theta: (p,).
+    :param scale: (n,) weight of channel k is 1 / scale[k]^2. :param theta: (p,).
     :param residual: (N, n) of all samples, in the outputs' units.
     :param nuisance: (N, n, k) further columns, the last ones of C, that stand for no effect: what errors of the inputs
         may do. Their coefficients have a standard deviation of 1; None where there are none.
@@ -46,11 +50,16 @@ class Fit:
     train_mask: Mask
     counted: Mask
     scale: Array
-    columns: Array
     theta: Array
     residual: Array
     config: DiagnosisConfig = DEFAULTS
     nuisance: Array | None = None
+
+    @cached_property
+    def columns(self) -> Array:
+        """C (N, n, p): those of the rigid body, the offset and the effects, then the nuisance columns."""
+        columns, _ = CoupledColumns(self.body, self.effects).batch(self.samples)
+        return columns if self.nuisance is None else np.concatenate([columns, self.nuisance], axis=2)
 
     @cached_property
     def corrected(self) -> tuple[RigidBody, Samples]:
@@ -63,11 +72,10 @@ class Fit:
         """(M n, p) columns of the samples in use, each channel divided by its scale."""
         return self.weighed(self.columns).reshape(-1, self.columns.shape[2])
 
-    @cached_property
+    @property
     def by_channel(self) -> Array:
         """(n, M, p) the same, channel after channel."""
-        rows = self.scaled.reshape(-1, *self.columns.shape[1:])
-        return np.ascontiguousarray(np.moveaxis(rows, 1, 0))
+        return np.moveaxis(self.scaled.reshape(-1, *self.columns.shape[1:]), 1, 0)
 
     @cached_property
     def factor(self) -> tuple[Array, bool]:
@@ -98,6 +106,11 @@ class Fit:
     def counts(self) -> Array:
         """(n,) number of outputs in use of each channel."""
         return np.asarray(self.counted[self.train_mask].sum(axis=0), dtype=float)
+
+    def forget(self) -> None:
+        """Let go of the arrays that are large and can be computed anew from the samples and the effects."""
+        for name in LARGE:
+            self.__dict__.pop(name, None)
 
     def used(self, values: Array) -> Array:
         """(M, n, ...) of values (N, n, ...) those of the samples in use, zero where an output does not count."""
@@ -172,11 +185,8 @@ def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], trai
     :param counted: (N, n) outputs that tell something; all unless given. :param nuisance: as :class:`Fit` has it.
     """
     counted = np.ones(samples.outputs.shape, dtype=bool) if counted is None else counted
-    columns, _ = CoupledColumns(body, effects).batch(samples)
-    if nuisance is not None:
-        columns = np.concatenate([columns, nuisance], axis=2)
-    unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, columns, np.zeros(0), samples.outputs,
-                   config, nuisance)
+    unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, np.zeros(0), samples.outputs, config,
+                   nuisance)
     return reweighted(unfitted, scale)
 
 
@@ -194,8 +204,8 @@ def with_nuisance(fit: Fit, nuisance: Array | None, effects: Sequence[Effect] | 
 def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
     start = fit.prior_mean()
-    return _least_squares(replace(fit, scale=scale, theta=start,
-                                  residual=fit.samples.outputs - fit.columns @ start))
+    return _least_squares(_with_columns(fit, scale=scale, theta=start,
+                                        residual=fit.samples.outputs - fit.columns @ start))
 
 
 def refit_weights(first: Fit) -> Fit:
@@ -207,9 +217,16 @@ def _least_squares(start: Fit) -> Fit:
     """The fit from a start at the prior mean."""
     right = start.scaled.T @ start.weighed(start.residual).ravel()
     change = cho_solve(start.factor, right)
-    fitted = replace(start, theta=start.theta + change, residual=start.residual - start.columns @ change)
+    fitted = _with_columns(start, theta=start.theta + change, residual=start.residual - start.columns @ change)
     fitted.__dict__.update(scaled=start.scaled, factor=start.factor)  # they depend on columns and weights alone
     return fitted
+
+
+def _with_columns(fit: Fit, *, theta: Array, residual: Array, scale: Array | None = None) -> Fit:
+    """The same samples and effects, and so the same columns, with other values."""
+    other = replace(fit, scale=fit.scale if scale is None else scale, theta=theta, residual=residual)
+    other.__dict__['columns'] = fit.columns
+    return other
 
 
 def _solve(inner: Array, right: Array, power: Array, absorbed: float) -> tuple[Array, Array, int]:

@@ -4,7 +4,7 @@ effect helps on blocks that did not fit it.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -66,13 +66,18 @@ def fold_losses(fit: Fit, scale: Array) -> Array:
     return np.asarray((fold_errors(fit, scale) / scale**2).sum(axis=1))
 
 
-@lru_cache(maxsize=16)
+_scores: WeakKeyDictionary[Fit, float] = WeakKeyDictionary()
+"""Those asked for before; a fit that nobody needs any longer is not kept for its score."""
+
+
 def unseen_score(fit: Fit) -> float:
     """Mean over the channels of half the log of the mean squared error on folds that did not fit: lower is better.
 
     Errors of models with different effects compare, for neither weights nor numbers of parameters enter.
     """
-    return float(0.5 * np.mean(np.log(fold_errors(fit, fit.scale).sum(axis=0) / fit.counts + 1e-300)))
+    if fit not in _scores:
+        _scores[fit] = float(0.5 * np.mean(np.log(fold_errors(fit, fit.scale).sum(axis=0) / fit.counts + 1e-300)))
+    return _scores[fit]
 
 
 def carries_over(before: Fit, after: Fit) -> bool:

@@ -30,7 +30,8 @@ POINT_DIFFERENCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """An effect tried on a declared model. ``residual``: (N, n) left; ``n_parameters``: parameters it spends."""
+    """An effect tried on a declared model. ``residual``: (N, n) left, (0, n) once the round is over;
+    ``n_parameters``: parameters it spends."""
 
     effect: Effect
     residual: Array
@@ -42,6 +43,10 @@ class Trial:
     def many_valued(self) -> bool:
         """Whether the best value of one nonlinear parameter depends on another; a coarse search tries few."""
         return len(self.effect.searched) > 1
+
+    def without_residual(self) -> Trial:
+        """What a report needs of it: a round tries hundreds, and each leaves as many numbers as were measured."""
+        return replace(self, residual=self.residual[:0].copy())
 
 
 def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:

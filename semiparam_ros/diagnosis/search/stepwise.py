@@ -78,7 +78,7 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
             step = _friction_step(fit, friction_where_it_helps(fit, kinds, declared))
         if step is None:
             break
-        steps.append(step)
+        steps.append(_over(step))
         report('found ' + ', '.join(place(trial.effect.kind, trial.effect.where) for trial in step.added), 1.0)
         fit = step.after
         if hopeless(fit):
@@ -87,6 +87,13 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
         after, dropped = without_needless(fit, stays)
         steps[-1] = replace(steps[-1], after=after, dropped=dropped)
     return steps
+
+
+def _over(step: Step) -> Step:
+    """The step without what only its own round needed, which is far larger than the rest where samples are many."""
+    step.before.forget()
+    return replace(step, added=tuple(trial.without_residual() for trial in step.added),
+                   ranking=tuple(trial.without_residual() for trial in step.ranking))
 
 
 def _delay_step(fit: Fit, kinds: dict[str, type[Effect]], declared: set[Place]) -> Step | None:
