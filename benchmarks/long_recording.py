@@ -3,8 +3,9 @@
     python benchmarks/long_recording.py long.mcap                 one hour at 500 Hz, 1.8 million samples
     python benchmarks/long_recording.py long.mcap --minutes 5
 
-Makes the recording where the file is not there yet (3 GB of memory for an hour): efforts of the package's iCub arm, with
-viscous friction in one joint all along and a load from the middle on. Then `semiparam diagnose` runs as a process of its own.
+Makes the recording where the file is not there yet (3 GB of memory for an hour): efforts of the package's iCub arm,
+with viscous friction in one joint all along and a load from the middle on. Then `semiparam diagnose` runs as a process
+of its own.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ RATE_HZ = 500.0
 
 
 def write(path: Path, minutes: float) -> None:
-    """The recording: circles, sums of sines and reaching in turn, which never repeat; the load is in the second half."""
+    """Circles, sums of sines and reaching in turn, which never repeat; the load is in the second half."""
     made = simulate(Scenario(
         motion='mixed', samples=round(60.0 * minutes * RATE_HZ), rate_hz=RATE_HZ, outputs='effort', accelerations=False,
         effects=(EffectRequest('viscous_friction', 'r_elbow', 1.0),

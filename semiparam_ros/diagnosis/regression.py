@@ -19,7 +19,6 @@ from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.effects import Effect
 
-
 LARGE = ('columns', 'corrected', 'scaled')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
 

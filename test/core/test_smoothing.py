@@ -66,3 +66,14 @@ def test_errors_of_accelerations_that_rounding_hides_are_not_known():
     samples = replace(samples, position=samples.position.round(3), velocity=samples.velocity.round(3))
     assert np.all(acceleration_errors(samples) > 0.0)
     assert np.isnan(acceleration_errors(samples, times=(1e5,))).all()
+
+
+def test_stretches_of_a_long_recording_are_smoothed_as_well_as_a_whole_one():
+    """What lies between them is no motion: a jump of the arm from one to the next must not count as a lively one."""
+    truth, seen = recorded(40.0, seconds=90.0, joints=2)
+    inside = np.arange(len(truth)) % 600 < 240
+    found, true = smoothed(seen[inside]), truth[inside]
+    inner = np.isin(np.arange(inside.sum()) % 240, range(5, 235))
+    error = (found.acceleration - true.acceleration)[inner].std(axis=0)
+    assert error == pytest.approx((smoothed(seen).acceleration - truth.acceleration).std(axis=0), rel=0.3)
+    assert np.all(acceleration_errors(seen[inside])[0] < 3.0 * error)

@@ -25,6 +25,8 @@ SEEN = 150
 BAND = 2 * ORDER
 LONGEST_STEP = 20.0
 """A gap in the recording counts as this many steps: beyond it the blocks would be singular."""
+FORGOTTEN = 1e-6
+"""Share that a gap leaves of the precision of so many steps: what it joins may have nothing to do with each other."""
 LEAST_SIZE = 1e-24
 """Least squared size of the noise, over that of third differences: exact numbers have no noise at all."""
 LEAST_STEP = 0.2
@@ -53,11 +55,16 @@ def _smooth_joint(time: Array, position: Array, velocity: Array,
                   with_velocities: bool) -> tuple[Array, Array, Array]:
     step = float(np.median(np.diff(time)))
     centre = float(position.mean())
-    steps = np.minimum(np.diff(time) / step, LONGEST_STEP)
-    problem = _Problem(steps, position - centre, velocity * step, with_velocities)
+    problem = _Problem(_steps(time), position - centre, velocity * step, with_velocities)
     short = problem.liveliest(TUNING_SAMPLES)
     states = problem.states(short.best())
     return states[:, 0] + centre, states[:, 1] / step, states[:, 2] / step**2
+
+
+def _steps(time: Array) -> Array:
+    """(N-1,) differences of the times over their median; gaps at their limit."""
+    steps = np.diff(time)
+    return np.asarray(np.minimum(steps / np.median(steps), LONGEST_STEP))
 
 
 def acceleration_errors(samples: Samples, with_velocities: bool = True, times: Sequence[float] = (1.0,)) -> Array:
@@ -70,7 +77,7 @@ def acceleration_errors(samples: Samples, with_velocities: bool = True, times: S
     step = float(np.median(np.diff(samples.time)))
     errors = []
     for position, velocity in zip(samples.position.T, samples.velocity.T, strict=True):
-        problem = _Problem(np.ones(len(position) - 1), position - position.mean(), velocity * step, with_velocities)
+        problem = _Problem(_steps(samples.time), position - position.mean(), velocity * step, with_velocities)
         logs = problem.liveliest(TUNING_SAMPLES).best()
         errors.append([problem.acceleration_error(logs, each) / step**2 for each in times])
     return np.array(errors).T
@@ -82,7 +89,9 @@ class _Problem:
     def __init__(self, steps: Array, position: Array, velocity: Array, with_velocities: bool) -> None:
         self.steps, self.position, self.velocity = steps, position, velocity
         self.use = (1.0, float(with_velocities))
+        self._gaps = steps >= LONGEST_STEP
         self._transition, noise = _transitions(steps)
+        noise[self._gaps] /= FORGOTTEN
         self._precision = np.asarray(np.linalg.inv(noise), dtype=float)
         self._noise_logdet = float(np.linalg.slogdet(noise)[1].sum())
         back = np.swapaxes(self._transition, 1, 2) @ self._precision
@@ -90,7 +99,7 @@ class _Problem:
 
     def liveliest(self, count: int) -> _Problem:
         """The ``count`` samples in a row that hold most motion: a joint at rest says nothing of its snap."""
-        travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.position)))])
+        travelled = np.concatenate([[0.0], np.cumsum(np.where(self._gaps, 0.0, np.abs(np.diff(self.position))))])
         first = int(np.argmax(travelled[count - 1:] - travelled[:1 - count])) if count < len(travelled) else 0
         part = slice(first, first + count)
         return _Problem(self.steps[part][:count - 1], self.position[part], self.velocity[part], bool(self.use[1]))
