@@ -29,8 +29,12 @@ def without_needless(fit: Fit, declared: Collection[Place]) -> tuple[Fit, tuple[
         if len(found) < 2:
             break
         doubtful = _doubtful(fit, found)
-        asked = [(effect, *_worth(fit, effect)) for effect in doubtful]
-        needless = [(evidence, effect, rest) for effect, evidence, rest in asked if _needless(fit, rest, evidence)]
+        needless = []
+        for effect in doubtful:
+            evidence, rest = _worth(fit, effect)
+            if _needless(fit, rest, evidence):
+                needless.append((evidence, effect, rest))
+            rest.forget()
         if not needless:
             break
         _, weakest, rest = min(needless, key=lambda answer: answer[0])
