@@ -25,7 +25,7 @@ from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
-from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset
 from semiparam_ros.errors import SemiparamError
@@ -186,7 +186,7 @@ class MemberState(NamedTuple):
     """What an averaged variant has learnt, with its hyperparameters."""
 
     hyperparameters: Hyperparameters
-    recursion: dict[str, Array]
+    recursion: Mapping[str, Array | Indices]
     horizon: Mapping[str, Array | Stamps]
     calibration: dict[str, Array]
     wandering: dict[str, Array]
@@ -197,7 +197,7 @@ class MemberState(NamedTuple):
 class EstimatorState(NamedTuple):
     """What an estimator has learnt and what it remembers, beside its options and hyperparameters."""
 
-    recursion: dict[str, Array]
+    recursion: Mapping[str, Array | Indices]
     horizon: Mapping[str, Array | Stamps]
     calibration: dict[str, Array]
     wandering: dict[str, Array]  # empty where the forgetting is a number

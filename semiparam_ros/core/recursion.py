@@ -15,6 +15,7 @@ features regress the outputs and the coupled columns together; what they cannot 
 from __future__ import annotations
 
 import secrets
+from collections.abc import Mapping
 from itertools import count
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ from scipy.linalg.lapack import dtpqrt, dtrtrs
 
 from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
 from semiparam_ros.core.square_root_filter import Projection, SquareRootFilter
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 QR_BLOCK = 8
@@ -138,12 +139,12 @@ class SemiParametricRecursion:
         inverse, _ = dtrtrs(self._information[:-1, :-1], np.eye(self.n_columns))
         return np.asarray(inverse @ inverse.T)
 
-    def state(self) -> dict[str, Array]:
+    def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
         return {**self._weights.state(), 'renewed': np.array(self._renewed),
                 'information': self._information.copy(order='F'), 'theta': self.theta.copy()}
 
-    def restore(self, state: dict[str, Array]) -> None:
+    def restore(self, state: Mapping[str, Array | Indices]) -> None:
         """Return to a saved :meth:`state`; every prior computed before is then stale.
 
         Raises SemiparamError when it is that of other sizes or not finite.

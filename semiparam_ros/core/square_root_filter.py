@@ -7,17 +7,21 @@ What is learnt changes both by multiples of the same vector S f (Potter 1963):
 and of both a prediction asks for products with phi. At D = 1000 the array is 9 MB, and the time of a sample is that of
 moving it through the processor. So the changes of a few samples wait, M + U V', and are added together; and S f is
 computed a block of columns at a time, while the block that gave its part of f is near.
+
+An estimate whose e has always been zero is zero itself: a joint's friction in the effort of another, a distal body in
+the effort of a joint that does not carry it. It gets a column in memory with the first e that is not.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dgemm, dgemv
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, VECTOR, compiled
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 RENORMALISE_ABOVE = 1e3
@@ -46,19 +50,27 @@ class SquareRootFilter:
         self._left = np.zeros((size, MOST_WAITING), order='F')
         self._right = np.zeros((size + n_estimates, MOST_WAITING), order='F')
         self._waiting = 0  # columns of U and V in use
+        self._places = np.full(n_estimates, -1)  # of each estimate among the columns after S; -1 while it is zero
+        self._placed = 0
 
     def project(self, phi: Array) -> Projection:
         """What a prediction at phi (D,) needs; nothing changes."""
         if AVAILABLE:
-            products, reach = np.empty(len(self._right)), np.empty(self.size)
-            _project(self._array.T, self._left.T, self._right.T, self._waiting, self._inflation, phi, products, reach)
-            return Projection(products[:self.size], reach, products[self.size:])
+            products, reach, regressed = np.empty(self._width), np.empty(self.size), np.empty(len(self._places))
+            _project(self._array.T, self._left.T, self._right.T, self._waiting, self._inflation, self._places, phi,
+                     products, reach, regressed)
+            return Projection(products[:self.size], reach, regressed)
         return self._project(phi)
+
+    @property
+    def _width(self) -> int:
+        """Columns of M in use."""
+        return self.size + self._placed
 
     def _project(self, phi: Array) -> Projection:
         size, inflation = self.size, self._inflation
-        left, right = self._left[:, :self._waiting], self._right[:, :self._waiting]
-        products = dgemv(1.0, right, dgemv(1.0, left, phi, trans=1)) if self._waiting else np.zeros(len(self._right))
+        left, right = self._left[:, :self._waiting], self._right[:self._width, :self._waiting]
+        products = right @ (phi @ left)
         f, reach = products[:size], np.zeros(size)
         width = max(1, BLOCK_ELEMENTS // size)
         for start in range(0, size, width):
@@ -67,9 +79,8 @@ class SquareRootFilter:
             dgemv(1.0, columns, part, beta=1.0, y=reach, overwrite_y=1)
         if self._waiting:
             dgemv(1.0, left, f @ right[:size], beta=1.0, y=reach, overwrite_y=1)
-        regressed = products[size:]
-        if len(regressed):
-            dgemv(1.0, self._array[:, size:], phi, beta=1.0, y=regressed, overwrite_y=1, trans=1)
+        regressed, used = np.zeros(len(self._places)), self._places >= 0
+        regressed[used] = (products[size:] + phi @ self._array[:, size:self._width])[self._places[used]]
         return Projection(inflation * f, inflation**2 * reach, regressed)
 
     def learn(self, projection: Projection, sigma: float, innovations: Array | None = None) -> None:
@@ -78,9 +89,9 @@ class SquareRootFilter:
         ``projection`` is that of its features, with no change since.
         """
         if AVAILABLE:
-            e = np.zeros(len(self._right) - self.size) if innovations is None else innovations
-            _wait(self._left.T[self._waiting], self._right.T[self._waiting], projection.f, projection.reach, e, sigma,
-                  self._inflation)
+            e = np.zeros(len(self._places)) if innovations is None else innovations
+            self._placed = _wait(self._left.T[self._waiting], self._right.T[self._waiting], projection.f,
+                                 projection.reach, e, sigma, self._inflation, self._places, self._placed)
         else:
             self._wait(projection, sigma, innovations)
         self._waiting += 1
@@ -93,7 +104,13 @@ class SquareRootFilter:
         column = self._right[:, self._waiting]
         self._left[:, self._waiting] = projection.reach
         np.multiply(f, -1.0 / (self._inflation * (s + sigma * np.sqrt(s))), out=column[:self.size])
-        column[self.size:] = 0.0 if innovations is None else innovations / s
+        column[self.size:] = 0.0
+        if innovations is not None:
+            new = np.flatnonzero((self._places < 0) & (innovations != 0.0))
+            self._places[new] = self._placed + np.arange(len(new))
+            self._placed += len(new)
+            used = self._places >= 0
+            column[self.size + self._places[used]] = innovations[used] / s
 
     def inflate(self, factor: float) -> None:
         """S times ``factor``."""
@@ -105,23 +122,32 @@ class SquareRootFilter:
 
     def estimates(self) -> Array:
         """Theta' (q, D)."""
-        size, waiting = self.size, self._waiting
-        return np.asarray(self._array[:, size:].T + self._right[size:, :waiting] @ self._left[:, :waiting].T)
+        size, waiting, used = self.size, self._waiting, self._places >= 0
+        placed = self._array[:, size:].T + self._right[size:, :waiting] @ self._left[:, :waiting].T
+        found = np.zeros((len(self._places), size))
+        found[used] = placed[self._places[used]]
+        return found
 
-    def state(self) -> dict[str, Array]:
-        """M, U, V and the inflation; :meth:`restore` takes them back bit for bit."""
+    def state(self) -> dict[str, Array | Indices]:
+        """M, U, V, the places and the inflation; :meth:`restore` takes them back bit for bit."""
         return {'array': self._array.copy(order='F'), 'left': self._left.copy(order='F'),
-                'right': self._right.copy(order='F'), 'waiting': np.array(self._waiting),
+                'right': self._right.copy(order='F'), 'waiting': np.array(self._waiting), 'places': self._places.copy(),
                 'inflation': np.array(self._inflation)}
 
-    def restore(self, state: dict[str, Array]) -> None:
+    def restore(self, state: Mapping[str, Array | Indices]) -> None:
         """Return to a saved :meth:`state` of the same size.
 
-        Raises SemiparamError, with nothing changed, when the number of waiting changes is impossible.
+        Raises SemiparamError, with nothing changed, when the number of waiting changes or a place is impossible.
         """
         if state['waiting'] not in range(MOST_WAITING):
             raise SemiparamError(f"the saved 'waiting' is {state['waiting']}; expected a number from 0 to "
                                  f'{MOST_WAITING - 1}.')
+        places = np.array(state['places'], dtype=np.int64)
+        used = np.sort(places[places >= 0])
+        if (used != np.arange(len(used))).any() or places.min(initial=0) < -1:
+            raise SemiparamError(f"the saved 'places' of the estimates are {places.tolist()}; expected different ones "
+                                 'from 0 on, and -1.')
+        self._places, self._placed = places, len(used)
         self._array, self._left, self._right = (np.array(state[name], dtype=float, order='F')
                                                 for name in ('array', 'left', 'right'))
         self._waiting, self._inflation = int(state['waiting']), float(state['inflation'])
@@ -130,20 +156,21 @@ class SquareRootFilter:
         """M takes in the changes that wait."""
         left, right = self._left[:, :self._waiting], self._right[:, :self._waiting]
         width = max(1, BLOCK_ELEMENTS // self.size)
-        for start in range(0, len(self._right), width):
-            block = slice(start, start + width)
+        for start in range(0, self._width, width):
+            block = slice(start, min(start + width, self._width))
             dgemm(1.0, left, right[block], beta=1.0, c=self._array[:, block], trans_b=1, overwrite_c=1)
         self._waiting = 0
 
 
-@compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, VECTOR, VECTOR, VECTOR)
-def _project(array: Array, left: Array, right: Array, waiting: int, inflation: float, phi: Array, products: Array,
-             reach: Array) -> None:
-    """f, then Theta' phi, into ``products`` (D + q,), and S f into ``reach`` (D,), of M', U' and V'.
+@compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS, VECTOR, VECTOR, VECTOR, VECTOR)
+def _project(array: Array, left: Array, right: Array, waiting: int, inflation: float, places: Indices, phi: Array,
+             products: Array, reach: Array, regressed: Array) -> None:
+    """f, then Theta' phi as far as it is placed, into ``products``, S f into ``reach`` (D,), and Theta' phi into
+    ``regressed`` (q,), of M', U' and V'.
 
     Four columns of M at a time: what they give of f goes at once into S f, while they are in the first cache.
     """
-    width, size = array.shape
+    width, size = len(products), array.shape[1]
     products[:] = 0.0
     reach[:] = 0.0
     for change in range(waiting):
@@ -185,12 +212,14 @@ def _project(array: Array, left: Array, right: Array, waiting: int, inflation: f
     for i in range(size):
         products[i] *= inflation
         reach[i] *= inflation * inflation
+    for e in range(len(places)):
+        regressed[e] = products[size + places[e]] if places[e] >= 0 else 0.0
 
 
-@compiled(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER)
-def _wait(left: Array, right: Array, f: Array, reach: Array, innovations: Array, sigma: float,
-          inflation: float) -> None:
-    """One more change, a column of U and one of V."""
+@compiled(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, INTEGERS, INTEGER, returns=INTEGER)
+def _wait(left: Array, right: Array, f: Array, reach: Array, innovations: Array, sigma: float, inflation: float,
+          places: Indices, placed: int) -> int:
+    """One more change, a column of U and one of V; how many estimates have a place now."""
     size = len(f)
     s = sigma * sigma
     for i in range(size):
@@ -199,5 +228,10 @@ def _wait(left: Array, right: Array, f: Array, reach: Array, innovations: Array,
     for i in range(size):
         left[i] = reach[i]
         right[i] = share * f[i]
-    for j in range(len(innovations)):
-        right[size + j] = innovations[j] / s
+    for e in range(len(innovations)):
+        if places[e] < 0 and innovations[e] != 0.0:
+            places[e] = placed
+            placed += 1
+        if places[e] >= 0:
+            right[size + places[e]] = innovations[e] / s
+    return placed

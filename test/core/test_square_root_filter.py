@@ -50,6 +50,35 @@ def test_it_holds_the_root_of_the_textbook_covariance_and_its_estimates():
             covariance *= 1.1**2
 
 
+@pytest.mark.parametrize('compiled', [True, False])
+def test_an_estimate_that_was_zero_for_long_is_placed_with_its_first_innovation(monkeypatch, compiled):
+    monkeypatch.setattr(square_root_filter, 'AVAILABLE', compiled and square_root_filter.AVAILABLE)
+    features, measured = rows()
+    measured[:, 3] = 0.0
+    measured[:7, 1], measured[:17, 4] = 0.0, 0.0  # in the midst of changes that wait
+    array, expected = SquareRootFilter(D, 2.0, Q), np.zeros((Q, D))
+    saved = None
+    for index, (phi, row) in enumerate(zip(features, measured, strict=True)):
+        projection = array.project(phi)
+        expected += np.outer(row - expected @ phi, projection.reach / (SIGMA**2 + projection.f @ projection.f))
+        learn(array, phi, row)
+        np.testing.assert_allclose(array.estimates(), expected, atol=1e-12)
+        if index == 12:
+            saved = array.state()
+    assert saved['places'].tolist() == [0, 2, 1, -1, -1] and array.state()['places'].tolist() == [0, 2, 1, -1, 3]
+    array.restore(saved)
+    for phi, row in zip(features[13:], measured[13:], strict=True):
+        learn(array, phi, row)
+    np.testing.assert_allclose(array.estimates(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize('places', [[0, 1, 1, 2, 3], [0, 2, -1, -1, 3], [-2, 0, 1, 2, 3]])
+def test_impossible_places_are_refused(places):
+    array = SquareRootFilter(D, 1.0, Q)
+    with pytest.raises(SemiparamError, match="the saved 'places'"):
+        array.restore({**array.state(), 'places': np.array(places)})
+
+
 def test_without_estimates_it_is_the_root_alone():
     array, covariance = SquareRootFilter(D, 1.0), np.eye(D)
     for phi in rows()[0]:
