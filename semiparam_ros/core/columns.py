@@ -164,19 +164,25 @@ class CoupledColumns:
         """(N, n, p) columns of consecutive samples and what the effects remember after the last one."""
         past = memory or [(None, None)] * len(self.effects)
         body, inputs, corrected = self.corrected(samples, [entry[0] for entry in past])
+        columns, added = self.of_corrected(body, inputs, [entry[1] for entry in past])
+        return columns, list(zip(corrected, added, strict=True))
+
+    def of_corrected(self, body: RigidBody, inputs: Samples, past: Sequence[Memory] = ()) -> tuple[Array, list[Memory]]:
+        """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of them."""
         psi = body.regressors(inputs)
         parts, added = [], []
-        for effect, scale, entry in zip(self.effects, self._effect_scales, past, strict=True):
+        past = past or [None] * len(self.effects)
+        for effect, scale, memory in zip(self.effects, self._effect_scales, past, strict=True):
             psi = effect.transform(body, psi)
-            columns, remembered = effect.columns(body, inputs, entry[1])
+            columns, remembered = effect.columns(body, inputs, memory)
             if columns.shape[1:] != (body.n_outputs, len(scale)):
                 raise SemiparamError(f"effect '{getattr(effect, 'kind', effect)}' gives columns of shape "
                                      f'{columns.shape[1:]}; expected {(body.n_outputs, len(scale))}, one for each of '
                                      'its coefficients.')
             parts.append(self._shaped(body, columns) if effect.is_load else columns)
             added.append(remembered)
-        offset = np.broadcast_to(self._offset, (len(samples), *self._offset.shape))
-        return np.concatenate([psi, offset, *parts], axis=2), list(zip(corrected, added, strict=True))
+        offset = np.broadcast_to(self._offset, (len(inputs), *self._offset.shape))
+        return np.concatenate([psi, offset, *parts], axis=2), added
 
     def _shaped(self, body: RigidBody, columns: Array) -> Array:
         """What a load adds (N, n, c), as the effects shape psi: a gain of the efforts multiplies both."""

@@ -245,6 +245,8 @@ class DiagnosisConfig:
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
     gauss_newton_steps: int = 4
     """Settles calibrations in at most so many Gauss-Newton steps (chosen)."""
+    backtracking: float = 0.25
+    """Shortens a Gauss-Newton step that would raise the loss to this share, until it lowers it (chosen)."""
     settled_step: float = 1e-4
     """Ends the Gauss-Newton steps once the largest change [rad, s or 1] is below this: it no longer matters."""
     reference_rounds: int = 2

@@ -14,13 +14,15 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.effects import Effect
 
-LARGE = ('columns', 'corrected', 'scaled')
+LARGE = ('columns', 'corrected', 'in_use', 'rows')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
+OF_COLUMNS = (*LARGE, 'grams')
+"""What neither its weights nor its outputs change."""
 
 
 class Explained(NamedTuple):
@@ -57,7 +59,7 @@ class Fit:
     @cached_property
     def columns(self) -> Array:
         """C (N, n, p): those of the rigid body, the offset and the effects, then the nuisance columns."""
-        columns, _ = CoupledColumns(self.body, self.effects).batch(self.samples)
+        columns, _ = CoupledColumns(self.body, self.effects).of_corrected(*self.corrected)
         return columns if self.nuisance is None else np.concatenate([columns, self.nuisance], axis=2)
 
     @cached_property
@@ -67,19 +69,25 @@ class Fit:
         return body, inputs
 
     @cached_property
-    def scaled(self) -> Array:
-        """(M n, p) columns of the samples in use, each channel divided by its scale."""
-        return self.weighed(self.columns).reshape(-1, self.columns.shape[2])
+    def in_use(self) -> list[Stamps]:
+        """(M_k,) of each channel k the numbers of the samples in use whose output counts."""
+        return [np.flatnonzero(self.train_mask & counted) for counted in self.counted.T]
 
-    @property
-    def by_channel(self) -> Array:
-        """(n, M, p) the same, channel after channel."""
-        return np.moveaxis(self.scaled.reshape(-1, *self.columns.shape[1:]), 1, 0)
+    @cached_property
+    def rows(self) -> list[Array]:
+        """(M_k, p) of each channel k the columns in use, not divided by its scale."""
+        return [self.columns[used, channel] for channel, used in enumerate(self.in_use)]
+
+    @cached_property
+    def grams(self) -> Array:
+        """(n, p, p) of each channel the products of these columns: what another weight leaves as it is."""
+        return np.array([rows.T @ rows for rows in self.rows])
 
     @cached_property
     def factor(self) -> tuple[Array, bool]:
         """Cholesky factor of the regularised normal matrix."""
-        return cho_factor(self.scaled.T @ self.scaled + np.diag(self._precision()))  # type: ignore[no-any-return]
+        normal = np.tensordot(self.scale**-2.0, self.grams, axes=1)
+        return cho_factor(normal + np.diag(self._precision()))  # type: ignore[no-any-return]
 
     @property
     def rigid_part(self) -> Array:
@@ -128,7 +136,7 @@ class Fit:
     def explain(self, columns: Array) -> Explained:
         """Regress the residual on columns (N, n, c), the declared ones refitted along."""
         coefficients, covariance, rank, cross, _ = self._regressed(columns)
-        contribution = columns @ coefficients - self.columns @ (cross @ coefficients)
+        contribution = predicted(columns, coefficients) - predicted(self.columns, cross @ coefficients)
         return Explained(coefficients, covariance, rank, self.residual - contribution)
 
     def loss_with(self, columns: Array) -> tuple[float, Array]:
@@ -141,13 +149,11 @@ class Fit:
         count = columns.shape[2]
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.columns.shape[2], count))
-        counted = self.counted[self.train_mask]
         for channel in np.flatnonzero(columns.any(axis=(0, 2))):
-            weight = counted[:, channel] / self.scale[channel]
-            used = columns[self.train_mask, channel] * weight[:, None]
-            inner += used.T @ used
-            right += used.T @ (self.residual[self.train_mask, channel] * weight)
-            shared += self.by_channel[channel].T @ used
+            used, weight = columns[self.in_use[channel], channel], self.scale[channel] ** -2.0
+            inner += weight * (used.T @ used)
+            right += weight * (used.T @ self.residual[self.in_use[channel], channel])
+            shared += weight * (self.rows[channel].T @ used)
         cross = cho_solve(self.factor, shared)
         power = np.diag(inner).copy()
         solved = _solve(inner - shared.T @ cross, right, power, self.config.absorbed_share)
@@ -178,14 +184,18 @@ class Fit:
 
 
 def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask, scale: Array,
-              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None, nuisance: Array | None = None) -> Fit:
+              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None, nuisance: Array | None = None,
+              corrected: tuple[RigidBody, Samples] | None = None) -> Fit:
     """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description.
 
     :param counted: (N, n) outputs that tell something; all unless given. :param nuisance: as :class:`Fit` has it.
+    :param corrected: the body and the inputs as these effects correct them, where they are known.
     """
     counted = np.ones(samples.outputs.shape, dtype=bool) if counted is None else counted
     unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, np.zeros(0), samples.outputs, config,
                    nuisance)
+    if corrected is not None:
+        unfitted.__dict__['corrected'] = corrected
     return reweighted(unfitted, scale)
 
 
@@ -197,14 +207,26 @@ def with_effects(fit: Fit, effects: Sequence[Effect]) -> Fit:
 def with_nuisance(fit: Fit, nuisance: Array | None, effects: Sequence[Effect] | None = None) -> Fit:
     """The same samples and weights fitted with these nuisance columns, and other effects where some are given."""
     effects = fit.effects if effects is None else effects
-    return fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale, fit.config, fit.counted, nuisance)
+    same = correcting(effects) == correcting(fit.effects)
+    return fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale, fit.config, fit.counted, nuisance,
+                     fit.corrected if same else None)
+
+
+def correcting(effects: Sequence[Effect]) -> list[Effect]:
+    """Those of the effects that correct the body or the inputs."""
+    return [effect for effect in effects if type(effect).correct is not Effect.correct]
+
+
+def predicted(columns: Array, coefficients: Array) -> Array:
+    """(N, n) ``columns @ coefficients`` of columns (N, n, c) as one product, many times as fast as one for each sample."""
+    return np.asarray((columns.reshape(-1, columns.shape[2]) @ coefficients).reshape(columns.shape[:2]))
 
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
     start = fit.prior_mean()
     return _least_squares(_with_columns(fit, scale=scale, theta=start,
-                                        residual=fit.samples.outputs - fit.columns @ start))
+                                        residual=fit.samples.outputs - predicted(fit.columns, start)))
 
 
 def refit_weights(first: Fit) -> Fit:
@@ -214,17 +236,18 @@ def refit_weights(first: Fit) -> Fit:
 
 def _least_squares(start: Fit) -> Fit:
     """The fit from a start at the prior mean."""
-    right = start.scaled.T @ start.weighed(start.residual).ravel()
+    right = sum(rows.T @ start.residual[used, channel] / start.scale[channel]**2
+                for channel, (rows, used) in enumerate(zip(start.rows, start.in_use, strict=True)))
     change = cho_solve(start.factor, right)
-    fitted = _with_columns(start, theta=start.theta + change, residual=start.residual - start.columns @ change)
-    fitted.__dict__.update(scaled=start.scaled, factor=start.factor)  # they depend on columns and weights alone
+    fitted = _with_columns(start, theta=start.theta + change, residual=start.residual - predicted(start.columns, change))
+    fitted.__dict__['factor'] = start.factor  # it depends on columns and weights alone
     return fitted
 
 
 def _with_columns(fit: Fit, *, theta: Array, residual: Array, scale: Array | None = None) -> Fit:
     """The same samples and effects, and so the same columns, with other values."""
     other = replace(fit, scale=fit.scale if scale is None else scale, theta=theta, residual=residual)
-    other.__dict__['columns'] = fit.columns
+    other.__dict__.update({name: fit.__dict__[name] for name in OF_COLUMNS if name in fit.__dict__})
     return other
 
 

@@ -100,6 +100,8 @@ class Effect:
     """True for what the arm must bear: much more than its own weight is no finding."""
     needs_reference: ClassVar[bool] = False
     """True when the columns depend on the load that the rigid body predicts, with base parameters that stay fixed."""
+    moves_friction: ClassVar[bool] = False
+    """True for a calibration by which the other effects act at another time or speed: its derivative holds theirs."""
     shows_against: ClassVar[Axis] = 'any'
     calibrations: ClassVar[tuple[Coefficient, ...]] = ()
     parameter_units: ClassVar[Mapping[str, str]] = {}

@@ -81,6 +81,7 @@ class TimeDelay(Effect):
     mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_drag', 'viscous_friction')
     separated_by: ClassVar[str] = 'faster motion: a delay grows with speed, a friction does not'
     calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('delay_s', 's'),)
+    moves_friction: ClassVar[bool] = True
     kept: ClassVar[int] = 64
     least_step: ClassVar[float] = 0.03
 
@@ -122,6 +123,7 @@ class VelocityFilter(Effect):
     mistaken_for: ClassVar[tuple[str, ...]] = ('time_delay', 'rotor_inertia')
     separated_by: ClassVar[str] = 'the positions: their change tells how late the velocities are'
     calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('time_constant_s', 's'),)
+    moves_friction: ClassVar[bool] = True
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:

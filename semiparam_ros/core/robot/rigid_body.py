@@ -371,7 +371,8 @@ def _reduce(full: Array, to_outputs: Array, rows: Indices, columns: Indices, psi
 
 @lru_cache(maxsize=4)
 def _regressors(body: RigidBody, samples: Samples) -> Array:
-    reduced = np.asarray(body.full_regressors(samples) @ body._from_base)
+    full = body.full_regressors(samples)
+    reduced = (full.reshape(-1, full.shape[2]) @ body._from_base).reshape(*full.shape[:2], -1)  # one product
     reduced.flags.writeable = False
     return reduced
 

@@ -40,7 +40,11 @@ def ranges(mask: Mask) -> list[tuple[int, int]]:
 
 def fold_errors(fit: Fit, scale: Array) -> Array:
     """(folds, n) squared error of each block in use, predicted by a fit of the other blocks with weights 1 / scale^2,
-    in the outputs' units."""
+    in the outputs' units.
+
+    No error counts for more than that of the mean. A joint that moves in one block alone leaves the others' fit of it
+    open, and how far off they are there tells nothing of the effects.
+    """
     labels = folds(fit.train_mask, fit.config)
     ridge = 1e-9 * np.eye(fit.columns.shape[2])
     known, pull = fit.known_precision()  # a mass that was declared stays as it is in every fold
@@ -58,7 +62,10 @@ def fold_errors(fit: Fit, scale: Array) -> Array:
         rest = (total - gram + np.diag(known)) * np.outer(size, size) + ridge
         change = np.linalg.lstsq(rest, (right - moment - pull) * size, rcond=1e-10)[0] * size
         errors.append(((left - columns @ change).reshape(-1, len(scale)) ** 2).sum(axis=0) * scale**2)
-    return np.array(errors)
+    outputs = fit.used(fit.samples.outputs - fit.used(fit.samples.outputs).sum(axis=0) / fit.counts)
+    used = labels[fit.train_mask]
+    largest = np.array([(outputs[used == fold] ** 2).sum(axis=0) for fold in range(fit.config.folds)])
+    return np.minimum(errors, largest)
 
 
 def fold_losses(fit: Fit, scale: Array) -> Array:

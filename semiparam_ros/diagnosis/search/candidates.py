@@ -16,7 +16,9 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Values
 
-DERIVATIVE_STEP = 1e-5
+DERIVATIVE_STEP = 1e-3
+"""Half the difference [rad, s or 1] that stands for a derivative: dry friction that turns over between two samples is
+no smooth function of a delay, and a much smaller one would see it jump or not at all."""
 START_RIDGE = 1e-6
 Place = tuple[str, str | None]
 """Kind and place of an effect."""
@@ -68,7 +70,7 @@ def _derivative(fit: Fit, effect: Effect, name: str, load: Array | None) -> Arra
     for step in (DERIVATIVE_STEP, -DERIVATIVE_STEP):
         moved = effect.with_values(**{name: effect.value(name) + step})
         sides.append(moved.transform(fit.body, load) if load is not None
-                     else rigid_prediction(fit, [*others(fit, effect), moved]))
+                     else _prediction(fit, [*others(fit, effect), moved], effect.moves_friction))
     return np.asarray((sides[0] - sides[1])[:, :, 0] / (2.0 * DERIVATIVE_STEP))
 
 
@@ -79,21 +81,36 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
 
 def rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
     """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it."""
+    return _shaped_load(fit, effects, *_corrected(fit, effects))
+
+
+def _prediction(fit: Fit, effects: list[Effect], whole: bool) -> Array:
+    """(N, n, 1) the same, or outputs of the whole model: late efforts bring late friction with them."""
+    body, inputs = _corrected(fit, effects)
+    load = _shaped_load(fit, effects, body, inputs)
+    return load + _of_effects(fit, body, inputs, loads=False) if whole else load
+
+
+def _corrected(fit: Fit, effects: list[Effect]) -> tuple[RigidBody, Samples]:
     body, inputs, _ = CoupledColumns(fit.body, effects).corrected(fit.samples)
-    load = body.outputs_of(inputs, fit.rigid_part)[:, :, None] + _carried(fit, body, inputs)
+    return body, inputs
+
+
+def _shaped_load(fit: Fit, effects: list[Effect], body: RigidBody, inputs: Samples) -> Array:
+    load = body.outputs_of(inputs, fit.rigid_part)[:, :, None] + _of_effects(fit, body, inputs, loads=True)
     for effect in effects:
         load = effect.transform(body, load)
     return load
 
 
-def _carried(fit: Fit, body: RigidBody, inputs: Samples) -> Array:
-    """(N, n, 1) outputs of the loads that the model holds."""
+def _of_effects(fit: Fit, body: RigidBody, inputs: Samples, loads: bool) -> Array:
+    """(N, n, 1) outputs of the loads that the model holds, or of its other effects."""
     blocks = CoupledColumns(fit.body, fit.effects).blocks
-    carried = np.zeros((len(inputs), body.n_outputs))
+    outputs = np.zeros((len(inputs), body.n_outputs))
     for index, effect in enumerate(fit.effects):
-        if effect.is_load:
-            carried += effect.columns(body, inputs, None)[0] @ fit.theta[blocks[str(index)]]
-    return carried[:, :, None]
+        if effect.is_load == loads and not effect.is_calibration:
+            outputs += effect.columns(body, inputs, None)[0] @ fit.theta[blocks[str(index)]]
+    return outputs[:, :, None]
 
 
 def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[int, float, float]:
@@ -105,7 +122,7 @@ def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[i
     :param near_s: looks within the length of a block around this time [s] alone.
     """
     used, left = fit.weighed(columns), fit.weighed(fit.residual)
-    declared = fit.scaled.reshape(-1, *fit.columns.shape[1:])
+    declared = fit.weighed(fit.columns)
     gram = _suffix(np.einsum('tni,tnj->tij', used, used))
     cross = _suffix(np.einsum('tni,tnj->tij', declared, used))
     right = _suffix(np.einsum('tni,tn->ti', used, left))

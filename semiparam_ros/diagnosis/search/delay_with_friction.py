@@ -1,8 +1,8 @@
 """Efforts that come late, beside friction: two causes of which each hides the other.
 
 Dry friction turns over when its joint does; in efforts that come late it seems to turn a little way after, as if every
-joint had bristles that bend first. So a delay is tried together with frictions whose nonlinear parameters are searched
-anew.
+joint had bristles that bend first. So a delay is tried beside frictions that turn over at once, whose nonlinear parameters are
+then searched anew.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.effects.geometry import TimeDelay
 
 KIND = TimeDelay.kind
+BRISTLE = 'presliding'
 
 
 def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]],
@@ -29,7 +30,7 @@ def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]],
     known = any(effect.kind == KIND for effect in fit.effects)
     if KIND not in kinds or known or not _at_stake(fit, declared):
         return None
-    after = declare(fit, [kinds[KIND](None, {'delay_s': 0.0})])
+    after = declare(_turning_at_once(fit, declared), [kinds[KIND](None, {'delay_s': 0.0})])
     for _ in range(fit.config.delay_rounds):
         after = reshaped(after, declared)
     delay = next(effect for effect in after.effects if effect.kind == KIND)
@@ -41,14 +42,30 @@ def reshaped(fit: Fit, declared: Collection[Place]) -> Fit:
     """The model with the shape of each friction that was found searched anew beside all the others."""
     for effect in _at_stake(fit, declared):
         without = with_effects(fit, others(fit, effect))
-        searches = effect.searches(fit.body, fit.samples, effect.where, without.residual)
-        trial = coarse_trial(without, Candidate(type(effect), effect.where, tuple(dict(values) for values in searches)))
+        trial = _other_shape(without, effect)
         if trial is None:
             continue
         other = declare(without, [refined(without, trial).effect])
         if _left(other, fit) < _left(fit, fit):
             fit = other
     return fit
+
+
+def _turning_at_once(fit: Fit, declared: Collection[Place]) -> Fit:
+    """The model with frictions that depend on the velocity alone in place of bristles, which take up a delay."""
+    for effect in _at_stake(fit, declared):
+        if BRISTLE in effect.parameters:
+            without = with_effects(fit, others(fit, effect))
+            trial = _other_shape(without, effect, leave_out=BRISTLE)
+            fit = fit if trial is None else with_effects(without, [*without.effects, trial.effect])
+    return fit
+
+
+def _other_shape(without: Fit, effect: Effect, leave_out: str = '') -> Trial | None:
+    """The effect at the best of its coarse shapes, those with one nonlinear parameter left out."""
+    searches = effect.searches(without.body, without.samples, effect.where, without.residual)
+    shapes = tuple(dict(values) for values in searches if leave_out not in values)
+    return coarse_trial(without, Candidate(type(effect), effect.where, shapes))
 
 
 def _at_stake(fit: Fit, declared: Collection[Place]) -> list[Effect]:

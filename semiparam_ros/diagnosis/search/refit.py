@@ -21,25 +21,36 @@ def replace_effect(fit: Fit, effect: Effect) -> Fit:
 def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     """Move the calibrations of the effects ``moving`` to the least squares, all together.
 
-    Derivatives are costly and are kept as long as they shorten the steps well.
+    A step that would raise the loss is shortened. Derivatives are costly and are kept as long as they shorten the
+    steps well.
     """
-    places, slopes, last = [(effect.kind, effect.where) for effect in moving], None, np.inf
+    places, slopes, last = {(effect.kind, effect.where) for effect in moving}, None, np.inf
     for _ in range(fit.config.gauss_newton_steps):
         moving = [effect for effect in fit.effects if (effect.kind, effect.where) in places]
         if slopes is None:
             slopes = [added_columns(fit, effect) for effect in moving]
-        steps = fit.explain(np.concatenate(slopes, axis=2)).coefficients
-        parts = np.split(steps, np.cumsum([column.shape[2] for column in slopes])[:-1])
-        moved = {(effect.kind, effect.where): _moved(effect, part) for effect, part in zip(moving, parts, strict=True)}
-        effects = [moved.get((effect.kind, effect.where), effect) for effect in fit.effects]
-        fit = with_effects(fit, effects)
-        size = float(np.abs(steps).max())
+        step = fit.explain(np.concatenate(slopes, axis=2)).coefficients
+        after = _stepped(fit, moving, step)
+        while after.loss > fit.loss and np.abs(step).max() > fit.config.settled_step:
+            step = step * fit.config.backtracking
+            after = _stepped(fit, moving, step)
+        if after.loss > fit.loss:
+            break
+        fit, size = after, float(np.abs(step).max())
         if size < fit.config.settled_step:
             break
         if size > fit.config.shortened_step * last:
             slopes = None
         last = size
     return fit
+
+
+def _stepped(fit: Fit, moving: list[Effect], step: Array) -> Fit:
+    """The model with the calibrations of some of its effects moved by a step (c,), one value after the other."""
+    ends = np.cumsum([len(effect.calibrations) for effect in moving])[:-1]
+    moved = {(effect.kind, effect.where): _moved(effect, part)
+             for effect, part in zip(moving, np.split(step, ends), strict=True)}
+    return with_effects(fit, [moved.get((effect.kind, effect.where), effect) for effect in fit.effects])
 
 
 def _moved(effect: Effect, step: Array) -> Effect:
