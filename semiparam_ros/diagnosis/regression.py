@@ -218,7 +218,7 @@ def correcting(effects: Sequence[Effect]) -> list[Effect]:
 
 
 def predicted(columns: Array, coefficients: Array) -> Array:
-    """(N, n) ``columns @ coefficients`` of columns (N, n, c) as one product, many times as fast as one for each sample."""
+    """(N, n) ``columns @ coefficients`` of columns (N, n, c) as one product; one for each sample is much slower."""
     return np.asarray((columns.reshape(-1, columns.shape[2]) @ coefficients).reshape(columns.shape[:2]))
 
 

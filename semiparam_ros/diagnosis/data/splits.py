@@ -40,11 +40,7 @@ def ranges(mask: Mask) -> list[tuple[int, int]]:
 
 def fold_errors(fit: Fit, scale: Array) -> Array:
     """(folds, n) squared error of each block in use, predicted by a fit of the other blocks with weights 1 / scale^2,
-    in the outputs' units.
-
-    No error counts for more than that of the mean. A joint that moves in one block alone leaves the others' fit of it
-    open, and how far off they are there tells nothing of the effects.
-    """
+    in the outputs' units."""
     labels = folds(fit.train_mask, fit.config)
     ridge = 1e-9 * np.eye(fit.columns.shape[2])
     known, pull = fit.known_precision()  # a mass that was declared stays as it is in every fold
@@ -62,10 +58,19 @@ def fold_errors(fit: Fit, scale: Array) -> Array:
         rest = (total - gram + np.diag(known)) * np.outer(size, size) + ridge
         change = np.linalg.lstsq(rest, (right - moment - pull) * size, rcond=1e-10)[0] * size
         errors.append(((left - columns @ change).reshape(-1, len(scale)) ** 2).sum(axis=0) * scale**2)
+    return np.array(errors)
+
+
+def telling_errors(fit: Fit, scale: Array) -> Array:
+    """(folds, n) the same, but no more than what the mean of the outputs leaves.
+
+    A joint that moves in one block alone leaves the others' fit of it open; how far off they are there tells nothing of
+    the effects.
+    """
     outputs = fit.used(fit.samples.outputs - fit.used(fit.samples.outputs).sum(axis=0) / fit.counts)
-    used = labels[fit.train_mask]
-    largest = np.array([(outputs[used == fold] ** 2).sum(axis=0) for fold in range(fit.config.folds)])
-    return np.minimum(errors, largest)
+    labels = folds(fit.train_mask, fit.config)[fit.train_mask]
+    most = np.array([(outputs[labels == fold] ** 2).sum(axis=0) for fold in range(fit.config.folds)])
+    return np.minimum(fold_errors(fit, scale), most)
 
 
 def fold_losses(fit: Fit, scale: Array) -> Array:
@@ -83,14 +88,15 @@ def unseen_score(fit: Fit) -> float:
     Errors of models with different effects compare, for neither weights nor numbers of parameters enter.
     """
     if fit not in _scores:
-        _scores[fit] = float(0.5 * np.mean(np.log(fold_errors(fit, fit.scale).sum(axis=0) / fit.counts + 1e-300)))
+        errors = telling_errors(fit, fit.scale).sum(axis=0) / fit.counts
+        _scores[fit] = float(0.5 * np.mean(np.log(errors + 1e-300)))
     return _scores[fit]
 
 
 def carries_over(before: Fit, after: Fit) -> bool:
     """True when the blocks that the added effects help far outweigh those that they harm."""
-    losses = fold_losses(before, after.scale)
-    gains = losses - fold_losses(after, after.scale)
+    losses, left = ((telling_errors(fit, after.scale) / after.scale**2).sum(axis=1) for fit in (before, after))
+    gains = losses - left
     helped, harmed = gains[gains > 0].sum(), -gains[gains < 0].sum()
     config = after.config
     return bool(helped - harmed > config.least_gain * losses.sum()

@@ -1,8 +1,8 @@
 """Efforts that come late, beside friction: two causes of which each hides the other.
 
 Dry friction turns over when its joint does; in efforts that come late it seems to turn a little way after, as if every
-joint had bristles that bend first. So a delay is tried beside frictions that turn over at once, whose nonlinear parameters are
-then searched anew.
+joint had bristles that bend first. So a delay is tried beside frictions that turn over at once, whose nonlinear
+parameters are then searched anew.
 """
 
 from __future__ import annotations
