@@ -239,7 +239,8 @@ def _least_squares(start: Fit) -> Fit:
     right = sum(rows.T @ start.residual[used, channel] / start.scale[channel]**2
                 for channel, (rows, used) in enumerate(zip(start.rows, start.in_use, strict=True)))
     change = cho_solve(start.factor, right)
-    fitted = _with_columns(start, theta=start.theta + change, residual=start.residual - predicted(start.columns, change))
+    residual = start.residual - predicted(start.columns, change)
+    fitted = _with_columns(start, theta=start.theta + change, residual=residual)
     fitted.__dict__['factor'] = start.factor  # it depends on columns and weights alone
     return fitted
 
