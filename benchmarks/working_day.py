@@ -24,6 +24,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,7 +45,7 @@ from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.online.learner import Answer, Learner
-from semiparam_ros.online.worker import InlineBackground
+from semiparam_ros.online.worker import Done, InlineBackground, Job, Result
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
 from semiparam_ros.settings.robot_description import moving_joints
@@ -196,13 +198,40 @@ def live(day: Day, folder: Path, rate: float) -> Path:
     return folder / 'answers.mcap'
 
 
-def offline(day: Day, folder: Path) -> Answers:
-    """The same learner in this process; the new start in the middle goes on with its state."""
+class LateBackground(InlineBackground):
+    """Hands a result over ``after`` samples later, as where the day runs faster than the background."""
+
+    def __init__(self, after: int) -> None:
+        self._after = after
+        self._waiting: list[tuple[int, Callable[[], object]]] = []
+
+    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
+        """See :class:`Background`."""
+        job = super().submit(function, *arguments, done=lambda *given: self._waiting.append(
+            (self._after, partial(done, *given))))
+        self.sample_offered(0)
+        return job
+
+    def sample_offered(self, count: int = 1) -> None:
+        """So many samples came."""
+        waiting, self._waiting = self._waiting, []
+        for left, hand_over in waiting:
+            if left <= count:
+                hand_over()
+            else:
+                self._waiting.append((left - count, hand_over))
+
+
+def offline(day: Day, folder: Path, takeover_after: int = 0) -> Answers:
+    """The same learner in this process; the new start in the middle goes on with its state.
+
+    :param takeover_after: samples that pass while the background works.
+    """
     write_bag(folder / 'day.mcap', day.recording)
     row = {int(stamp): index for index, stamp in enumerate(day.recording.stamps)}
     shapes = len(day.times), day.recording.outputs.shape, day.recording.outputs.shape
     listener = Listener(row, *(np.full(shape, np.nan) for shape in shapes))
-    body, background = build_rigid_body(day.settings), InlineBackground()
+    body, background = build_rigid_body(day.settings), LateBackground(takeover_after)
     learner = Learner(day.settings, body, background, listener)
     restarted = False
     for sample in load_samples(folder / 'day.mcap', day.settings).samples:
@@ -212,6 +241,7 @@ def offline(day: Day, folder: Path) -> Answers:
             learner.restore(pickle.loads(saved))
         listener.now = float(day.times[row[sample.stamp]])
         learner.offer(sample)
+        background.sample_offered()
     return Answers(listener.late_ms, listener.residuals, listener.level)
 
 
@@ -360,6 +390,8 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=0, help='of the first day')
     parser.add_argument('--seeds', type=int, default=1, help='days')
     parser.add_argument('--offline', action='store_true', help='without DDS, in this process')
+    parser.add_argument('--takeover-after', type=int, default=0, metavar='N',
+                        help='with --offline: what the background builds takes over N samples later')
     parser.add_argument('--folder', type=Path, default=Path('output/working_day'))
     parser.add_argument('--json', type=Path)
     given = parser.parse_args()
@@ -368,7 +400,10 @@ def main() -> int:
     for seed in range(given.seed, given.seed + given.seeds):
         day = lived(given.urdf, 60.0 * given.minutes, given.rate, seed)
         day = day._replace(settings=day.settings.changed({'variant': given.variant}))
-        found = offline(day, given.folder) if given.offline else answers(day, live(day, given.folder, given.speed))
+        if given.offline:
+            found = offline(day, given.folder, given.takeover_after)
+        else:
+            found = answers(day, live(day, given.folder, given.speed))
         days.append({'seed': seed, **figures(day, found, reference(day, given.folder))})
         print(json.dumps(days[-1], indent=1), flush=True)
     if given.json:

@@ -35,10 +35,14 @@ from semiparam_ros.settings.parameter_table import Table
 BLOCK_S = 0.5
 LONGEST_STEP_S = 0.1
 """What a sample adds to a block at most: a pause is no time under observation."""
-BEYOND = 0.1
-"""A position, velocity or acceleration so far outside of those learnt, as a share of their range, is unseen motion."""
-UNSEEN_S, UNSEEN_FACTOR = 2.0, 4.0
-"""For so long after unseen motion, and until hyperparameters follow it, thresholds are so many times as high."""
+BEYOND, UNSEEN_FACTOR = 0.1, 4.0
+"""A position, velocity or acceleration so far outside of those learnt, as a share of their range, is unseen motion: for
+a time after it, and until hyperparameters follow it, thresholds are so many times as high."""
+JUST_BEYOND, EDGE_FACTOR = 0.03, 1.5
+"""The same at the edge of what was learnt, which widens with each sample: a joint that creeps to where it never was is
+never far outside."""
+UNSEEN_S = 2.0
+"""[s] That time."""
 YOUNG_FACTOR = 2.0
 """They are so many times as high at a speed that is new, and come down with the blocks that are known."""
 SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
@@ -249,7 +253,7 @@ class ContactGate:
         self.level = np.zeros(self._n_outputs)
         self._newest: int | None = None
         self._speed = self._awake = 0.0
-        self._familiar = UNSEEN_S
+        self._familiar = self._within = UNSEEN_S
         for band in self._bands:
             band.clear()
         if self._turns is not None:
@@ -287,9 +291,11 @@ class ContactGate:
             usual, SMALLEST_SCALE * prediction.model_std)
         unseen = unseen or prediction.beyond > BEYOND
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
+        self._within = 0.0 if unseen or prediction.beyond > JUST_BEYOND else min(self._within + seconds, UNSEEN_S)
         familiar = self._familiar >= UNSEEN_S
         young = YOUNG_FACTOR - (YOUNG_FACTOR - 1.0) * self._bands[at].known
-        thresholds = thresholds * (young if familiar else UNSEEN_FACTOR)
+        edge = EDGE_FACTOR if self._within < UNSEEN_S else 1.0
+        thresholds = thresholds * (max(young, edge) if familiar else UNSEEN_FACTOR)
         self.level = ratio / thresholds
         if self.closed:
             self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
@@ -321,7 +327,8 @@ class ContactGate:
         return {'closed': self.closed, 'counts': (self.refused, self.contacts, self.changes), 'level': self.level,
                 'closed_since': self._closed_since, 'closed_at': self._closed_at, 'calm_since': self._calm_since,
                 'newest': self._newest, 'speed': self._speed, 'mean': self._mean, 'resting': self._resting,
-                'awake': self._awake, 'familiar': self._familiar, 'closures': self._closures,
+                'awake': self._awake, 'familiar': self._familiar, 'within': self._within,
+                'closures': self._closures,
                 'closed_ratio': self._closed_ratio,
                 'turns': None if self._turns is None else self._turns.state(),
                 'tails': tuple(tail.ratios for tail in self._tails),
@@ -337,7 +344,7 @@ class ContactGate:
         self.refused, self.contacts, self.changes = state['counts']
         self._calm_since, self._newest, self._speed = state['calm_since'], state['newest'], state['speed']
         self._resting, self._awake, self._closures = state['resting'], state['awake'], state['closures']
-        self._familiar = float(state['familiar'])
+        self._familiar, self._within = float(state['familiar']), float(state['within'])
         self._closed_ratio = self._sized(state['closed_ratio'], 1)
         self.level, self._mean = self._sized(state['level'], 1), self._sized(state['mean'], 1)
         for tail, ratios in zip(self._tails, state['tails'], strict=True):

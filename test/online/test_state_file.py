@@ -101,10 +101,10 @@ SCRATCH = {
 
 
 LAYOUT = {
-    10: {
+    11: {
         'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
-                'newest resting speed tails turns',
+                'newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
                     'horizon.length initial.samples noise outputs variant',
