@@ -9,6 +9,7 @@ is the same error, only larger, joint by joint. Columns of that difference stand
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,6 +33,7 @@ def with_error_columns(fit: Fit) -> Fit:
     return refit_weights(with_nuisance(fit, np.stack(columns, axis=2)))
 
 
+@lru_cache(maxsize=2)
 def without_error_columns(fit: Fit) -> Fit:
     """The same effects fitted to the motion as it is."""
     return fit if fit.nuisance is None else refit_weights(with_nuisance(fit, None))

@@ -10,6 +10,7 @@ import numpy as np
 
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.input_errors import without_error_columns
 from semiparam_ros.diagnosis.regression import Fit
 
 
@@ -103,7 +104,15 @@ def carries_over(before: Fit, after: Fit) -> bool:
                 and helped > config.least_helped_over_harmed * harmed)
 
 
-def improves(before: Fit, after: Fit) -> bool:
+def improves(before: Fit, after: Fit, least: float = 0.0) -> bool:
     """Whether a round may take one model for another: what it changes carries over, and the score that all rounds
-    share improves, so that no sequence of rounds leads back."""
-    return unseen_score(after) < unseen_score(before) and carries_over(before, after)
+    share improves, so that no sequence of rounds leads back.
+
+    With columns for errors of the inputs, it must do so without them too: an effect that only makes up for what those
+    columns spoil explains nothing.
+
+    :param least: by how much the score must improve.
+    """
+    if not (unseen_score(after) < unseen_score(before) - least and carries_over(before, after)):
+        return False
+    return before.nuisance is None or improves(without_error_columns(before), without_error_columns(after), least)

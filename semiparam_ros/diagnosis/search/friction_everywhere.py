@@ -11,7 +11,7 @@ from collections.abc import Collection
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.diagnosis.data.splits import carries_over, unseen_score
+from semiparam_ros.diagnosis.data.splits import improves, unseen_score
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held
 from semiparam_ros.diagnosis.search.delay_with_friction import reshaped
@@ -49,7 +49,7 @@ def friction_where_it_helps(fit: Fit, kinds: dict[str, type[Effect]], declared: 
 
 
 def _better(fit: Fit, other: Fit) -> bool:
-    return unseen_score(other) < unseen_score(fit) - fit.config.plain_gain and carries_over(fit, other)
+    return improves(fit, other, least=fit.config.plain_gain)
 
 
 def _shaped(fit: Fit, declared: Collection[Place]) -> Fit:
