@@ -249,6 +249,9 @@ class DiagnosisConfig:
     """Shortens a Gauss-Newton step that would raise the loss to this share, until it lowers it (chosen)."""
     settled_step: float = 1e-4
     """Ends the Gauss-Newton steps once the largest change [rad, s or 1] is below this: it no longer matters."""
+    settled_gain: float = 0.1
+    """Ends the Gauss-Newton steps of nonlinear values once they gain less than this of the squares over their variance:
+    less than a tenth of a standard deviation (chosen)."""
     reference_rounds: int = 2
     """Refers friction that grows with the load so many times to the load of the model that holds it (chosen)."""
     shortened_step: float = 0.1

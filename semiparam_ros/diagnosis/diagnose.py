@@ -180,7 +180,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     fitting, held_out = fitting & counted.any(axis=1), held_out & counted.any(axis=1)
     require_enough(config, *([fitting, held_out] if other is None else [fitting]))
     first = _calibrated(starting_fit(body, chosen, effects, fitting, config, counted))
-    steps, setup = _searched(first if inputs.motion == 'recorded' else with_error_columns(first),
+    steps, setup = _searched(first if inputs.measured_accelerations else with_error_columns(first),
                              considered(body, only), suspected, progress)
     steps = _on_the_motion(steps)
     final = steps[-1].after if steps else first

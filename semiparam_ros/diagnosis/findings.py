@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.diagnosis.search.shapes import shape_columns, shapes_of
 from semiparam_ros.diagnosis.search.stepwise import Step
 from semiparam_ros.effects import Effect, kinds
 
@@ -52,7 +54,7 @@ def findings(fit: Fit, steps: list[Step], everything: Fit) -> list[Finding]:
 
     :param everything: the final model fitted to all samples, its effects in the same order; the values are its own.
     """
-    deviations = coefficient_deviations(everything)
+    deviations = coefficient_deviations(everything, [index for index, _, _ in places_in(fit, steps)])
     return [Finding(everything.effects[index], number, steps[number - 1].added[place].evidence,
                     _parameters(everything, index, deviations), steps[number - 1].rivals[place])
             for index, number, place in places_in(fit, steps)]
@@ -105,7 +107,7 @@ def _explained(step: Step, channels: list[int]) -> float:
 
 def declared_findings(fit: Fit, found: list[Finding]) -> list[Finding]:
     """The effects of the model that were declared beforehand, with their fitted values."""
-    deviations = coefficient_deviations(fit)
+    deviations = coefficient_deviations(fit, ())
     return [Finding(effect, 0, 0.0, _parameters(fit, index, deviations), ())
             for index, effect in enumerate(fit.effects) if effect not in [finding.effect for finding in found]]
 
@@ -117,10 +119,14 @@ def _index_in(fit: Fit, effect: Effect, taken: list[int]) -> int | None:
     return same[0] if same else None
 
 
-def coefficient_deviations(fit: Fit) -> Array:
-    """(p,) standard deviations of theta, widened for the residual's autocorrelation."""
-    inflation = float(np.mean(fit.correlation))
-    return np.asarray(np.sqrt(np.diag(fit.theta_covariance()) * inflation))
+def coefficient_deviations(fit: Fit, found: Collection[int]) -> Array:
+    """(p,) standard deviations of theta, widened for the residual's autocorrelation, for the calibrations and for the
+    nonlinear values of the effects with the numbers ``found``: none of them is known exactly."""
+    further = [added_columns(fit, effect) for effect in fit.effects if effect.is_calibration]
+    shapes = shapes_of(fit, found)
+    further += [shape_columns(fit, shapes)] if shapes else []
+    columns = np.concatenate(further, axis=2) if further else np.zeros((*fit.residual.shape, 0))
+    return fit.deviations_with(columns) * float(np.sqrt(np.mean(fit.correlation)))
 
 
 def _parameters(fit: Fit, index: int, deviations: Array) -> dict[str, Quantity]:

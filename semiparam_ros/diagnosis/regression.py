@@ -163,6 +163,15 @@ class Fit:
         """(p, p) of theta over the noise's variance in scaled units."""
         return np.asarray(cho_solve(self.factor, np.eye(len(self.theta))))
 
+    def deviations_with(self, columns: Array) -> Array:
+        """(p,) standard deviations of theta over the noise's where the coefficients of further columns (N, n, c) are not
+        known either."""
+        variances = np.diag(self.theta_covariance()).copy()
+        if columns.shape[2]:
+            _, covariance, _, cross, _ = self._regressed(columns)
+            variances += np.einsum('pi,ij,pj->p', cross, covariance, cross)
+        return np.asarray(np.sqrt(variances))
+
     def known_precision(self) -> tuple[Array, Array]:
         """(p,) precision of coefficients whose values or sizes are known, zero elsewhere; and its pull on theta."""
         mean, assembly = self.prior_mean(), CoupledColumns(self.body, self.effects)

@@ -27,7 +27,8 @@ from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
 from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
-OPTIONS = ('smoothed', 'smoothed from positions', 'recorded')
+BUT_ACCELERATIONS = 'smoothed, accelerations recorded'
+OPTIONS = ('smoothed', 'smoothed from positions', 'recorded', BUT_ACCELERATIONS)
 
 
 class Inputs(NamedTuple):
@@ -37,6 +38,11 @@ class Inputs(NamedTuple):
     motion: str
     factor: int
     ends: int = DEFAULTS.smoothing_ends
+
+    @property
+    def measured_accelerations(self) -> bool:
+        """Whether the accelerations are those of the recording."""
+        return self.motion in ('recorded', BUT_ACCELERATIONS)
 
     def prepare(self, samples: Samples) -> Samples:
         """Another recording of the same robot, prepared alike."""
@@ -54,9 +60,12 @@ class Inputs(NamedTuple):
         return whole
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=5)
 def _prepared(inputs: Inputs, samples: Samples) -> Samples:
-    return replace(moved(averaged(samples, inputs.factor), inputs.motion), whole=True)
+    working = averaged(samples, inputs.factor)
+    if inputs.motion == BUT_ACCELERATIONS:
+        return replace(_prepared(inputs._replace(motion='smoothed'), samples), acceleration=working.acceleration)
+    return replace(moved(working, inputs.motion), whole=True)
 
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
@@ -66,7 +75,8 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     Raises SemiparamError when too few samples are left to work with.
     """
     factor = working_factor(samples, config)
-    options = {name: Inputs(name, factor, config.smoothing_ends) for name in OPTIONS}
+    possible = OPTIONS if samples.acceleration.any() else OPTIONS[:-1]
+    options = {name: Inputs(name, factor, config.smoothing_ends) for name in possible}
     require_enough(config, *(inputs.mask(train_mask) for inputs in options.values()))
     outputs = samples.outputs[train_mask]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
@@ -86,7 +96,7 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
 
     :param fit: the model on the prepared samples.
     """
-    if inputs.motion == 'recorded' or samples.breaks:
+    if inputs.measured_accelerations or samples.breaks:
         return []
     config, raw, with_velocities = fit.config, averaged(samples, inputs.factor), inputs.motion == 'smoothed'
     spread = fit.samples.acceleration.std(axis=0)
@@ -156,7 +166,7 @@ def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
 
 
 def moved(samples: Samples, motion: str) -> Samples:
-    """The samples with their motion as one of OPTIONS."""
+    """The samples with their whole motion as one of OPTIONS."""
     return samples if motion == 'recorded' else smoothed(samples, motion == 'smoothed')
 
 

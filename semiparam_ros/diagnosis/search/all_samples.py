@@ -13,19 +13,21 @@ from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, best_start
 from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.shapes import settled
 from semiparam_ros.effects import Effect
 
 
 def fitted_to_all(fit: Fit, usable: Mask, found: Collection[int]) -> Fit:
     """The same effects in the same order, fitted to all usable samples (N,).
 
-    :param found: numbers of the effects that were found, whose starts are searched again near where they are.
+    :param found: numbers of the effects that were found, whose starts are searched again near where they are, and whose
+        nonlinear values are settled.
     """
     everything = replace(fit, train_mask=usable)
     effects = list(fit.effects)
     for number in found:
         effects[number] = _started_anew(everything, effects, number)
-    return declare(with_effects(everything, effects), [])
+    return settled(declare(with_effects(everything, effects), []), found)
 
 
 def _started_anew(fit: Fit, effects: list[Effect], number: int) -> Effect:

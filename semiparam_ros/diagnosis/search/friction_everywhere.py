@@ -17,6 +17,7 @@ from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held
 from semiparam_ros.diagnosis.search.delay_with_friction import reshaped
 from semiparam_ros.diagnosis.search.elimination import worth_at_once
 from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.scoring import Trial, score
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.drive import EffortOffset
 from semiparam_ros.effects.friction import SPEED_SHARES, CoulombFriction, ViscousFriction
@@ -49,7 +50,10 @@ def friction_where_it_helps(fit: Fit, kinds: dict[str, type[Effect]], declared: 
 
 
 def _better(fit: Fit, other: Fit) -> bool:
-    return improves(fit, other, least=fit.config.plain_gain)
+    """Whether the other model improves by more than noise that is correlated over long times would let offsets do."""
+    spent = other.columns.shape[2] - fit.columns.shape[2]
+    worth = score(fit, Trial(other.effects[-1], other.residual, spent), other.correlation).evidence
+    return worth > fit.config.least_evidence and improves(fit, other, least=fit.config.plain_gain)
 
 
 def _shaped(fit: Fit, declared: Collection[Place]) -> Fit:
