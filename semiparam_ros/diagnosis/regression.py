@@ -164,8 +164,7 @@ class Fit:
         return np.asarray(cho_solve(self.factor, np.eye(len(self.theta))))
 
     def deviations_with(self, columns: Array) -> Array:
-        """(p,) standard deviations of theta over the noise's where the coefficients of further columns (N, n, c) are not
-        known either."""
+        """(p,) standard deviations of theta over the noise's, where those of further columns (N, n, c) are open too."""
         variances = np.diag(self.theta_covariance()).copy()
         if columns.shape[2]:
             _, covariance, _, cross, _ = self._regressed(columns)

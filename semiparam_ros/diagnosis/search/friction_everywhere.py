@@ -51,6 +51,8 @@ def friction_where_it_helps(fit: Fit, kinds: dict[str, type[Effect]], declared: 
 
 def _better(fit: Fit, other: Fit) -> bool:
     """Whether the other model improves by more than noise that is correlated over long times would let offsets do."""
+    if not other.effects:
+        return False
     spent = other.columns.shape[2] - fit.columns.shape[2]
     worth = score(fit, Trial(other.effects[-1], other.residual, spent), other.correlation).evidence
     return worth > fit.config.least_evidence and improves(fit, other, least=fit.config.plain_gain)

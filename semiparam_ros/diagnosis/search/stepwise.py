@@ -22,6 +22,7 @@ from semiparam_ros.diagnosis.search.joint_offsets import joint_offsets
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, refined, retried, score
+from semiparam_ros.diagnosis.search.shapes import settled
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
@@ -214,9 +215,22 @@ def _first_that_helps(fit: Fit, ranking: list[Trial], order: Sequence[str]) -> t
         first = simplest(fit, ranking, order)
         after = declare(fit, [first.effect])
         if all_plausible(fit, after) and improves(fit, after):
-            return first, after, ranking
+            return first, _own_form_settled(after, first.effect), ranking
         ranking = [trial for trial in ranking if trial is not first]
     return None, fit, ranking
+
+
+def _own_form_settled(fit: Fit, effect: Effect) -> Fit:
+    """The model with the nonlinear values of the effect just added at their best, where that helps on unseen blocks.
+
+    What they leave, others would take up.
+    """
+    if len(effect.searched) < 2 or effect.is_calibration:
+        return fit
+    numbers = [number for number, known in enumerate(fit.effects) if known.kind == effect.kind
+               and known.searched == effect.searched and known.start == effect.start][-1:]
+    after = settled(fit, numbers)
+    return after if unseen_score(after) < unseen_score(fit) else fit
 
 
 def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
