@@ -32,7 +32,7 @@ from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import CHANNELS, Start
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.experiments.scoreboard import body_of, deviations_off, samples_of
 from semiparam_ros.experiments.variants_with_effects import evaluate_variants
 from semiparam_ros.online import worker
 from semiparam_ros.report.diagnosis_page import relative_floor
@@ -95,6 +95,24 @@ def test_both_shapes_of_sticking_friction_are_settled():
     assert [finding.effect.kind for finding in found.findings] == ['stribeck_friction']
     evidence = {trial.effect.kind: trial.evidence for trial in reversed(found.steps[0].ranking)}
     assert evidence['stribeck_friction'] > evidence['coulomb_friction'] + 100.0
+
+
+@pytest.mark.parametrize('kind', ['coulomb_friction', 'transmission_ripple'])
+def test_shapes_are_settled_on_smooth_positions_and_not_taken_for_exact(kind):
+    """Noise of positions at each turn made dry friction 5 % too small, and a ripple was 70 standard deviations off."""
+    made = simulate(Scenario(samples=2000, outputs='effort', effects=(EffectRequest(kind, size=2.0),), seed=12))
+    found = diagnose(body_of(made), samples_of(made), only=[kind])
+    off = deviations_off(found, made.truth[0])
+    assert off and np.abs(off).max() < 4.0
+
+
+@pytest.mark.parametrize(('options', 'kinds_tried'), [
+    ({'rate_hz': 200.0, 'samples': 20_000, 'accelerations': False, 'seed': 12}, ['rotor_inertia', 'viscous_friction']),
+    ({'noise_correlation_s': 2.0, 'samples': 2000, 'seed': 30}, ['effort_offset', 'viscous_friction'])])
+def test_nothing_is_found_in_errors_of_accelerations_or_in_noise_of_long_memory(options, kinds_tried):
+    """An inertia made up for what columns of such errors spoil; offsets of three joints followed slow noise."""
+    clean = simulate(Scenario(motion='circle_xy', outputs='effort', **options))
+    assert not found_in(clean, only=kinds_tried).findings
 
 
 def test_errors_of_estimated_accelerations_are_no_force_beside_friction():
