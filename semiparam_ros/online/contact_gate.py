@@ -40,7 +40,7 @@ BEYOND, UNSEEN_FACTOR = 0.1, 4.0
 a time after it, and until hyperparameters follow it, thresholds are so many times as high."""
 JUST_BEYOND, EDGE_FACTOR = 0.03, 1.5
 """The same at the edge of what was learnt, which widens with each sample: a joint that creeps to where it never was is
-never far outside."""
+never far outside. So many times as high as otherwise while the model is provisional."""
 UNSEEN_S = 2.0
 """[s] That time."""
 YOUNG_FACTOR = 2.0
@@ -295,7 +295,8 @@ class ContactGate:
         familiar = self._familiar >= UNSEEN_S
         young = YOUNG_FACTOR - (YOUNG_FACTOR - 1.0) * self._bands[at].known
         edge = EDGE_FACTOR if self._within < UNSEEN_S else 1.0
-        thresholds = thresholds * (max(young, edge) if familiar else UNSEEN_FACTOR)
+        provisional = 1.0 if prediction.ready else EDGE_FACTOR
+        thresholds = thresholds * (provisional * max(young, edge) if familiar else UNSEEN_FACTOR)
         self.level = ratio / thresholds
         if self.closed:
             self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)

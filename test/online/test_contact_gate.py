@@ -25,16 +25,16 @@ class Stand:
     def __init__(self, settings=ON, of_joints=False):
         self.gate, self.settings, self.stamp = ContactGate(3, of_joints), settings, 10**9
 
-    def judge(self, innovations, speed=0.5, std=1.0, beyond=0.0):
+    def judge(self, innovations, speed=0.5, std=1.0, beyond=0.0, ready=True):
         """Whether each of (N, 3) innovations is refused."""
-        return np.array([self._one(row, speed, std, beyond) for row in innovations])
+        return np.array([self._one(row, speed, std, beyond, ready=ready) for row in innovations])
 
-    def _one(self, innovation, speed, std, beyond, off=False):
+    def _one(self, innovation, speed, std, beyond, off=False, ready=True):
         """``speed``: of the fastest joint, or velocities of all three."""
         self.stamp += 10**9 // RATE_HZ
         velocity = speed if np.ndim(speed) else np.array([0.0, -speed, 0.0])
         sample = Sample(self.stamp, np.zeros(3), velocity, np.zeros(3), innovation)
-        prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, True, None, sample, NO_PRIOR,
+        prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, ready, None, sample, NO_PRIOR,
                                 np.zeros((3, 0)), np.zeros(3), np.ones(3), None,
                                 at_start(self.stamp, sample.position, innovation), beyond, off=off)
         return self.gate.judge(prediction, self.settings)
@@ -198,6 +198,13 @@ def test_at_the_edge_of_what_was_learnt_thresholds_are_higher_for_a_while(second
     stand.judge(white(1), beyond=0.05)
     stand.judge(white(RATE_HZ * seconds, seed=1))
     assert stand.judge(8.0 * SCALES * np.ones((3, 1))).any() == refused
+
+
+@pytest.mark.parametrize('ready', [False, True])
+def test_a_provisional_model_is_judged_with_higher_thresholds(ready):
+    stand = Stand()
+    stand.judge(white(RATE_HZ * 60))
+    assert stand.judge(8.0 * SCALES * np.ones((3, 1)), ready=ready).any() == ready
 
 
 def test_what_comes_again_and_again_is_the_robots_own():
