@@ -1,18 +1,22 @@
-"""What a sample and the initial window cost as joints grow: the iCub of the package icub-models, joint efforts.
+"""What a sample, the initial window and a diagnosis cost as joints grow: the iCub of icub-models, joint efforts.
 
     pip install icub-models
     python benchmarks/many_joints.py
+    python benchmarks/many_joints.py --diagnosis    three minutes at 100 Hz, viscous friction in the second joint
 
 SPK and P predict and learn samples of sines on every joint, in turns; n joints have n outputs. The regressor alone
-beside them.
+beside them. Each diagnosis has a process of its own.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
+import resource
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from typing import NamedTuple
 
 os.environ.setdefault('OMP_NUM_THREADS', '1')
@@ -22,7 +26,8 @@ import numpy as np
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
 
@@ -95,12 +100,59 @@ def measure(joints: tuple[str, ...], features: int, window: int, count: int) -> 
     return Cost(len(joints), body.n_parameters, median.pop('regressor'), median, windows)
 
 
+def recording(body: RigidBody, seconds: float, rate_hz: float = 100.0) -> Samples:
+    """Sums of five slow sines on every joint, noise of encoders, and 2 % of noise on the efforts; the second joint's
+    effort has viscous friction of 10 % of it."""
+    rng, joints = np.random.default_rng(0), body.n_joints
+    time_s = np.arange(int(seconds * rate_hz)) / rate_hz
+    frequency, phase = rng.uniform(0.3, 3.0, (5, joints)), rng.uniform(0.0, 2.0 * np.pi, (5, joints))
+    angle = time_s[:, None, None] * frequency + phase
+    size = 0.15 / np.sqrt(frequency)
+    moved = [(size * frequency**order * wave).sum(axis=1)
+             for order, wave in enumerate((np.sin(angle), np.cos(angle), -np.sin(angle)))]
+    stamps = (1e9 * time_s).astype(np.int64)
+    outputs = body.outputs_of(Samples(stamps, *moved, np.zeros((len(stamps), body.n_outputs)), 0),
+                              body.base_parameters)
+    spread = outputs.std(axis=0)
+    outputs[:, 1] += 0.1 * spread[1] * moved[1][:, 1] / moved[1][:, 1].std()
+    outputs += 0.02 * spread * rng.standard_normal(outputs.shape)
+    position, velocity, acceleration = (values + noise * rng.standard_normal(values.shape)
+                                        for values, noise in zip(moved, (1e-4, 2e-3, 2e-2), strict=True))
+    return Samples(stamps, position, velocity, acceleration, outputs, 0)
+
+
+def diagnosed(joints: tuple[str, ...], seconds: float) -> str:
+    """The row of the table of diagnoses."""
+    body = build_rigid_body(settings_of(joints, 'P', 1, 1))
+    samples = recording(body, seconds)
+    start = time.process_time()
+    found = diagnose(body, samples)
+    used = time.process_time() - start
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    named = ', '.join(f'{finding.effect.kind} at {finding.effect.where}' for finding in found.findings) or 'nothing'
+    return f'| {len(joints)} | {body.n_parameters} | {used:.0f} | {peak:.2f} | {len(found.steps)} | {named} |'
+
+
+def diagnoses(seconds: float) -> None:
+    """One table row for each number of joints."""
+    print('| joints | columns | diagnosis [s] | peak [GB] | rounds | found |')
+    print('|---|---|---|---|---|---|')
+    for joints in JOINTS:
+        with ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as alone:
+            print(alone.submit(diagnosed, joints, seconds).result(), flush=True)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('--features', type=int, default=200)
     parser.add_argument('--window', type=int, default=200, help='samples of the initial window (default: %(default)s)')
     parser.add_argument('--count', type=int, default=300, help='samples that are timed (default: %(default)s)')
+    parser.add_argument('--diagnosis', action='store_true', help='diagnose a recording of each instead')
+    parser.add_argument('--seconds', type=float, default=180.0, help='of that recording (default: %(default)s)')
     args = parser.parse_args()
+    if args.diagnosis:
+        diagnoses(args.seconds)
+        return 0
     print('| joints | columns | regressor [us] | P [us] | SPK-ML [us] | window of P [s] | window of SPK-ML [s] |')
     print('|---|---|---|---|---|---|---|')
     for joints in JOINTS:
