@@ -14,7 +14,7 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.identifiability import unidentifiable
 from semiparam_ros.diagnosis.data.input_errors import with_error_columns, without_error_columns
-from semiparam_ros.diagnosis.data.outliers import excluded
+from semiparam_ros.diagnosis.data.outliers import excluded, gaps
 from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.rest import counted_outputs
@@ -31,6 +31,7 @@ from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, star
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError
 
 VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
@@ -171,7 +172,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = [problem for part in samples.recordings
                  for problem in setup_problems(body, alone(samples, part) if samples.breaks else samples, config)]
-    clean = ~excluded(samples, config) & ~beside_breaks(samples, max(config.gap_margin, factor * config.smoothing_ends))
+    margin = max(config.gap_margin, factor * config.smoothing_ends)
+    clean = ~excluded(samples, config) & ~beside_breaks(samples, margin)
     may_fit = _may_fit(samples, train_mask, other is not None, config)
     inputs = best_inputs(body, samples, effects, clean & may_fit, config)
     chosen, valid = inputs.prepare(samples), inputs.mask(clean)
@@ -212,7 +214,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *fast,
-               *unidentifiable(body, samples, config), *_left_out(clean)],
+               *unidentifiable(body, samples, config), *_left_out(clean),
+               *_begun_in_gaps(found, samples, margin)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
 
 
@@ -296,6 +299,21 @@ def patched(steps: list[Step], structure: Structure | None, config: DiagnosisCon
     """Whether effect was added after effect, and still much of what is left is more than noise."""
     return len(steps) >= config.patch_rounds and structure is not None and structure.significant \
         and structure.share > config.patch_share
+
+
+def _begun_in_gaps(found: list[Finding], samples: Samples, margin: int) -> list[str]:
+    """A sentence for each effect that may have begun anywhere in a gap, as between two stretches of a long recording.
+
+    :param margin: so many samples on either side of a gap are left out.
+    """
+    time, sentences = samples.time, []
+    for effect in (finding.effect for finding in found):
+        for gap in gaps(samples) if effect.start_s is not None else []:
+            earliest, latest = time[max(gap.before - margin, 0)], time[min(gap.before + 1 + margin, len(time) - 1)]
+            if earliest <= float(effect.start_s or 0.0) <= latest:
+                sentences.append(f'{place(effect.kind, effect.where)} began between {gap.start_s:.1f} and '
+                                 f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
+    return sentences
 
 
 def _left_out(valid: Mask) -> list[str]:

@@ -21,7 +21,7 @@ from semiparam_ros.effects import Effect
 
 LARGE = ('columns', 'corrected', 'in_use', 'rows')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = (*LARGE, 'grams')
+OF_COLUMNS = (*LARGE, 'felt', 'grams')
 """What neither its weights nor its outputs change."""
 
 
@@ -74,14 +74,24 @@ class Fit:
         return [np.flatnonzero(self.train_mask & counted) for counted in self.counted.T]
 
     @cached_property
+    def felt(self) -> list[Stamps]:
+        """(p_k,) of each channel k the numbers of the columns that are not zero there. A joint does not feel most bodies
+        of a robot with limbs, nor what rubs in other joints."""
+        return [np.flatnonzero(self.columns[:, channel].any(axis=0)) for channel in range(len(self.scale))]
+
+    @cached_property
     def rows(self) -> list[Array]:
-        """(M_k, p) of each channel k the columns in use, not divided by its scale."""
-        return [self.columns[used, channel] for channel, used in enumerate(self.in_use)]
+        """(M_k, p_k) of each channel k the columns in use that it feels, not divided by its scale."""
+        return [self.columns[used[:, None], channel, felt]
+                for channel, (used, felt) in enumerate(zip(self.in_use, self.felt, strict=True))]
 
     @cached_property
     def grams(self) -> Array:
         """(n, p, p) of each channel the products of these columns: what another weight leaves as it is."""
-        return np.array([rows.T @ rows for rows in self.rows])
+        grams = np.zeros((len(self.scale), *2 * self.columns.shape[2:]))
+        for gram, rows, felt in zip(grams, self.rows, self.felt, strict=True):
+            gram[np.ix_(felt, felt)] = rows.T @ rows
+        return grams
 
     @cached_property
     def factor(self) -> tuple[Array, bool]:
@@ -149,11 +159,13 @@ class Fit:
         count = columns.shape[2]
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.columns.shape[2], count))
-        for channel in np.flatnonzero(columns.any(axis=(0, 2))):
-            used, weight = columns[self.in_use[channel], channel], self.scale[channel] ** -2.0
-            inner += weight * (used.T @ used)
-            right += weight * (used.T @ self.residual[self.in_use[channel], channel])
-            shared += weight * (self.rows[channel].T @ used)
+        for channel, rows in enumerate(self.rows):
+            acting = np.flatnonzero(columns[:, channel].any(axis=0))
+            if len(acting):
+                used, weight = columns[self.in_use[channel][:, None], channel, acting], self.scale[channel] ** -2.0
+                inner[np.ix_(acting, acting)] += weight * (used.T @ used)
+                right[acting] += weight * (used.T @ self.residual[self.in_use[channel], channel])
+                shared[np.ix_(self.felt[channel], acting)] += weight * (rows.T @ used)
         cross = cho_solve(self.factor, shared)
         power = np.diag(inner).copy()
         solved = _solve(inner - shared.T @ cross, right, power, self.config.absorbed_share)
@@ -244,8 +256,9 @@ def refit_weights(first: Fit) -> Fit:
 
 def _least_squares(start: Fit) -> Fit:
     """The fit from a start at the prior mean."""
-    right = sum(rows.T @ start.residual[used, channel] / start.scale[channel]**2
-                for channel, (rows, used) in enumerate(zip(start.rows, start.in_use, strict=True)))
+    right = np.zeros(start.columns.shape[2])
+    for channel, (rows, felt) in enumerate(zip(start.rows, start.felt, strict=True)):
+        right[felt] += rows.T @ start.residual[start.in_use[channel], channel] / start.scale[channel]**2
     change = cho_solve(start.factor, right)
     residual = start.residual - predicted(start.columns, change)
     fitted = _with_columns(start, theta=start.theta + change, residual=residual)

@@ -219,6 +219,19 @@ def with_load(theta, noise, seed=0):
     return fit, declare(fit, [load])
 
 
+def test_a_load_that_comes_in_a_gap_is_said_to_have_come_there():
+    samples = moving(3)
+    columns = kinds()['payload']('tool', start=Start(18.5)).columns(BODY, samples, None)[0]
+    loaded = replace(samples, outputs=samples.outputs + columns @ np.array([0.4, 0.01, 0.0, 0.02, *[0.0] * 6]))
+    seen = loaded[(samples.time < 17.0) | (samples.time > 20.0)]
+    found = diagnose(BODY, seen, only=['payload', 'external_force'])
+    assert [finding.effect.kind for finding in found.findings] == ['payload']
+    assert 17.0 <= found.findings[0].effect.start_s <= 20.2
+    assert [note for note in found.notes if 'began' in note] == [
+        f'payload at {found.findings[0].effect.where} began between {seen.time[seen.time < 17.0][-1]:.1f} and '
+        f'{seen.time[seen.time > 20.0][0]:.1f} s, where nothing was looked at.']
+
+
 def test_a_load_must_be_a_body_as_far_as_the_motion_shows():
     body = np.array([0.4, 0.01, 0.0, 0.02, 3e-3, 0.0, 3e-3, 0.0, 0.0, 1e-3])
     assert all_plausible(*with_load(body, 0.01))

@@ -233,7 +233,7 @@ class RigidBody:
         return psi
 
     def regressors(self, samples: Samples) -> Array:
-        """(N, n, p) one regressor for each sample, to read alone: the latest few are remembered."""
+        """(N, n, p) one regressor for each sample, to read alone: the latest two are remembered."""
         return _regressors(self, samples)
 
     def outputs_of(self, samples: Samples, parameters: Array) -> Array:
@@ -282,7 +282,7 @@ class RigidBody:
         return model, range(self.arm.njoints, model.njoints)
 
     def full_regressors(self, samples: Samples) -> Array:
-        """(N, n, 10 n_bodies) before the reduction to base parameters; the latest few are remembered."""
+        """(N, n, 10 n_bodies) before the reduction to base parameters; the latest one is remembered."""
         return _full_regressors(self, samples)
 
     def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
@@ -369,7 +369,7 @@ def _reduce(full: Array, to_outputs: Array, rows: Indices, columns: Indices, psi
             psi[k, j] += full[k, i] * to_outputs[i, j]
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def _regressors(body: RigidBody, samples: Samples) -> Array:
     full = body.full_regressors(samples)
     reduced = (full.reshape(-1, full.shape[2]) @ body._from_base).reshape(*full.shape[:2], -1)  # one product
@@ -377,7 +377,7 @@ def _regressors(body: RigidBody, samples: Samples) -> Array:
     return reduced
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=1)
 def _full_regressors(body: RigidBody, samples: Samples) -> Array:
     if samples.position.shape[1] != body.n_joints:
         raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is used with '

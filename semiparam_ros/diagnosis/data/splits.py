@@ -45,17 +45,19 @@ def fold_errors(fit: Fit, scale: Array) -> Array:
     labels = folds(fit.train_mask, fit.config)
     ridge = 1e-9 * np.eye(fit.columns.shape[2])
     known, pull = fit.known_precision()  # a mass that was declared stays as it is in every fold
-    blocks = []
-    for fold in range(fit.config.folds):
+
+    def block(fold: int) -> tuple[Array, Array]:
         rows = labels == fold
         weight = fit.counted[rows] / scale
         columns = (fit.columns[rows] * weight[:, :, None]).reshape(-1, fit.columns.shape[2])
-        left = (fit.residual[rows] * weight).ravel()
-        blocks.append((columns, left, columns.T @ columns, columns.T @ left))
-    total, right = sum(gram for _, _, gram, _ in blocks), sum(moment for *_, moment in blocks)
+        return columns, (fit.residual[rows] * weight).ravel()
+
+    sums = [(columns.T @ columns, columns.T @ left) for columns, left in map(block, range(fit.config.folds))]
+    total, right = sum(gram for gram, _ in sums), sum(moment for _, moment in sums)
     size = 1.0 / np.sqrt(np.diag(total) + known + 1e-300)
     errors = []
-    for columns, left, gram, moment in blocks:
+    for fold, (gram, moment) in enumerate(sums):
+        columns, left = block(fold)  # again: all of them at once are as large as all that is in use
         rest = (total - gram + np.diag(known)) * np.outer(size, size) + ridge
         change = np.linalg.lstsq(rest, (right - moment - pull) * size, rcond=1e-10)[0] * size
         errors.append(((left - columns @ change).reshape(-1, len(scale)) ** 2).sum(axis=0) * scale**2)

@@ -121,12 +121,17 @@ def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[i
 
     :param near_s: looks within the length of a block around this time [s] alone.
     """
-    used, left = fit.weighed(columns), fit.weighed(fit.residual)
-    declared = fit.weighed(fit.columns)
-    gram = _suffix(np.einsum('tni,tnj->tij', used, used))
-    cross = _suffix(np.einsum('tni,tnj->tij', declared, used))
-    right = _suffix(np.einsum('tni,tn->ti', used, left))
-    count = len(used)
+    fitting, size = np.flatnonzero(fit.train_mask), columns.shape[2]
+    count = len(fitting)
+    gram, right = np.zeros((count, size, size)), np.zeros((count, size))
+    cross = np.zeros((count, fit.columns.shape[2], size))
+    for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
+        weight = (fit.counted[fitting, channel] / fit.scale[channel])[:, None]
+        own = columns[fitting, channel] * weight
+        gram += np.einsum('ti,tj->tij', own, own)
+        right += own * fit.residual[fitting, channel, None] * weight
+        cross += np.einsum('ti,tj->tij', fit.columns[fitting, channel], own * weight)
+    gram, cross, right = (_suffix(values) for values in (gram, cross, right))
 
     def gain(start: int) -> float:
         size = 1.0 / np.sqrt(np.diag(gram[start]) + 1e-300)
@@ -136,7 +141,6 @@ def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[i
 
     margin = max(int(fit.config.start_margin * count), 1)
     low, high = margin, count - margin
-    fitting = np.flatnonzero(fit.train_mask)
     if near_s is not None:
         times = fit.samples.time[fitting]
         reach = float(times[-1] - times[0]) / fit.config.split_blocks
