@@ -75,8 +75,8 @@ class Fit:
 
     @cached_property
     def felt(self) -> list[Stamps]:
-        """(p_k,) of each channel k the numbers of the columns that are not zero there. A joint does not feel most bodies
-        of a robot with limbs, nor what rubs in other joints."""
+        """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels few bodies of a
+        robot with limbs, and nothing of what rubs in other joints."""
         return [np.flatnonzero(self.columns[:, channel].any(axis=0)) for channel in range(len(self.scale))]
 
     @cached_property

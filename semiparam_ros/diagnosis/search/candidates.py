@@ -130,7 +130,8 @@ def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[i
         own = columns[fitting, channel] * weight
         gram += np.einsum('ti,tj->tij', own, own)
         right += own * fit.residual[fitting, channel, None] * weight
-        cross += np.einsum('ti,tj->tij', fit.columns[fitting, channel], own * weight)
+        felt = fit.felt[channel]
+        cross[:, felt] += np.einsum('ti,tj->tij', fit.columns[fitting[:, None], channel, felt], own * weight)
     gram, cross, right = (_suffix(values) for values in (gram, cross, right))
 
     def gain(start: int) -> float:
