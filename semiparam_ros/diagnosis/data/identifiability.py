@@ -83,7 +83,8 @@ def unseen_bodies(body: RigidBody, samples: Samples, config: DiagnosisConfig = D
     spread[:, 4:] = 0.0
     shown, size, parts = np.linalg.svd(body.basis.T * spread.ravel(), full_matrices=False)
     possible = size > config.negligible_direction * size[0]
-    _, moved, mixed = np.linalg.svd(rows @ (shown[:, possible] * size[possible]))
+    seen = rows @ (shown[:, possible] * size[possible])
+    _, moved, mixed = np.linalg.svd(seen, full_matrices=len(seen) < seen.shape[1])  # of 30 joints 1.8 GB otherwise
     moved = np.concatenate([moved, np.zeros(len(mixed) - len(moved))])
     dark = mixed[moved < config.unseen_share] @ parts[possible]
     share = (dark**2).reshape(len(dark), len(body.bodies), 10).sum(axis=2)
