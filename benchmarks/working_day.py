@@ -190,7 +190,8 @@ def live(day: Day, folder: Path, rate: float) -> Path:
         for part in (['--until', f'{restart}'], ['--start-offset', f'{restart}']):
             node = started(log, 'run', '--params', folder / 'day.yaml')
             subprocess.run(command('replay', folder / 'day.mcap', '--rate', f'{rate}', '--wait-for-subscribers', '2',
-                                   '--wait-timeout', '120', '--quiet', '--disable-keyboard-controls', *part),
+                                   '--wait-timeout', '120', '--quiet', '--disable-keyboard-controls',
+                                   '--follow', f'/estimator/residual={topic}', '--window', '100000', *part),
                            check=True, stdout=log, stderr=log)
             time.sleep(2.0)
             ended(node)
