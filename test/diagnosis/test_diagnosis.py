@@ -22,7 +22,7 @@ from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.noise import correlation_times, noise_floor
-from semiparam_ros.diagnosis.search.ambiguity import simplest
+from semiparam_ros.diagnosis.search.ambiguity import Rival, simplest
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
 from semiparam_ros.diagnosis.search.elimination import without_needless
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton, replace_effect
@@ -272,6 +272,24 @@ def test_the_table_groups_by_joint_and_the_report_ends_with_what_to_do(payload, 
     assert [row.where for row in table_rows(shuffled)] == ['r_shoulder_pitch', 'r_elbow', 'r_elbow']
     assert next_step(nothing).startswith('nothing') and table_rows(nothing) == []
     assert next_step(replace(friction, findings=[replace(friction.findings[0], rivals=())])).startswith('write the eff')
+
+
+def test_a_rival_that_explains_it_better_is_told_apart_from_a_toss_up(friction):
+    """Odds of 370 were told as 0.9 are."""
+    first = friction.findings[0]
+    told = {odds: ' '.join(text_report(replace(friction, findings=[replace(first, rivals=(
+        Rival('coulomb_friction', 'r_elbow', odds),))]))) for odds in (0.9, 370.0)}
+    assert 'cannot be told for certain from coulomb_friction at r_elbow (odds 0.9)' in told[0.9]
+    assert 'would explain it better' not in told[0.9]
+    assert 'coulomb_friction at r_elbow (odds 3.7e+02) would explain it better' in told[370.0]
+
+
+def test_dry_friction_that_turns_over_slowly_may_stand_in_for_a_viscous_one():
+    """A turn_speed of 0.22 rad/s stood in for viscous friction, and nothing was said."""
+    body, motion = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort'), smooth_motion(4, 300, seed=0, speed=0.5)
+    said = {speed: kinds('effort')['coulomb_friction']('elbow', {'turn_speed': speed}).doubt(body, motion)
+            for speed in (0.22, 0.002)}
+    assert 'may stand in for one' in said[0.22] and said[0.002] == ''
 
 
 def test_the_written_effects_say_what_was_found_of_them(tmp_path, payload):
