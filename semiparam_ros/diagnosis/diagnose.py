@@ -215,7 +215,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *fast,
                *unidentifiable(body, samples, config), *_left_out(clean),
-               *_begun_in_gaps(found, samples, margin)],
+               *_begun_in_gaps(found, samples, margin, config)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
 
 
@@ -301,14 +301,14 @@ def patched(steps: list[Step], structure: Structure | None, config: DiagnosisCon
         and structure.share > config.patch_share
 
 
-def _begun_in_gaps(found: list[Finding], samples: Samples, margin: int) -> list[str]:
+def _begun_in_gaps(found: list[Finding], samples: Samples, margin: int, config: DiagnosisConfig) -> list[str]:
     """A sentence for each effect that may have begun anywhere in a gap, as between two stretches of a long recording.
 
     :param margin: so many samples on either side of a gap are left out.
     """
     time, sentences = samples.time, []
     for effect in (finding.effect for finding in found):
-        for gap in gaps(samples) if effect.start_s is not None else []:
+        for gap in gaps(samples, config) if effect.start_s is not None else []:
             earliest, latest = time[max(gap.before - margin, 0)], time[min(gap.before + 1 + margin, len(time) - 1)]
             if earliest <= float(effect.start_s or 0.0) <= latest:
                 sentences.append(f'{place(effect.kind, effect.where)} began between {gap.start_s:.1f} and '

@@ -8,7 +8,7 @@ import pytest
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation import EffectRequest, Scenario, simulate
 from semiparam_ros.simulation.robots import arm_of, varied
-from semiparam_ros.simulation.simulate import robot_generators
+from semiparam_ros.simulation.simulate import correlated, robot_generators
 
 SHORT = Scenario(motion='mixed', samples=800, seed=7)
 
@@ -28,17 +28,21 @@ def test_without_effects_only_noise_is_left(outputs):
     assert recording.truth == recording.baseline_truth == ()
 
 
-@pytest.mark.parametrize('seconds', [0.2, 1.0])
-def test_correlated_noise_forgets_within_its_time_and_is_as_large(seconds):
-    scenario = replace(SHORT, samples=20_000, encoder_noise=0.0, noise_correlation_s=seconds)
-    recording, white = simulate(scenario), simulate(replace(scenario, noise_correlation_s=0.0))
-    quiet = simulate(replace(scenario, noise=0.0))
-    noise = recording.outputs - quiet.outputs
-    assert np.allclose(noise.std(axis=0), recording.noise_std, rtol=0.1)
-    steps = round(seconds * scenario.rate_hz)
+@pytest.mark.parametrize('steps', [4, 20])
+def test_correlated_noise_forgets_within_its_time_and_is_as_large(steps):
+    noise = correlated(np.random.default_rng(0).standard_normal((20_000, 6)), steps)
+    assert np.allclose(noise.std(axis=0), 1.0, rtol=0.1)
     alike = np.mean(noise[steps:] * noise[:-steps], axis=0) / noise.var(axis=0)
     assert np.allclose(alike, np.exp(-1.0), atol=0.1)
-    assert np.allclose(white.noise_std, recording.noise_std)
+
+
+def test_a_recording_s_noise_is_correlated_as_asked():
+    scenario = replace(SHORT, encoder_noise=0.0, noise_correlation_s=0.5)
+    recording, quiet = simulate(scenario), simulate(replace(scenario, noise=0.0))
+    noise = (recording.outputs - quiet.outputs) / recording.noise_std
+    steps = round(0.5 * scenario.rate_hz)
+    assert np.mean(noise**2) == pytest.approx(1.0, abs=0.3)
+    assert np.mean(noise[steps:] * noise[:-steps]) == pytest.approx(np.exp(-1.0), abs=0.2)
 
 
 def test_joints_are_measured_with_noise():

@@ -23,6 +23,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import yaml
@@ -201,6 +202,15 @@ def check_parses(block: Block, repository: Path) -> None:
         check_command(words, repository)
 
 
+@lru_cache
+def options_of(script: tuple[str, ...], repository: Path) -> set[str]:
+    """Those that the --help of a script names."""
+    answer = subprocess.run([sys.executable, *script, '--help'], cwd=repository, capture_output=True, text=True,
+                            timeout=60, check=False)
+    assert answer.returncode == 0, (script, answer.stderr)
+    return set(re.findall(r'--[a-z-]+', answer.stdout))
+
+
 def check_command(words: list[str], repository: Path) -> None:
     """One command: ours against its own parser, a script against its --help, a test against its file."""
     program, arguments = words[0], words[1:]
@@ -214,11 +224,8 @@ def check_command(words: list[str], repository: Path) -> None:
         parser.parse_args(arguments[1:])
     elif program == 'python':
         script = arguments[:2] if arguments[0] == '-m' else [str(repository / arguments[0])]
-        answer = subprocess.run([sys.executable, *script, '--help'], cwd=repository, capture_output=True, text=True,
-                                timeout=60, check=False)
-        assert answer.returncode == 0, (words, answer.stderr)
         options = {word for word in arguments[1:] if word.startswith('--')}
-        assert options <= set(re.findall(r'--[a-z-]+', answer.stdout)), words
+        assert options <= options_of(tuple(script), repository), words
     elif program == 'pytest':
         files = [word for word in arguments if word.startswith('test/')]
         assert files, words

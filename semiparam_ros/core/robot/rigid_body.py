@@ -372,7 +372,8 @@ def _reduce(full: Array, to_outputs: Array, rows: Indices, columns: Indices, psi
 @lru_cache(maxsize=2)
 def _regressors(body: RigidBody, samples: Samples) -> Array:
     full = body.full_regressors(samples)
-    reduced = (full.reshape(-1, full.shape[2]) @ body._from_base).reshape(*full.shape[:2], -1)  # one product
+    rows = full.reshape(len(full) * body.n_outputs, len(body._from_base))
+    reduced = (rows @ body._from_base).reshape(len(full), body.n_outputs, body.n_parameters)  # one product
     reduced.flags.writeable = False
     return reduced
 
