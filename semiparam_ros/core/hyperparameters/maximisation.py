@@ -11,8 +11,8 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # it loads scipy.optimize, which takes a fifth of a second, with the first use
 from joblib import Parallel, delayed
-from scipy.optimize import minimize
 
 from semiparam_ros.core.hyperparameters.marginal_likelihood import Point, Slope, Window, evidence
 from semiparam_ros.core.hyperparameters.window import least_squares, normalised, residual_scale
@@ -229,15 +229,17 @@ def _quasi_newton(objective: Objective, start: Array, bounds: Array, iterations:
         value, gradient = objective(point, True)
         return -value / unit, -gradient / unit
 
-    found = minimize(descend, start, jac=True, method='L-BFGS-B', bounds=bounds,
-                     options={'maxiter': iterations, 'ftol': tolerance, 'gtol': 1e-7, 'maxcor': 20})
+    found = scipy.optimize.minimize(
+        descend, start, jac=True, method='L-BFGS-B', bounds=bounds,
+        options={'maxiter': iterations, 'ftol': tolerance, 'gtol': 1e-7, 'maxcor': 20})
     return Maximum(np.asarray(found.x), -float(found.fun) * unit, int(found.nfev) + 1)
 
 
 def _nelder_mead(objective: Objective, start: Array, bounds: Array, iterations: int, tolerance: float) -> Maximum:
     inward = np.where(start + SIMPLEX_STEP > bounds[:, 1], -SIMPLEX_STEP, SIMPLEX_STEP)
     simplex = np.vstack([start, start + np.diag(inward)])
-    found = minimize(lambda point: -objective(point, False)[0], start, method='Nelder-Mead', bounds=bounds,
-                     options={'maxiter': 20 * iterations, 'maxfev': 20 * iterations, 'initial_simplex': simplex,
-                              'fatol': max(1e-3, tolerance), 'xatol': 1e-3, 'adaptive': True})
+    found = scipy.optimize.minimize(
+        lambda point: -objective(point, False)[0], start, method='Nelder-Mead', bounds=bounds,
+        options={'maxiter': 20 * iterations, 'maxfev': 20 * iterations, 'initial_simplex': simplex,
+                 'fatol': max(1e-3, tolerance), 'xatol': 1e-3, 'adaptive': True})
     return Maximum(np.asarray(found.x), -float(found.fun), int(found.nfev))
