@@ -159,9 +159,14 @@ class HorizonIndex:
     def _complete(self) -> Array:
         """(2, n) the index of the oldest model, and the centred one."""
         y = self._outputs[self._start - 1:self._start - 1 + self.length]
+        error = self._squared_error[self._start + self.length - 1]
+        if AVAILABLE:
+            eps = np.empty((2, len(error)))
+            _complete(y, error, eps)
+            return eps
         centred = y - y.mean(axis=0)
         power = np.maximum([(values * values).sum(axis=0) for values in (y, centred)], LEAST_POWER * self.length)
-        return np.asarray(self._squared_error[self._start + self.length - 1] / power)
+        return np.asarray(error / power)
 
     def _make_room(self) -> None:
         """Move the rows back to the end when they have reached the front: once in T samples."""

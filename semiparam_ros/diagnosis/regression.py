@@ -14,7 +14,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.effects import Effect
@@ -69,12 +69,12 @@ class Fit:
         return body, inputs
 
     @cached_property
-    def in_use(self) -> list[Stamps]:
+    def in_use(self) -> list[Indices]:
         """(M_k,) of each channel k the numbers of the samples in use whose output counts."""
         return [np.flatnonzero(self.train_mask & counted) for counted in self.counted.T]
 
     @cached_property
-    def felt(self) -> list[Stamps]:
+    def felt(self) -> list[Indices]:
         """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels few bodies of a
         robot with limbs, and nothing of what rubs in other joints."""
         return [np.flatnonzero(self.columns[:, channel].any(axis=0)) for channel in range(len(self.scale))]

@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 
-from semiparam_ros.core.horizon_error import HorizonIndex, force_and_torque
+from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonIndex, force_and_torque
 from semiparam_ros.core.recursion import SemiParametricRecursion
 from semiparam_ros.errors import SemiparamError
 
@@ -104,6 +104,22 @@ def test_a_perfect_model_has_no_error_and_a_constant_output_a_finite_one():
     assert np.isfinite([errors.eps, errors.eps_centred]).all()
     prior = model.predict(np.zeros(0), np.ones((1, 1)))
     assert index.advance(6, prior, np.zeros(1), np.zeros(1), model.theta, None).eps[0] > 1e6
+
+
+def test_an_average_is_charged_with_the_weights_of_its_moment():
+    rng, length, count = np.random.default_rng(0), 4, 30
+    errors, weights = rng.normal(size=(count, 3, length, N)), rng.dirichlet(np.ones(3), size=(count, N))
+    outputs, index = rng.normal(size=(count, N)), AveragedHorizons(length, N, 3)
+    found = [index.advance_average(t, list(errors[t]), outputs[t], weights[t].T) for t in range(count)]
+    assert found[:length] == [None] * length
+    for t in range(count - length):
+        # The model of t is the newest one at t + 1.
+        left = [(weights[t].T * errors[t + s, :, s - 1]).sum(axis=0) for s in range(1, length + 1)]
+        y = outputs[t + 1:t + 1 + length]
+        assert found[t + length].origin == t
+        squared = np.sum(np.square(left), axis=0)
+        np.testing.assert_allclose(found[t + length].eps, squared / np.sum(y**2, axis=0))
+        np.testing.assert_allclose(found[t + length].eps_centred, squared / np.sum((y - y.mean(axis=0))**2, axis=0))
 
 
 def test_force_and_torque_are_means_of_three_channels():
