@@ -77,9 +77,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--train', metavar='BAG', type=Path, action='append', default=[],
                         help='learn this recording first, without scoring it; may be repeated')
     parser.add_argument('--frozen', action='store_true', help='predict without learning (needs --train)')
-    parser.add_argument('--takeover-after', metavar='N', type=int, default=0,
-                        help='samples after the initial window that the rigid body still answers, as in the node while '
-                             'it estimates hyperparameters (default 0: none); its diagnostics tell how many they were')
+    parser.add_argument('--takeover-after', metavar='N[,N...]', default='0',
+                        help='samples from the end of each window until the model of it takes over, as in the node '
+                             'while it estimates hyperparameters, whose diagnostics tell them; the last N holds for '
+                             'all that follow (default 0: at once)')
     add_json_option(parser)
     parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
     parser.add_argument('--plot', metavar='FILE', type=Path, help='plot both indices over time (.png, .svg or .pdf)')
@@ -94,14 +95,13 @@ def run(args: argparse.Namespace) -> int:
         picture_format(args.plot)
     settings = load_params(args.params)
     variants = chosen_variants(args.variants, settings)
-    if args.takeover_after < 0:
-        raise SemiparamError(f'--takeover-after is {args.takeover_after}; expected a number of samples, 0 or more.')
+    waits = takeovers(args.takeover_after)
     if args.frozen and not args.train:
         raise SemiparamError('--frozen predicts with what was learnt from --train BAG, which is missing.')
     training, bags = load_bags(args.train, settings), load_bags(args.bags, settings)
     with progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
-                                    args.takeover_after)
+                                    waits)
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(output, results)
@@ -113,6 +113,14 @@ def run(args: argparse.Namespace) -> int:
         output.print(f'random features: {chosen or "none"}', highlight=False, markup=False)
     write_outputs(args, results, scores, bags, channels[0])
     return 0
+
+
+def takeovers(text: str) -> list[int]:
+    """The numbers of samples in ``--takeover-after``."""
+    numbers = text.split(',')
+    if not all(number.isdecimal() for number in numbers):
+        raise SemiparamError(f'--takeover-after is {text}; expected numbers of samples, such as 130 or 130,60.')
+    return [int(number) for number in numbers]
 
 
 def output_channels(outputs: str, joints: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
@@ -150,7 +158,7 @@ def load_bags(paths: Sequence[Path], settings: Settings,
 
 
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
-             progress: Progress, takeover_after: int = 0) -> Scores:
+             progress: Progress, takeovers: Sequence[int] = (0,)) -> Scores:
     """Scores of one variant over ``bags``, from the first sample that it predicts itself.
 
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
@@ -160,7 +168,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
 
     total = sum(len(bag.samples) for bag in [*training, *bags])
     task = progress.add_task(settings.variant, total=total)
-    learner = OfflineLearner(settings, [*bags, *training], lambda: progress.advance(task), takeover_after)
+    learner = OfflineLearner(settings, [*bags, *training], lambda: progress.advance(task), takeovers)
     for bag in training:
         learner.take(bag, Scores(settings.outputs), learning=True)
     learner.finish(training, frozen)

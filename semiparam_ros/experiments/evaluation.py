@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
@@ -133,18 +134,19 @@ class OfflineLearner:
 
     :param bags: the first one that carries a robot description gives it, where the settings do not.
     :param tick: called after each sample.
-    :param takeover_after: samples from the end of a window until the variant takes over. The node estimates
-        hyperparameters meanwhile, and the model that it has answers; here it need not.
+    :param takeovers: samples from the end of each window until the model of it takes over, or cannot be; the last one
+        for all that follow. The node estimates hyperparameters meanwhile, and the model that it has answers; here it
+        need not.
     """
 
     def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None],
-                 takeover_after: int = 0) -> None:
+                 takeovers: Sequence[int] = (0,)) -> None:
         description = next((bag.robot_description for bag in bags if bag.robot_description), None)
         self.settings, self._tick = settings, tick
         self.estimator = build_estimator(settings, description)
         self.gate = ContactGate(self.estimator.body.n_outputs, self.estimator.body.outputs == 'effort')
         self.failed_windows: list[str] = []
-        self._takeover_after = takeover_after
+        self._takeovers = deque(takeovers)
         body = self.estimator.body
         self.history = History(settings.initial_samples, settings.retained_samples, body.n_joints)
         self.renewals = 0
@@ -188,7 +190,7 @@ class OfflineLearner:
         elif due:
             self._successor = partial(renew, self.settings, self.estimator.body, self.history.batch(),
                                       self.history.origin, self._renewal.begin())
-        if self._successor is not None and len(self._waiting) == self._takeover_after:
+        if self._successor is not None and len(self._waiting) == self._takeovers[0]:
             self._take_over()
         return prediction._replace(horizon=errors)
 
@@ -197,6 +199,8 @@ class OfflineLearner:
         assert self._successor is not None
         successor, batch = self._successor, batch_of(self._waiting)
         self._successor, self._waiting = None, []
+        if len(self._takeovers) > 1:
+            self._takeovers.popleft()
         before = self.estimator
         try:
             self.estimator = absorb(successor(), batch)

@@ -110,8 +110,8 @@ class Learner:
             self.history.refill(past)
         self._seen = len(self.history)
         self._failures = 0
-        self._window_end: int | None = None
-        self.provisional_answers: int | None = None
+        self._asked: int | None = None
+        self.takeovers: list[int] = []
         self.switcher.remember(settings, estimator)
         self._follow_settings(retry=True)
 
@@ -142,7 +142,7 @@ class Learner:
         self._emit(answer)  # before learning, which takes as long as predicting
         if self._observe(prediction, learn):
             self.switcher.offer(sample, learn)
-            if self._window_end is None and self.estimator.window_full:
+            if self._asked is None and self.estimator.window_full:
                 self._end_window()
             elif learn and not self.settings.hyperparameters_sigma:
                 self._perhaps_renew(prediction)
@@ -199,7 +199,7 @@ class Learner:
 
     def _end_window(self) -> None:
         """Let the background estimate hyperparameters, unless the settings want another model than this."""
-        self._window_end = self.answered
+        self._asked = self.answered
         if self.switcher.successor is None:
             self._listener.told(f'the initial window holds {len(self.estimator.window)} samples of motion: the '
                                 f'hyperparameters of {self.built.variant} are estimated; the rigid body answers on.')
@@ -208,29 +208,35 @@ class Learner:
     def _window_live(self, estimator: Estimator) -> None:
         """The model whose window is over takes over from the provisional one, between two samples."""
         self.estimator = estimator
-        end = self.answered if self._window_end is None else self._window_end
-        self.provisional_answers = self.answered - end
         self._listener.told(f'{self.built.variant} has its hyperparameters and takes over from the provisional model, '
-                            f'{self.provisional_answers} samples after the end of the initial window.')
+                            f'{self._taken_over()} samples after the end of the initial window.')
+
+    def _taken_over(self) -> int:
+        """What was asked of a window is there, or cannot be: how many samples were answered since."""
+        waited, self._asked = self.answered - (self.answered if self._asked is None else self._asked), None
+        self.takeovers.append(waited)
+        return waited
 
     def _perhaps_renew(self, prediction: Prediction) -> None:
         """Estimate the hyperparameters again where motion has left what they are from, and no successor is built."""
         if self._renewal.see(self.estimator, prediction) and self.switcher.successor is None:
             self._listener.told('the robot moves otherwise than in the window that the hyperparameters of '
                                 f'{self.built.variant} are from: they are estimated again; it answers on.')
+            self._asked = self.answered
             self.switcher.renew(self.built, self.history, self._renewal.begin())
 
     def _renewed(self, estimator: Estimator) -> None:
         """The model with hyperparameters of a later window takes over, between two samples."""
         self.estimator, self._renewal.done = estimator, True
         self.switcher.follow_renewed(self.settings, estimator, self.history)
-        self._listener.told(f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples.')
+        self._listener.told(f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
+                            f'{self._taken_over()} of them since the end of the window.')
 
     def _discard_window(self, reason: str) -> None:
         """Gather another initial window; nothing is built from the one that gave no hyperparameters."""
         self._listener.told(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
         self.estimator.discard_window()
-        self._window_end = None
+        self._taken_over()
         self.history.discard()
         self.switcher.retire_all()
         self._follow_settings(retry=True)
@@ -317,8 +323,9 @@ class Learner:
             else:
                 self._window_live(estimator)
             return
-        before, self.built, self.estimator = self.built, settings, estimator
-        self._window_end = None
+        if not self.estimator.ready and self._asked is not None:
+            self._taken_over()
+        before, self.built, self.estimator, self._asked = self.built, settings, estimator, None
         changed = f' from {before.variant}' if before.variant != settings.variant else ', changed,'
         self._listener.model_switched(True, f'{settings.variant} takes over{changed} after {self._seen} samples.')
         self._follow_settings()
@@ -327,6 +334,7 @@ class Learner:
         """The active model goes on, and so do its settings."""
         if same_model(settings, self.built):
             if self.estimator.ready:
+                self._taken_over()
                 self._listener.told(f'the later window gives no hyperparameters ({sentence}); {settings.variant} goes '
                                     'on with those it has.')
             else:
@@ -356,7 +364,7 @@ class Learner:
         """Build what the settings ask for and is not there."""
         if same_model(self.settings, self.built):
             if self.estimator.window_full and self.switcher.successor is None:
-                self._window_end = self.answered if self._window_end is None else self._window_end
+                self._asked = self.answered if self._asked is None else self._asked
                 self.switcher.appoint(self.settings, self.history)
             self.switcher.set_shadows(self.settings, self.history, retry)
         elif self.switcher.successor is None:

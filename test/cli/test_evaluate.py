@@ -134,6 +134,7 @@ def test_contacts_are_scored_but_not_learnt(recording, tmp_path):
 
 
 @pytest.mark.parametrize('arguments, sentence', [
+    (['{bag}', '--takeover-after', '130,soon'], '--takeover-after is 130,soon; expected numbers of samples'),
     (['{bag}', '--frozen'], '--frozen predicts with what was learnt'),
     (['{bag}', '--variant', 'SPQ'], "variant 'SPQ' is unknown"),
     (['{bag}', '--plot', '{folder}/a.xyz', '--variant', 'P'], 'expected a suffix of'),

@@ -29,14 +29,14 @@ from support.node_helpers import BODY, PERIOD_NS, SETTINGS, URDF, motion
 VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML')
 
 
-def offline(samples, settings=SETTINGS, learnt=None, takeover_after=0):
+def offline(samples, settings=SETTINGS, learnt=None, takeovers=(0,)):
     """The commands' learner, and its predictions."""
-    estimator, steps = steps_of(samples, settings, learnt, takeover_after)
+    estimator, steps = steps_of(samples, settings, learnt, takeovers)
     return estimator, np.array([step.mean for step in steps])
 
 
-def steps_of(samples, settings=SETTINGS, learnt=None, takeover_after=0):
-    learner, flags = OfflineLearner(settings, [], lambda: None, takeover_after), learnt or [True] * len(samples)
+def steps_of(samples, settings=SETTINGS, learnt=None, takeovers=(0,)):
+    learner, flags = OfflineLearner(settings, [], lambda: None, takeovers), learnt or [True] * len(samples)
     steps = [learner.step(sample, flag) for sample, flag in zip(samples, flags, strict=True)]
     return learner.estimator, steps
 
@@ -52,8 +52,8 @@ def test_answers_go_on_while_hyperparameters_are_estimated(variant, until):
     assert stage.learner.estimator.ready and not stage.learner.estimating
     stage.offer(samples[until:])
     assert [answer.prediction.sample.stamp for answer in stage.answers] == [sample.stamp for sample in samples]
-    assert stage.learner.provisional_answers == until - SETTINGS.initial_samples
-    steps = steps_of(samples, settings, takeover_after=stage.learner.provisional_answers)[1]
+    assert stage.learner.takeovers == [until - SETTINGS.initial_samples]
+    steps = steps_of(samples, settings, takeovers=stage.learner.takeovers)[1]
     np.testing.assert_array_equal(stage.means, [step.mean for step in steps])
     np.testing.assert_array_equal(stage.means[until:], offline(samples, settings)[1][until:])
     horizons = [step.horizon for step in steps if step.horizon is not None]
@@ -71,8 +71,8 @@ def test_many_samples_are_caught_up_beside_the_answers():
     stage.offer(samples[100:138])
     assert not stage.learner.estimator.ready
     stage.offer(samples[138:])
-    assert stage.learner.provisional_answers == 79
-    np.testing.assert_array_equal(stage.means, offline(samples, takeover_after=79)[1])
+    assert stage.learner.takeovers == [79]
+    np.testing.assert_array_equal(stage.means, offline(samples, takeovers=[79])[1])
 
 
 def test_settings_change_while_hyperparameters_are_estimated():
@@ -109,7 +109,7 @@ def test_a_state_saved_while_hyperparameters_are_estimated_goes_on(tmp_path):
     assert again.learner.estimating
     again.background.run()
     again.offer(samples[110:])
-    np.testing.assert_array_equal(again.means[:10], offline(samples, takeover_after=50)[1][100:110])
+    np.testing.assert_array_equal(again.means[:10], offline(samples, takeovers=[50])[1][100:110])
     np.testing.assert_allclose(again.means[10:], offline(samples)[1][110:], atol=1e-8)
 
 
@@ -157,7 +157,7 @@ def test_a_switch_misses_no_sample_and_equals_a_node_started_with_that_variant(a
     assert len(stage.answers) == 260
     expected = offline(samples, replace(SETTINGS, variant=after))[1]
     np.testing.assert_allclose(stage.means[200:], expected[200:], atol=1e-8)
-    np.testing.assert_array_equal(stage.means[:200], offline(samples[:200], takeover_after=90)[1])
+    np.testing.assert_array_equal(stage.means[:200], offline(samples[:200], takeovers=[90])[1])
     assert stage.learner.built.variant == after
     assert after == SETTINGS.variant or 'is being built from 150 samples' in sentence
 
@@ -194,7 +194,7 @@ def test_a_switch_within_the_initial_window_keeps_its_samples():
     stage.background.run()
     stage.offer(samples[30:])
     stage.background.run()
-    np.testing.assert_allclose(stage.means, offline(samples, replace(SETTINGS, variant='SP-ML'), takeover_after=70)[1],
+    np.testing.assert_allclose(stage.means, offline(samples, replace(SETTINGS, variant='SP-ML'), takeovers=[70])[1],
                                atol=1e-10)
 
 
@@ -398,7 +398,7 @@ def test_a_pause_predicts_without_learning():
     stage.learner.change(replace(SETTINGS, learning=False))
     stage.offer(samples[100:])
     flags = [True] * 100 + [False] * 60
-    np.testing.assert_array_equal(stage.means, offline(samples, learnt=flags, takeover_after=40)[1])
+    np.testing.assert_array_equal(stage.means, offline(samples, learnt=flags, takeovers=[40])[1])
     assert stage.learner.learnt == 100
 
 

@@ -10,19 +10,9 @@ from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.renewal import later_window
 from semiparam_ros.online.worker import InlineBackground
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, motion
+from support.node_helpers import SETTINGS, faster, motion
 
 TAKEOVER_AFTER = 15
-
-
-def faster(samples, factor):
-    """The same places passed at another speed, with the outputs that this takes."""
-    found = []
-    for sample in samples:
-        state = sample.position, factor * sample.velocity, factor**2 * sample.acceleration
-        change = (BODY.regressor(*state) - BODY.regressor(*sample[1:4])) @ (1.2 * BODY.base_parameters)
-        found.append(sample._replace(velocity=state[1], acceleration=state[2], outputs=sample.outputs + change))
-    return found
 
 
 SLOWER = replace(SETTINGS, initial_samples=100)
@@ -49,7 +39,8 @@ def test_once_where_motion_becomes_faster_and_live_as_offline(variant):
             scales.append(stage.learner.estimator.input_scaling[1])
     assert renewals(stage) == 1 and 'has new hyperparameters and takes over' in stage.news[-1]
     assert (scales[-1] > 3.0 * scales[0])[2:].all()
-    offline = OfflineLearner(settings, [], lambda: None, TAKEOVER_AFTER)
+    assert len(stage.learner.takeovers) == 2 and min(stage.learner.takeovers) > 0
+    offline = OfflineLearner(settings, [], lambda: None, stage.learner.takeovers)
     steps = [offline.step(sample, True) for sample in DAY]
     assert offline.renewals == 1
     np.testing.assert_allclose(stage.means, [step.mean for step in steps], rtol=1e-9, atol=1e-9)

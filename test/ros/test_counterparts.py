@@ -84,7 +84,7 @@ def test_another_dds_vendor_receives_the_predictions_of_the_offline_estimator(cy
     heard, bag, params = cyclone
     settings = load_params(params)
     loaded = load_samples(bag, settings)
-    learner = OfflineLearner(settings, [loaded], lambda: None, heard['provisional_answers'])
+    learner = OfflineLearner(settings, [loaded], lambda: None, heard['takeovers'])
     expected = [(sample.stamp, learner.step(sample, True).mean) for sample in loaded.samples]
     assert [stamp for stamp, _ in heard['answers']] == [stamp for stamp, _ in expected] and len(expected) == 300
     np.testing.assert_allclose([mean for _, mean in heard['answers']], [mean for _, mean in expected], atol=1e-9)

@@ -298,8 +298,8 @@ def main(bag, params, out):
         node.send_signal(signal.SIGINT)
         code = node.wait(PATIENCE_S)
     told = re.search(r'(\d+) samples after the end of the initial window', Path(log.name).read_text())
-    provisional = int(told[1]) if told else len(result['answers'])
-    Path(out).write_text(json.dumps({**result, 'exit': code, 'provisional_answers': provisional}))
+    takeovers = [int(told[1])] if told else [len(result['answers'])]
+    Path(out).write_text(json.dumps({**result, 'exit': code, 'takeovers': takeovers}))
 
 
 if __name__ == '__main__':

@@ -164,9 +164,10 @@ class Client:
         return samples[count:]
 
     def take_over(self):
-        """Wait until the variant has its hyperparameters; how many samples the provisional model answered since."""
-        _, _, values = self.wait_report('learning', lambda level, message, values: message.startswith('learning with'))
-        return int(values['samples from the initial window to takeover'] or 0)
+        """Wait until the variant has its hyperparameters; samples from each window to its takeover."""
+        _, _, values = self.wait_report('learning', lambda level, message, values: message.startswith('learning with')
+                                        and not message.endswith('is being built.'))
+        return [int(count) for count in values['samples from each window to its takeover'].split(',') if count]
 
     def begin(self, kind, name, request):
         """Call a service; a future of its answer."""

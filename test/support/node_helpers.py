@@ -51,6 +51,16 @@ def motion(count: int, seed: int = 0, body=BODY) -> list[Sample]:
     return samples
 
 
+def faster(samples, factor):
+    """The same places passed at another speed, with the outputs that this takes."""
+    found = []
+    for sample in samples:
+        state = sample.position, factor * sample.velocity, factor**2 * sample.acceleration
+        change = (BODY.regressor(*state) - BODY.regressor(*sample[1:4])) @ (1.2 * BODY.base_parameters)
+        found.append(sample._replace(velocity=state[1], acceleration=state[2], outputs=sample.outputs + change))
+    return found
+
+
 @dataclass
 class DelayedJob:
     packed: bytes

@@ -260,7 +260,6 @@ class Record:
     final: dict[str, np.ndarray] = field(default_factory=dict)
     news: list[str] = field(default_factory=list)
     failed_windows: int = 0
-    provisional_answers: int | None = None
 
     def horizon(self, errors: HorizonErrors) -> None:
         """Horizon errors, after the sample that completed them was answered."""
@@ -315,9 +314,9 @@ class Live:
             self.background.run()
 
 
-def offline(settings: Settings, samples: list[Sample], tares: list[int], takeover_after: int) -> Record:
+def offline(settings: Settings, samples: list[Sample], tares: list[int], takeovers: list[int]) -> Record:
     """The commands' learner; a tare before the samples of these numbers."""
-    record, learner = Record(), OfflineLearner(settings, [], lambda: None, takeover_after)
+    record, learner = Record(), OfflineLearner(settings, [], lambda: None, takeovers)
     tare = Tare(learner.estimator.body.n_outputs)
     for index, sample in enumerate(samples):
         if index in tares:
@@ -339,13 +338,14 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
     return record
 
 
-def live(row: Row, settings: Settings, samples: list[Sample], tares: list[int], path: Path) -> tuple[Record, Record]:
-    """Uninterrupted; and the second half by another learner that loaded the first one's state from ``path``."""
+def live(row: Row, settings: Settings, samples: list[Sample], tares: list[int],
+         path: Path) -> tuple[Record, Record, list[int]]:
+    """Uninterrupted; the second half by another learner that loaded the first one's state from ``path``; and how many
+    samples came from each window to its takeover."""
     half = len(samples) // 2
     first = Live(row, settings)
     _offer_with_tares(first, samples[:half], tares)
     first.run_background()
-    first.record.provisional_answers = first.learner.provisional_answers
     state_file.save(path, first.learner.state())
     second = Live(row, settings)
     second.learner.restore(state_file.load(path, settings, body_of(settings.outputs)))
@@ -353,7 +353,7 @@ def live(row: Row, settings: Settings, samples: list[Sample], tares: list[int], 
         _offer_with_tares(stage, samples[half:], [index - half for index in tares])
         stage.run_background()
         stage.record.finish(stage.learner.estimator, stage.learner.tare)
-    return first.record, second.record
+    return first.record, second.record, first.learner.takeovers
 
 
 def _offer_with_tares(stage: Live, samples: list[Sample], tares: list[int]) -> None:
@@ -383,10 +383,10 @@ def check(row: Row, count: int) -> dict[str, object]:
     assert len(recorded) >= count - 1
     tares = [len(recorded) * 45 // 100, len(recorded) * 95 // 100] if row['tare'] else []
     with tempfile.TemporaryDirectory() as folder:
-        whole, resumed = live(row, settings, received, tares, Path(folder) / 'state.npz')
-    assert whole.provisional_answers is not None, 'the initial window is not over'
-    assert (whole.provisional_answers > 0) == (row['background'] == 'delayed')
-    expected = offline(settings, recorded, tares, whole.provisional_answers)
+        whole, resumed, takeovers = live(row, settings, received, tares, Path(folder) / 'state.npz')
+    assert takeovers, 'the initial window is not over'
+    assert (takeovers[0] > 0) == (row['background'] == 'delayed')
+    expected = offline(settings, recorded, tares, takeovers)
     short = row['forgetting'] == 0.9 and row['features'] == 'auto'
     assert_finite(expected, np.inf if short else LARGEST_PREDICTION)
     assert expected.answers[-1][3], 'the initial window is not over'

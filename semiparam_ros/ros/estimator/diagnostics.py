@@ -197,8 +197,7 @@ def learning_report(learner: Learner, news: str) -> Report:
         'samples answered': learner.answered, 'samples learnt': learner.learnt,
         'samples passed over': learner.estimator.passed_over,
         'samples of motion in the initial window': '' if learner.estimator.ready else len(learner.estimator.window),
-        'samples from the initial window to takeover': '' if learner.provisional_answers is None
-        else learner.provisional_answers,
+        'samples from each window to its takeover': ','.join(map(str, learner.takeovers)),
         'samples lost': learner.lost, 'samples not learnt for contact': learner.gate.refused,
         'in contact': learner.gate.closed, 'contacts': learner.gate.contacts,
         'contacts taken for a change of the robot': learner.gate.changes,
