@@ -236,7 +236,8 @@ def _end_with_parent() -> None:
 
 
 def _warm() -> None:
-    """Nothing: this module's imports, which unpickling this function needs, bring the numerics."""
+    """This module's imports, which unpickling this function needs, bring the numerics but for the optimiser."""
+    import scipy.optimize  # noqa: F401
 
 
 class Known(NamedTuple):
@@ -272,7 +273,8 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     """
     gathering = new_estimator(settings, body, origin=origin)
     window = later_window(batch.learnt, settings.initial_samples)
-    for (sample, _), chosen in zip(batch.pairs(), window.tolist(), strict=True):
+    start = 0 if settings.effects else int(window.argmax())  # effects may remember all that was before
+    for (sample, _), chosen in zip(batch.part(start).pairs(), window[start:].tolist(), strict=True):
         gathering.observe(gathering.predict(sample), chosen, finish=False)
     gathering.finish_window()
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)

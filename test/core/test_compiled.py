@@ -17,6 +17,7 @@ from semiparam_ros.core import (
     wandering_offset,
 )
 from semiparam_ros.core.horizon_error import HorizonIndex
+from semiparam_ros.core.hyperparameters import noise_covariance
 from semiparam_ros.core.random_features import RandomFeatures
 from semiparam_ros.core.recursion import SemiParametricRecursion
 from semiparam_ros.core.square_root_filter import SquareRootFilter
@@ -68,6 +69,21 @@ def test_the_horizon(monkeypatch, features, columns, decay):
             np.testing.assert_allclose(errors.eps_centred, expected.eps_centred, rtol=1e-11)
             np.testing.assert_allclose(errors.eps, expected.eps, rtol=1e-11)
     assert errors is not None
+
+
+@pytest.mark.parametrize('step', [1, 4])
+@pytest.mark.parametrize('steps', [2, 90])
+def test_noise_that_drifts(monkeypatch, steps, step):
+    left, right = np.random.default_rng(8).standard_normal((2, steps, 7))
+    drift = noise_covariance.Drift(steps, 0.3, 20.0, step)
+    lags = step * np.abs(np.subtract.outer(np.arange(steps), np.arange(steps)))
+    correlation = np.exp(-lags / 20.0)
+    dense = [np.sum(left * (weights @ right)) for weights in (correlation, lags / 20.0 * correlation)]
+    for _ in ('compiled', 'readable'):
+        np.testing.assert_allclose(drift.whiten(left), np.linalg.solve(np.eye(steps) + 0.3 * correlation, left),
+                                   rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(drift.correlation(left, right), dense, rtol=1e-10, atol=1e-10)
+        monkeypatch.setattr(noise_covariance, 'AVAILABLE', False)
 
 
 @pytest.mark.parametrize('count', [2, 30])

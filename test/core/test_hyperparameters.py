@@ -8,7 +8,13 @@ import pytest
 from semiparam_ros.core.hyperparameters.estimation import estimate, plain_least_squares
 from semiparam_ros.core.hyperparameters.feature_count import FEW_NAT, fewest_features
 from semiparam_ros.core.hyperparameters.marginal_likelihood import Window, evidence, harmonics
-from semiparam_ros.core.hyperparameters.maximisation import maximise, maximise_evidence, maximise_from
+from semiparam_ros.core.hyperparameters.maximisation import (
+    Maximum,
+    _distinct,
+    maximise,
+    maximise_evidence,
+    maximise_from,
+)
 from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
 from semiparam_ros.core.hyperparameters.window import input_groups
 from semiparam_ros.core.variants import VARIANTS
@@ -197,3 +203,11 @@ def test_windows_that_tell_nothing_are_refused(draw):
 def test_unknown_choices_are_refused(draw, options, sentence):
     with pytest.raises(SemiparamError, match=sentence):
         draw.estimate(**options)
+
+
+def test_ends_on_one_flat_top_are_polished_once():
+    """Far apart in a direction that the window does not tell, and equally good; another basin is polished too."""
+    best, flat, other = (Maximum(np.array([place]), value, 30)
+                         for place, value in ((0.0, 99.9), (4.0, 99.8), (9.0, 97.0)))
+    assert _distinct([best, flat]) == [best]
+    assert _distinct([best, flat, other]) == [best, other]

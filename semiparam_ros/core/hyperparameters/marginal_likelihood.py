@@ -114,7 +114,8 @@ def evidence(window: Window, at: Point, gradient: bool = True) -> Evidence:
     solved = factor.solve(np.hstack([y, c.reshape(steps, n * p)]))
     ay, ac = solved[:, :n], np.ascontiguousarray(solved[:, n:]).reshape(steps * n, p)
     prior_std = window.prior_scale if window.profiled else at.gamma * window.prior_scale
-    coupled = _estimate(c.T @ ac, ac.T @ y.ravel(), prior_std, window.n_profiled)
+    of_outputs = c.reshape(steps, n, p).transpose(1, 2, 0) @ ac.reshape(steps, n, p).transpose(1, 0, 2)
+    coupled = _estimate(of_outputs.sum(axis=0), ac.T @ y.ravel(), prior_std, window.n_profiled)
     errors = y - (c @ coupled.theta).reshape(steps, n)
     weighted = ay - (ac @ coupled.theta).reshape(steps, n)
     value = -0.5 * (n * factor.log_determinant + coupled.log_determinant + float(np.sum(errors * weighted))
@@ -124,7 +125,7 @@ def evidence(window: Window, at: Point, gradient: bool = True) -> Evidence:
     z = np.hstack([weighted, (ac @ coupled.root).reshape(steps, -1)])
     slopes = factor.slopes(z, n)
     scale_slope = np.sum(errors * weighted, axis=0) - steps
-    scale_slope += np.sum(((ac @ coupled.root) * (c @ coupled.root)).reshape(steps, n, -1), axis=(0, 2))
+    scale_slope += np.sum((of_outputs @ coupled.root) * coupled.root, axis=(1, 2))
     tau_slope = _length_scale_slopes(at.rho * slopes.features, phi, scaled_inputs, window, len(at.tau))
     gamma_slope = 0.0 if window.profiled else coupled.gamma_slope
     return Evidence(value, coupled.theta, Slope(gamma_slope, slopes.rho, tau_slope, slopes.sigma, scale_slope,

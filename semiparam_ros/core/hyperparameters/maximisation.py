@@ -32,6 +32,8 @@ LEAST_DRIFT, MOST_DRIFT = (1e-3, 3.0), (1e2, 1e3)
 """Bounds of kappa and memory [samples]: a faster drift is noise, a slower one is an offset."""
 SAME_BASIN = 0.5
 """Draft ends farther apart than this in any logarithm are polished separately."""
+SAME_TOP = 0.2
+"""[nat] Unless their values are as close as this: then one flat top lies between them."""
 
 Objective = Callable[[Array, bool], tuple[float, Array]]
 """Point (k,) and whether the gradient is wanted -> value and gradient (k,) (anything if not wanted)."""
@@ -182,7 +184,7 @@ def _bounds(window: Window, guess: Point) -> Array:
 def _distinct(ends: list[Maximum]) -> list[Maximum]:
     """The best end, and the next best if it lies in another basin and is not clearly worse."""
     others = [end for end in ends[1:] if np.abs(end.point - ends[0].point).max() > SAME_BASIN
-              and end.value > ends[0].value - 10.0]
+              and SAME_TOP < ends[0].value - end.value < 10.0]
     return [ends[0], *others[:1]]
 
 

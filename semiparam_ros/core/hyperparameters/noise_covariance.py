@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -35,37 +36,82 @@ class Drift:
 
     def whiten(self, columns: Array) -> Array:
         """N^-1 X for X (t, q)."""
-        solved, _ = lapack.dpttrs(*self._factor, columns)
-        return np.asarray(columns - self.kappa * solved)
+        if not AVAILABLE:
+            solved, _ = lapack.dpttrs(*self._factor, columns)
+            return np.asarray(columns - self.kappa * solved)
+        white = np.empty(columns.shape)
+        _whiten(np.ascontiguousarray(columns), *self._factor, self.kappa, white)
+        return white
 
     @property
     def log_determinant(self) -> float:
         """log |N|, with |R| = (1 - a^2)^(t - 1)."""
         return float(np.log(self._factor[0]).sum() + (self.steps - 1) * np.log1p(-self.decay**2))
 
-    def correlate(self, columns: Array) -> Array:
-        """R X, by one recursion forwards and one backwards."""
-        return self._both_ways(columns, [1.0], [1.0, -self.decay]) - columns
+    def correlation(self, left: Array, right: Array) -> Array:
+        """(2,) tr X'R Y and tr X'(dR / dlog memory) Y, the sums over all pairs of rows of x_i y_j a^k and of
+        step / memory x_i y_j k a^k with k = |i - j|, for X and Y (t, q)."""
+        sums = np.zeros(2)
+        if AVAILABLE:
+            _correlate(np.ascontiguousarray(left), np.ascontiguousarray(right), self.decay, sums)
+        else:
+            sums[:] = self._correlated(left, right)
+        return sums * (1.0, self._rate)
 
-    def correlate_slope(self, columns: Array) -> Array:
-        """(dR / dlog memory) X; the weights k a^k have the generating function a z / (1 - a z)^2."""
-        a = self.decay
-        return self._rate * self._both_ways(columns, [0.0, a], [1.0, -2.0 * a, a * a])
+    def _correlated(self, left: Array, right: Array) -> tuple[float, float]:
+        """The weights a^k, from k = 1 on, have the generating function a z / (1 - a z), k a^k: a z / (1 - a z)^2."""
+        from scipy.signal import lfilter  # loads all of scipy.stats, which a node need not wait for when it starts
 
-    def determinant_slopes(self) -> tuple[float, float]:
-        """Derivatives of log |N| by log kappa and by log memory."""
+        a, sums = self.decay, []
+        for denominator in ([1.0, -a], [1.0, -2.0 * a, a * a]):
+            before = [lfilter([0.0, a], denominator, columns, axis=0) for columns in (left, right)]
+            sums.append(float(np.sum(left * before[1] + right * before[0])))
+        return sums[0] + float(np.sum(left * right)), sums[1]
+
+    def determinant_slopes(self) -> Array:
+        """(2,) derivatives of log |N| by log kappa and by log memory."""
         diagonal, beside = _tridiagonal_inverse(*self._factor)
         a, rate = self.decay, self._rate
         by_decay = _inverse_correlation_slope(self.steps, a)
         trace = float(diagonal @ by_decay[0] + 2.0 * beside @ by_decay[1]) - (self.steps - 1) * 2.0 * a / (1.0 - a * a)
-        return self.kappa * float(diagonal.sum()), trace * rate * a
+        return np.array([self.kappa * diagonal.sum(), trace * rate * a])
 
-    @staticmethod
-    def _both_ways(columns: Array, numerator: list[float], denominator: list[float]) -> Array:
-        from scipy.signal import lfilter  # loads all of scipy.stats, which a node need not wait for when it starts
 
-        forwards = lfilter(numerator, denominator, columns, axis=0)
-        return np.asarray(forwards + lfilter(numerator, denominator, columns[::-1], axis=0)[::-1])
+@compiled(MATRIX, VECTOR, VECTOR, NUMBER, MATRIX)
+def _whiten(columns: Array, d: Array, e: Array, kappa: float, white: Array) -> None:
+    """X - kappa T^-1 X for X (t, q), with T = L diag(d) L', L unit bidiagonal with e."""
+    steps, width = columns.shape
+    for j in range(width):
+        white[0, j] = columns[0, j]
+    for i in range(1, steps):
+        for j in range(width):
+            white[i, j] = columns[i, j] - e[i - 1] * white[i - 1, j]
+    solved = np.zeros(width)
+    for i in range(steps - 1, -1, -1):
+        after = e[i] if i < steps - 1 else 0.0
+        for j in range(width):
+            solved[j] = white[i, j] / d[i] - after * solved[j]
+            white[i, j] = columns[i, j] - kappa * solved[j]
+
+
+@compiled(MATRIX, MATRIX, NUMBER, VECTOR)
+def _correlate(left: Array, right: Array, a: float, sums: Array) -> None:
+    """What earlier rows bring to a row follows recursions: f_i = a (f_{i-1} + x_{i-1}) is the sum of a^k x_{i-k}, and
+    g_i = a (g_{i-1} + f_{i-1} + x_{i-1}) that of k a^k x_{i-k}."""
+    width = left.shape[1]
+    f_left, f_right, g_left, g_right = np.zeros((4, width))
+    for i in range(len(left)):
+        value = slope = 0.0
+        for j in range(width):
+            x, y = left[i, j], right[i, j]
+            value += x * y + x * f_right[j] + y * f_left[j]
+            slope += x * g_right[j] + y * g_left[j]
+            g_left[j] = a * (g_left[j] + f_left[j] + x)
+            g_right[j] = a * (g_right[j] + f_right[j] + y)
+            f_left[j] = a * (f_left[j] + x)
+            f_right[j] = a * (f_right[j] + y)
+        sums[0] += value
+        sums[1] += slope
 
 
 def _inverse_correlation(steps: int, a: float) -> tuple[Array, Array]:
@@ -130,10 +176,11 @@ class SharedFactor:
         """A^-1 X for X (t, q)."""
         if not self.narrow:
             return self._back_substitute(columns)
-        white = columns if self.drift is None else self.drift.whiten(columns)
+        white = columns.copy() if self.drift is None else self.drift.whiten(columns)
         if self.count:
-            white = white - self._white @ self._back_substitute(self._white.T @ columns)
-        return np.asarray(white / self.noise)
+            white -= self._white @ self._back_substitute(self._white.T @ columns)
+        white /= self.noise
+        return white
 
     def solved_features(self) -> Array:
         """A^-1 F, (t, D); equal to sigma^2 B^-1 F S^-1."""
@@ -153,18 +200,11 @@ class SharedFactor:
         square = self.noise * float(np.sum(z * z))
         if self.drift is None:
             return CovarianceSlopes(rho, square - n * trace, 0.0, 0.0, by_features)
-        kappa, memory = self._drift_slopes(self.drift, z, n, solved)
-        slow = self.noise * self.drift.kappa * float(np.sum(z * self.drift.correlate(z)))
-        return CovarianceSlopes(rho, square + slow - n * trace, kappa, memory, by_features)
-
-    def _drift_slopes(self, drift: Drift, z: Array, n: int, solved: Array) -> tuple[float, float]:
-        """By log kappa and log memory: tr A^-1 X = tr B^-1 X - tr(B^-1 F (A^-1 F)' X) for X = dB, both with O(t D)."""
-        slopes = []
-        for apply, whole in zip((drift.correlate, drift.correlate_slope), drift.determinant_slopes(), strict=True):
-            part = float(np.sum(self._white * apply(solved))) if self.count else 0.0
-            square = self.noise * float(np.sum(z * apply(z)))
-            slopes.append(0.5 * (drift.kappa * square - n * (whole - drift.kappa * part)))
-        return slopes[0], slopes[1]
+        # tr A^-1 X = tr B^-1 X - tr(B^-1 F (A^-1 F)' X) for the derivatives X of B by log kappa and log memory
+        slow = self.drift.kappa * self.noise * self.drift.correlation(z, z)
+        left = self.drift.kappa * self.drift.correlation(self._white, solved)
+        kappa, memory = 0.5 * (slow - n * (self.drift.determinant_slopes() - left))
+        return CovarianceSlopes(rho, square + float(slow[0]) - n * trace, float(kappa), float(memory), by_features)
 
     def _back_substitute(self, columns: Array) -> Array:
         solution, _ = lapack.dpotrs(self._root, columns, lower=1)
