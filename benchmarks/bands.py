@@ -105,9 +105,7 @@ def _nmse(errors: Array, measured: Array) -> float:
 
 
 def _model_log_density(prediction: Prediction) -> float:
-    scale = prediction.output_scale
-    innovation = (prediction.sample.outputs - prediction.model_mean) / scale
-    return log_density(innovation, prediction.prior.covariance) - float(np.log(scale).sum())
+    return log_density(prediction.sample.outputs - prediction.model_mean, prediction.prior.covariance)
 
 
 def run(pair: Pair, variant: str, features: int) -> list[dict[str, Any]]:

@@ -185,21 +185,17 @@ class AveragedEstimator(Estimator):
             other._take_in(its, learn, charged)
         if prediction.motion.is_news and counts:
             self._weights.learn(outputs - _stacked(prediction.members, 'mean'), _stacked(prediction.members, 'std'))
-        charged = [each.output_scale * errors for each, errors in zip(prediction.members, past, strict=True)]
-        return self._horizons.advance_average(stamp, charged, outputs, self._weights.weights)
+        return self._horizons.advance_average(stamp, past, outputs, self._weights.weights)
 
     def _averaged(self, members: tuple[Prediction, ...]) -> Prediction:
         weights, own = self._weights.weights, members[0]
         mean, std = mixture(weights, _stacked(members, 'mean'), _stacked(members, 'std'))
         means = _stacked(members, 'model_mean')
         model_mean = (weights * means).sum(axis=0)
-        covariance = mixture_covariance(weights, means, [
-            each.prior.covariance * np.multiply.outer(each.output_scale, each.output_scale) for each in members])
-        model_std = np.sqrt(covariance.diagonal())
-        scale = own.output_scale
-        prior = own.prior._replace(covariance=covariance / np.multiply.outer(scale, scale))
-        return own._replace(mean=mean, std=std, model_mean=model_mean, model_std=model_std, prior=prior,
-                            members=members)
+        covariance = mixture_covariance(weights, means, [each.prior.covariance for each in members])
+        prior = own.prior._replace(covariance=covariance)
+        return own._replace(mean=mean, std=std, model_mean=model_mean, model_std=np.sqrt(covariance.diagonal()),
+                            prior=prior, members=members)
 
     def _desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
         own = super()._desired(x, shown, needed)

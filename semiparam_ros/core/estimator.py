@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from math import isfinite, log
+from math import log
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from semiparam_ros.core.band_calibration import BandCalibration
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
+from semiparam_ros.core.compiled import AVAILABLE, VECTOR, compiled
 from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.feature_count import MOST
@@ -45,7 +46,7 @@ PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
 
 
 class Model:
-    """One variant with its hyperparameters: scaled outputs, features, a fixed mean where pi is fixed, the recursion.
+    """One variant with its hyperparameters: features, a fixed mean where pi is fixed, the recursion.
 
     Of the columns of C, those of the rigid body and the offset are learnt, fixed or absent, as the variant has it;
     those of effects, which stand last, are learnt in every variant.
@@ -58,7 +59,6 @@ class Model:
                  prior_scale: Array, prior_mean: Array | None = None, forgetting: float = 1.0,
                  n_effects: int = 0) -> None:
         self.variant, self.hyperparameters, self.features = variant, hyperparameters, features
-        self.output_scale = np.asarray(hyperparameters.output_scale, dtype=float)
         own, everything = len(prior_scale) - n_effects, len(prior_scale)
         learnt = variant.pi == 'learnt'
         self.gamma = hyperparameters.gamma if learnt else EFFECT_GAMMA
@@ -68,9 +68,11 @@ class Model:
         """Columns of C that ``theta`` has coefficients for."""
         self.pi = np.asarray(hyperparameters.pi, dtype=float) if variant.pi == 'fixed' else None
         self.recursion = SemiParametricRecursion(
-            len(self.output_scale), features.count if features else 0, self.gamma * prior_scale[self.learnt],
-            hyperparameters.rho, hyperparameters.sigma, None if prior_mean is None else prior_mean[self.learnt],
-            forgetting)
+            len(hyperparameters.output_scale), features.count if features else 0,
+            self.gamma * prior_scale[self.learnt], hyperparameters.rho, hyperparameters.sigma,
+            None if prior_mean is None else prior_mean[self.learnt], forgetting,
+            np.array(hyperparameters.output_scale))
+        self._no_features = np.zeros(0)
 
     @property
     def theta(self) -> Array:
@@ -93,13 +95,16 @@ class Model:
         """(n,) what columns (n, p) in N and N m bring about."""
         return np.asarray(columns[:, self.covered] @ self.theta)
 
-    def predict(self, x: Array, columns: Array) -> tuple[Prior, Array, Array]:
-        """The recursion's prior, its columns (n, p) and the fixed mean (n,), all in units of ``output_scale``."""
-        scaled = columns / self.output_scale[:, None]
-        fixed = np.zeros(len(self.output_scale)) if self.pi is None else scaled[:, :len(self.pi)] @ self.pi
-        learnt = scaled[:, self.learnt]
-        phi = self.features(x) if self.features else np.zeros(0)
-        return self.recursion.predict(phi, learnt), learnt, fixed
+    @property
+    def noise_std(self) -> Array:
+        """(n,) standard deviation of each output's noise, in N and N m."""
+        return self.recursion.sigma * self.recursion.scale
+
+    def predict(self, x: Array, columns: Array) -> Prior:
+        """What the recursion says at x (m,), of which the columns (n, p) are all of C."""
+        phi = self.features(x) if self.features else self._no_features
+        known = None if self.pi is None else columns[:, :len(self.pi)] @ self.pi
+        return self.recursion.predict(phi, columns[:, self.learnt], known)
 
 
 def log_density(innovation: Array, covariance: Array) -> float:
@@ -109,10 +114,10 @@ def log_density(innovation: Array, covariance: Array) -> float:
     return float(-0.5 * white @ white - np.log(lower.diagonal()).sum() - len(white) * HALF_LOG_2PI)
 
 
-def information_gain(prior: Prior, sigma: float) -> float:
-    """What learning a sample can tell of the model at most [nat]: half the log of predictive over noise variance,
+def information_gain(prior: Prior, noise_std: Array) -> float:
+    """What learning a sample can tell of the model at most [nat]: the log of predictive over noise deviation (n,),
     summed over the outputs, whose correlation is left out."""
-    return 0.5 * sum(map(log, prior.covariance.diagonal().tolist())) - len(prior.mean) * log(sigma)
+    return sum(map(log, (prior.std / noise_std).tolist()))
 
 
 @dataclass(frozen=True)
@@ -152,9 +157,7 @@ class Prediction(NamedTuple):
     horizon: HorizonErrors | None
     sample: Sample
     prior: Prior
-    columns: Array
-    fixed: Array
-    output_scale: Array
+    columns: Array  # (n, p) all of C
     memory: Memories
     motion: Motion
     beyond: float
@@ -167,10 +170,9 @@ class Prediction(NamedTuple):
     @property
     def log_density(self) -> float:
         """Of the measured outputs, by mean and std as published [nat]; NaN outputs give NaN."""
-        innovation = (self.sample.outputs - self.mean) / self.output_scale
         factor = self.std / self.model_std
-        return (log_density(innovation / factor, self.prior.covariance)
-                - float(np.log(self.output_scale * factor).sum()))
+        innovation = (self.sample.outputs - self.mean) / factor
+        return log_density(innovation, self.prior.covariance) - float(np.log(factor).sum())
 
 
 class DesiredOutputs(NamedTuple):
@@ -285,16 +287,14 @@ class Estimator:
         return Seen(sample, x, columns, memory, motion, beyond(self.inputs_learnt, x, self.body.n_joints))
 
     def _answer(self, seen: Seen) -> Prediction:
-        prior, learnt, fixed = self.model.predict(seen.x, seen.columns)
-        scale = self.model.output_scale
-        model_mean, model_std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
-        mean = model_mean if self.wandering is None else model_mean + self.wandering.offset
+        prior = self.model.predict(seen.x, seen.columns)
+        mean = prior.mean if self.wandering is None else prior.mean + self.wandering.offset
         motion, off = seen.motion, False
         if self.ready and motion.still > 1:
-            off = bool(np.abs(seen.sample.outputs).max() < OFF_SHARE * np.abs(model_mean).max())
+            off = bool(np.abs(seen.sample.outputs).max() < OFF_SHARE * np.abs(prior.mean).max())
             motion = motion._replace(is_news=motion.is_news and not off)
-        return Prediction(mean, self.calibration.factor * model_std, model_mean, model_std, self.ready, None,
-                          seen.sample, prior, learnt, fixed, scale, seen.memory, motion, seen.beyond, off=off)
+        return Prediction(mean, self.calibration.factor * prior.std, prior.mean, prior.std, self.ready, None,
+                          seen.sample, prior, seen.columns, seen.memory, motion, seen.beyond, off=off)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -314,15 +314,14 @@ class Estimator:
 
     def _desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
         model = self.model
-        prior, _, fixed = model.predict(x, shown)
-        outputs = model.output_scale * (prior.mean + fixed)
+        prior = model.predict(x, shown)
+        outputs = prior.mean
         of_sensor = model.contribution(shown - needed)
         if self.wandering is not None:
             outputs = outputs + self.wandering.offset
             of_sensor = of_sensor + self.wandering.offset * self.columns.has_offset
-        scale = self.calibration.factor * model.output_scale
-        covariance = prior.covariance * np.outer(scale, scale)
-        ratio = float(prior.covariance.diagonal().max()) / model.hyperparameters.sigma**2 - 1.0
+        covariance = prior.covariance * np.multiply.outer(self.calibration.factor, self.calibration.factor)
+        ratio = float((prior.std / model.noise_std).max()) ** 2 - 1.0
         return DesiredOutputs(outputs, outputs - of_sensor, covariance, ratio)
 
     def observe(self, prediction: Prediction, learn: bool = True, finish: bool = True) -> HorizonErrors | None:
@@ -353,17 +352,15 @@ class Estimator:
 
     def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
         """What a sample changes of what is learnt. :param errors: see :meth:`HorizonIndex.advance`."""
-        sample, recursion = prediction.sample, self.model.recursion
-        outputs = sample.outputs / prediction.output_scale
-        due = learn and self._is_due(prediction.prior)
-        innovations = recursion.learn(prediction.prior, outputs - prediction.fixed) if due else None
+        sample, prior, recursion = prediction.sample, prediction.prior, self.model.recursion
+        due = learn and self._is_due(prior)
+        innovations = recursion.learn(prior, sample.outputs) if due else None
         if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
         if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
             self._follow(sample.outputs, prediction.model_mean, prediction.model_std, learn)
-        parts = None if self.wandering is None else self.wandering.parts / prediction.output_scale
-        return self.horizon.advance(sample.stamp, prediction.prior, prediction.fixed, outputs, recursion.theta,
-                                    innovations, parts, errors)
+        parts = None if self.wandering is None else self.wandering.parts
+        return self.horizon.advance(sample.stamp, prior, sample.outputs, recursion.theta, innovations, parts, errors)
 
     def _is_due(self, prior: Prior) -> bool:
         """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.
@@ -375,7 +372,7 @@ class Estimator:
             return True
         self._since_learnt += 1
         if self._since_learnt < options.learn_every or (
-                options.learn_least_gain and information_gain(prior, self.model.recursion.sigma)
+                options.learn_least_gain and information_gain(prior, self.model.noise_std)
                 < options.learn_least_gain):
             self.passed_over += 1
             return False
@@ -427,12 +424,11 @@ class Estimator:
     def _learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
         """Learn a sample of the window; mean and standard deviation (n,) that were predicted for it, in N and N m."""
         model, (inputs, outputs, columns) = self.model, remembered
-        scale = model.output_scale
-        prior, _, fixed = model.predict(inputs, columns)
-        mean, std = scale * (prior.mean + fixed), scale * np.sqrt(prior.covariance.diagonal())
-        said = mean if self.wandering is None else mean + self.wandering.offset, self.calibration.factor * std
-        self._follow(outputs, mean, std, learn=True)
-        model.recursion.learn(prior, outputs / scale - fixed)
+        prior = model.predict(inputs, columns)
+        mean = prior.mean if self.wandering is None else prior.mean + self.wandering.offset
+        said = mean, self.calibration.factor * prior.std
+        self._follow(outputs, prior.mean, prior.std, learn=True)
+        model.recursion.learn(prior, outputs)
         return said
 
     def _leave_window(self) -> None:
@@ -586,6 +582,14 @@ class Estimator:
 
 def require_finite(what: str, values: Array) -> None:
     """Raise SemiparamError when one of the values is NaN or infinite: the model must never take it in."""
-    # Summed as Python's numbers, for a dozen of them take a quarter of numpy's time so.
-    if not isfinite(sum(values.ravel().tolist())) and not np.isfinite(values).all():
+    if not (are_finite(values.ravel()) if AVAILABLE else np.isfinite(values).all()):
         raise SemiparamError(f'the {what} of a sample are {values.tolist()}; expected finite values.')
+
+
+@compiled(VECTOR, returns='boolean')
+def are_finite(values: Array) -> bool:
+    """Whether none of the values (k,) is NaN or infinite; a dozen of them in a quarter of numpy's time."""
+    for value in values:
+        if not np.isfinite(value):
+            return False
+    return True

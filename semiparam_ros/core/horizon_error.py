@@ -89,11 +89,11 @@ class HorizonIndex:
                 'squared_error': self._squared_error, 'outputs': self._outputs, 'origins': self._origins,
                 'offsets': self._parts}
 
-    def advance(self, stamp: int, prior: Prior, fixed: Array, outputs: Array, theta: Array, innovations: Array | None,
+    def advance(self, stamp: int, prior: Prior, outputs: Array, theta: Array, innovations: Array | None,
                 offsets: Array | None = None, errors: Array | None = None) -> HorizonErrors | None:
         """Charge one sample of ``stamp`` [ns] to the last T models, and keep the model as it stands after it.
 
-        :param prior: of the sample. :param fixed: (n,) the part that no model learns. :param outputs: (n,) measured.
+        :param prior: of the sample. :param outputs: (n,) measured.
         :param theta: (p,) of the model after the sample. :param innovations: (n, p + 1) what it learnt, None if it did
             not learn it. :param offsets: (K, n) the parts of its offset at the next sample.
         :param errors: (T, n) takes the errors of the last k <= T models at this sample, newest first.
@@ -106,16 +106,16 @@ class HorizonIndex:
         if AVAILABLE:
             eps = np.empty((2, len(outputs)))
             _advance(self._start, self._filled, self._gains, self._innovations, self._theta, self._parts, self._decay,
-                     self._squared_error, self._outputs, outputs, fixed, prior.phi, prior.projection.reach, prior.s,
-                     prior.regressed, prior.columns_left, theta, learnt, parts,
+                     self._squared_error, self._outputs, outputs, prior.phi, prior.reach, prior.s, prior.regressed,
+                     prior.columns_left, theta, learnt, parts,
                      self._no_parts if errors is None else errors, eps)
         else:
             self._outputs[row] = outputs
             if self._filled:
-                self._charge(prior, outputs - fixed, errors)
+                self._charge(prior, outputs, errors)
             eps = self._complete() if self._filled == self.length else self._no_parts
             self._theta[row], self._squared_error[row] = theta, 0.0
-            self._gains[row] = prior.projection.reach / prior.s if len(learnt) else 0.0
+            self._gains[row] = prior.reach / prior.s if len(learnt) else 0.0
             self._innovations[row] = learnt if len(learnt) else 0.0
             if len(parts):
                 self._parts[row] = parts
@@ -192,10 +192,10 @@ def _complete(outputs: Array, error: Array, eps: Array) -> None:
         eps[1, k] = error[k] / max(spread, LEAST_POWER * length)
 
 
-@compiled(INTEGER, INTEGER, MATRIX, BLOCKS, MATRIX, BLOCKS, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR,
+@compiled(INTEGER, INTEGER, MATRIX, BLOCKS, MATRIX, BLOCKS, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR,
           NUMBER, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX)
 def _advance(start: int, filled: int, gains: Array, innovations: Array, thetas: Array, parts: Array, decay: Array,
-             squared_error: Array, measured: Array, outputs: Array, fixed: Array, phi: Array, reach: Array, s: float,
+             squared_error: Array, measured: Array, outputs: Array, phi: Array, reach: Array, s: float,
              regressed: Array, left: Array, theta: Array, learnt: Array, offsets: Array, errors: Array,
              eps: Array) -> None:
     n, p = left.shape
@@ -203,7 +203,7 @@ def _advance(start: int, filled: int, gains: Array, innovations: Array, thetas: 
     running[:, :p] = left
     for row in range(start, start + filled):
         for k in range(n):
-            error = outputs[k] - fixed[k] - running[k, p]
+            error = outputs[k] - running[k, p]
             for c in range(p):
                 error -= thetas[row, c] * running[k, c]
             for g in range(len(decay)):
@@ -250,9 +250,9 @@ class AveragedHorizons(HorizonIndex):
         return {'weights': self._shares, 'squared_error': self._squared_error, 'outputs': self._outputs,
                 'origins': self._origins}
 
-    def advance_average(self, stamp: int, errors: list[Array], outputs: Array, weights: Array) -> HorizonErrors | None:
-        """Charge one sample, from the errors (T, n) that each model's own index charged it with, and keep the weights
-        (K, n) as they stand after it; see :meth:`advance`."""
+    def advance_average(self, stamp: int, errors: Array, outputs: Array, weights: Array) -> HorizonErrors | None:
+        """Charge one sample, from the errors (K, T, n) that each model's own index charged it with, and keep the
+        weights (K, n) as they stand after it; see :meth:`advance`."""
         self._make_room()
         row, oldest = self._start - 1, self._start + self.length - 1
         self._outputs[row] = outputs

@@ -8,8 +8,11 @@ features regress the outputs and the coupled columns together; what they cannot 
     S     : D x D             P = S S', covariance of the feature weights given theta
     f = S' phi,  s = sigma^2 + f'f,  E = [C | y] - phi' Theta
     Theta += g E  with g = S f / s,   S -= S f f' / (s + sigma sqrt(s))           (Potter 1963)
-    R     : (p + 1) square    R'R = prior + sum E'E / s   (triangular; updated by QR)
+    R     : (p + 1) square    R'R = prior + sum E' N^-2 E / s   (triangular; updated by QR)
     theta = R_CC^-1 R_Cy,     alpha = Theta_y - Theta_C theta
+
+with N = diag(scale): outputs whose noise differs share S too, when sigma and rho are told in units of each output's
+own. A part of y that is known beforehand counts as one that phi' Theta says.
 """
 
 from __future__ import annotations
@@ -22,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtpqrt, dtrtrs
 
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
-from semiparam_ros.core.square_root_filter import Projection, SquareRootFilter
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.square_root_filter import Projection, SquareRootFilter, project, wait
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
@@ -38,10 +41,12 @@ class Prior(NamedTuple):
 
     mean: Array  # (n,) predicted outputs
     covariance: Array  # (n, n) of the outputs, noise included
+    std: Array  # (n,) of each output, noise included
     phi: Array  # (D,)
-    projection: Projection  # of phi on [S | Theta]
+    f: Array  # (D,) S' phi
+    reach: Array  # (D,) S f
     s: float  # sigma^2 + f'f
-    regressed: Array  # (n, p + 1) phi' Theta, y last
+    regressed: Array  # (n, p + 1) phi' Theta, y last with what is known of it
     columns_left: Array  # (n, p) E_C, what the features leave of the coupled columns
     revision: int  # of the model that it was computed from
 
@@ -51,18 +56,20 @@ class SemiParametricRecursion:
 
     :param n_features: D, 0 for a purely parametric model.
     :param prior_std: (p,) standard deviations of theta, empty for a purely non-parametric model.
-    :param rho: standard deviation of every feature weight.
-    :param sigma: standard deviation of the noise of every output (scale outputs beforehand when they differ).
+    :param rho: standard deviation of every feature weight, in units of its output's scale.
+    :param sigma: standard deviation of the noise of every output, in the same units.
     :param prior_mean: (p,) mean of theta, zero unless given.
     :param forgetting: weight of the past after each sample, in (0, 1]; 1 never forgets.
+    :param scale: (n,) scale of each output, in its unit; 1 unless given.
     :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting outside (0, 1].
     """
 
     def __init__(self, n_outputs: int, n_features: int, prior_std: Array, rho: float, sigma: float,
-                 prior_mean: Array | None = None, forgetting: float = 1.0) -> None:
+                 prior_mean: Array | None = None, forgetting: float = 1.0, scale: Array | None = None) -> None:
         self.n_outputs, self.n_features, self.n_columns = n_outputs, n_features, len(prior_std)
         self.sigma, self.rho, self.forgetting = float(sigma), float(rho), float(forgetting)
         self._prior_std = np.array(prior_std, dtype=float)
+        self.scale = np.ones(n_outputs) if scale is None else np.array(scale, dtype=float)
         self._check()
         self.theta = np.zeros(self.n_columns) if prior_mean is None else np.array(prior_mean, dtype=float)
         self._weights = SquareRootFilter(n_features, rho, (self.n_columns + 1) * n_outputs)
@@ -71,32 +78,38 @@ class SemiParametricRecursion:
         diagonal = np.arange(self.n_columns)
         self._information[diagonal, diagonal] = 1.0 / self._prior_std
         self._information[:-1, -1] = self.theta / self._prior_std
-        nothing = np.zeros(0)
-        self._no_features = Projection(nothing, nothing, np.zeros((self.n_columns + 1) * n_outputs))
+        self._nothing_known = np.zeros(n_outputs)
         self.revise()
 
-    def predict(self, phi: Array, columns: Array) -> Prior:
-        """Mean and covariance of the outputs at features (D,) and coupled columns (n, p)."""
-        projection = self._weights.project(phi) if self.n_features else self._no_features
-        regressed = projection.regressed.reshape(self.n_outputs, self.n_columns + 1)
-        if AVAILABLE:
-            n = self.n_outputs
-            left, mean, covariance = np.empty((n, self.n_columns)), np.empty(n), np.empty((n, n))
-            s = _predict(projection.f, self.sigma, regressed, np.ascontiguousarray(columns), self._information.T,
-                         self.theta, left, mean, covariance)
-        else:
-            s, left, mean, covariance = self._predict(projection.f, regressed, columns)
-        return Prior(mean, covariance, phi, projection, s, regressed, left, self.revision)
+    def predict(self, phi: Array, columns: Array, known: Array | None = None) -> Prior:
+        """Mean and covariance of the outputs at features (D,) and coupled columns (n, p).
 
-    def _predict(self, f: Array, regressed: Array, columns: Array) -> tuple[float, Array, Array, Array]:
+        :param known: (n,) part of the outputs that the model does not have to learn.
+        """
+        n, n_features, p = self.n_outputs, self.n_features, self.n_columns
+        known = self._nothing_known if known is None else known
+        if not AVAILABLE:
+            return self._predict(phi, columns, known)
+        f, reach, regressed, left = np.empty(n_features), np.empty(n_features), np.empty((n, p + 1)), np.empty((n, p))
+        mean, covariance, std = np.empty(n), np.empty((n, n)), np.empty(n)
+        s = _predict(*self._weights.arrays, phi, np.ascontiguousarray(columns), known, self.scale, self.sigma,
+                     self._information.T, self.theta, f, reach, regressed, left, mean, covariance, std)
+        return Prior(mean, covariance, std, phi, f, reach, s, regressed, left, self.revision)
+
+    def _predict(self, phi: Array, columns: Array, known: Array) -> Prior:
+        f, reach, regressed = np.zeros(0), np.zeros(0), np.zeros(self.n_outputs * (self.n_columns + 1))
+        if self.n_features:
+            f, reach, regressed = self._weights.project(phi)
+        regressed = regressed.reshape(self.n_outputs, self.n_columns + 1)
+        regressed[:, -1] += known
         s = self.sigma**2 + float(f @ f)
         left = columns - regressed[:, :-1]
         mean = regressed[:, -1] + left @ self.theta
-        covariance = s * np.eye(self.n_outputs)
+        covariance = np.diag(s * self.scale**2)
         if self.n_columns:
             half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
             covariance += half.T @ half
-        return s, left, mean, covariance
+        return Prior(mean, covariance, np.sqrt(covariance.diagonal()), phi, f, reach, s, regressed, left, self.revision)
 
     def learn(self, prior: Prior, outputs: Array) -> Array:
         """Learn the outputs (n,) of the sample that ``prior`` was computed for; the innovations E (n, p + 1), y last.
@@ -108,13 +121,16 @@ class SemiParametricRecursion:
         innovations = np.empty((self.n_outputs, self.n_columns + 1))
         if AVAILABLE:
             self.theta = np.empty(self.n_columns)
-            _learn(prior.regressed, prior.columns_left, outputs, prior.s, innovations, self._information.T, self.theta)
+            placed = _learn(prior.regressed, prior.columns_left, outputs, self.scale, prior.f, prior.reach, prior.s,
+                            self.sigma, innovations, self._information.T, self.theta, *self._weights.changes)
+            if self.n_features:
+                self._weights.has_changed(placed)
         else:
             innovations[:, :-1] = prior.columns_left
             innovations[:, -1] = outputs - prior.regressed[:, -1]
-            self._learn_columns(innovations / np.sqrt(prior.s))
-        if self.n_features:
-            self._weights.learn(prior.projection, self.sigma, innovations.ravel())
+            self._learn_columns(innovations / (np.sqrt(prior.s) * self.scale[:, None]))
+            if self.n_features:
+                self._weights.learn(Projection(prior.f, prior.reach, prior.regressed), self.sigma, innovations.ravel())
         if self.forgetting < 1.0:
             self._forget()
         return innovations
@@ -162,10 +178,11 @@ class SemiParametricRecursion:
         self.theta = np.array(state['theta'], dtype=float)
 
     def _check(self) -> None:
-        deviations = [self.sigma, *self._prior_std, *([self.rho] if self.n_features else [])]
+        deviations = [self.sigma, *self._prior_std, *self.scale, *([self.rho] if self.n_features else [])]
         if not all(np.isfinite(value) and value > 0.0 for value in deviations):
             raise SemiparamError(f'the model has standard deviations sigma {self.sigma}, rho {self.rho} and for theta '
-                                 f'{self._prior_std.tolist()}; expected positive finite ones.')
+                                 f'{self._prior_std.tolist()}, and scales {self.scale.tolist()}; expected positive '
+                                 'finite ones.')
         if not 0.0 < self.forgetting <= 1.0:
             raise SemiparamError(f'forgetting is {self.forgetting}; expected a value above 0 and at most 1.')
 
@@ -207,19 +224,24 @@ class SemiParametricRecursion:
         self._update_information(row)
 
 
-@compiled(VECTOR, NUMBER, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX, returns=NUMBER)
-def _predict(f: Array, sigma: float, regressed: Array, columns: Array, information: Array, theta: Array, left: Array,
-             mean: Array, covariance: Array) -> float:
-    """s; and E_C, mean and covariance, from R' as ``information``."""
+@compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS, VECTOR, MATRIX, VECTOR, VECTOR, NUMBER, MATRIX, VECTOR,
+          VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, returns=NUMBER, calls=(project,))
+def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
+             phi: Array, columns: Array, known: Array, scale: Array, sigma: float, information: Array, theta: Array,
+             f: Array, reach: Array, regressed: Array, left: Array, mean: Array, covariance: Array,
+             std: Array) -> float:
+    """s; and all else of a :class:`Prior`, from R' as ``information``."""
     n, p = columns.shape
+    project(array, left_changes, right_changes, waiting, inflation, places, phi, f, reach, regressed.reshape(n * (p + 1)))
     half = np.empty((p, n))
     s = sigma * sigma
     for i in range(len(f)):
         s += f[i] * f[i]
     covariance[:] = 0.0
     for k in range(n):
+        regressed[k, p] += known[k]
         mean[k] = regressed[k, p]
-        covariance[k, k] = s
+        covariance[k, k] = s * scale[k] * scale[k]
         for c in range(p):
             left[k, c] = columns[k, c] - regressed[k, c]
             mean[k] += left[k, c] * theta[c]
@@ -234,24 +256,31 @@ def _predict(f: Array, sigma: float, regressed: Array, columns: Array, informati
         for k in range(n):
             for j in range(n):
                 covariance[k, j] += half[c, k] * half[c, j]
+    for k in range(n):
+        std[k] = np.sqrt(covariance[k, k])
     return s
 
 
-@compiled(MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, MATRIX, VECTOR)
-def _learn(regressed: Array, left: Array, outputs: Array, s: float, innovations: Array, information: Array,
-           theta: Array) -> None:
-    """E and theta, and R' as ``information`` with further rows: reflections make it triangular again (Householder)."""
+@compiled(MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX,
+          INTEGER, NUMBER, INTEGERS, INTEGER, returns=INTEGER, calls=(wait,))
+def _learn(regressed: Array, left: Array, outputs: Array, scale: Array, f: Array, reach: Array, s: float, sigma: float,
+           innovations: Array, information: Array, theta: Array, left_changes: Array, right_changes: Array,
+           waiting: int, inflation: float, places: Indices, placed: int) -> int:
+    """E, theta and the change of [S | Theta], and R' as ``information`` with further rows: reflections make it
+    triangular again (Householder). How many estimates have a place now."""
     n, size = innovations.shape
-    rows, share = np.empty((size, n)), 1.0 / np.sqrt(s)
     for k in range(n):
         for c in range(size - 1):
             innovations[k, c] = left[k, c]
         innovations[k, size - 1] = outputs[k] - regressed[k, size - 1]
+    placed = wait(left_changes, right_changes, waiting, f, reach, innovations.reshape(n * size), sigma, inflation,
+                  places, placed)
     if size == 1:
-        return
+        return placed
+    rows = np.empty((size, n))
     for c in range(size):
         for k in range(n):
-            rows[c, k] = share * innovations[k, c]
+            rows[c, k] = innovations[k, c] / (np.sqrt(s) * scale[k])
     for c in range(size):
         below = 0.0
         for k in range(n):
@@ -277,3 +306,4 @@ def _learn(regressed: Array, left: Array, outputs: Array, s: float, innovations:
         for j in range(c + 1, size - 1):
             value -= information[j, c] * theta[j]
         theta[c] = value / information[c, c]
+    return placed

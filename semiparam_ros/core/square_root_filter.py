@@ -53,13 +53,22 @@ class SquareRootFilter:
         self._places = np.full(n_estimates, -1)  # of each estimate among the columns after S; -1 while it is zero
         self._placed = 0
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, int, float, Indices]:
+        """M', U' and V', how many changes wait, the inflation and the places: what :func:`project` needs."""
+        return self._array.T, self._left.T, self._right.T, self._waiting, self._inflation, self._places
+
+    @property
+    def changes(self) -> tuple[Array, Array, int, float, Indices, int]:
+        """What :func:`wait` needs of them; :meth:`has_changed` follows it."""
+        return self._left.T, self._right.T, self._waiting, self._inflation, self._places, self._placed
+
     def project(self, phi: Array) -> Projection:
         """What a prediction at phi (D,) needs; nothing changes."""
         if AVAILABLE:
-            products, reach, regressed = np.empty(self._width), np.empty(self.size), np.empty(len(self._places))
-            _project(self._array.T, self._left.T, self._right.T, self._waiting, self._inflation, self._places, phi,
-                     products, reach, regressed)
-            return Projection(products[:self.size], reach, regressed)
+            found = Projection(np.empty(self.size), np.empty(self.size), np.empty(len(self._places)))
+            project(*self.arrays, phi, *found)
+            return found
         return self._project(phi)
 
     @property
@@ -90,16 +99,21 @@ class SquareRootFilter:
         """
         if AVAILABLE:
             e = np.zeros(len(self._places)) if innovations is None else innovations
-            self._placed = _wait(self._left.T[self._waiting], self._right.T[self._waiting], projection.f,
-                                 projection.reach, e, sigma, self._inflation, self._places, self._placed)
+            left, right, waiting, inflation, places, placed = self.changes
+            placed = wait(left, right, waiting, projection.f, projection.reach, e, sigma, inflation, places, placed)
         else:
-            self._wait(projection, sigma, innovations)
+            placed = self._wait(projection, sigma, innovations)
+        self.has_changed(placed)
+
+    def has_changed(self, placed: int) -> None:
+        """One change more waits, and so many estimates have a place now."""
+        self._placed = placed
         self._waiting += 1
         if self._waiting == MOST_WAITING:
             self._settle()
 
-    def _wait(self, projection: Projection, sigma: float, innovations: Array | None) -> None:
-        f = projection.f
+    def _wait(self, projection: Projection, sigma: float, innovations: Array | None) -> int:
+        f, placed = projection.f, self._placed
         s = sigma**2 + float(f @ f)
         column = self._right[:, self._waiting]
         self._left[:, self._waiting] = projection.reach
@@ -107,10 +121,11 @@ class SquareRootFilter:
         column[self.size:] = 0.0
         if innovations is not None:
             new = np.flatnonzero((self._places < 0) & (innovations != 0.0))
-            self._places[new] = self._placed + np.arange(len(new))
-            self._placed += len(new)
+            self._places[new] = placed + np.arange(len(new))
+            placed += len(new)
             used = self._places >= 0
             column[self.size + self._places[used]] = innovations[used] / s
+        return placed
 
     def inflate(self, factor: float) -> None:
         """S times ``factor``."""
@@ -163,15 +178,16 @@ class SquareRootFilter:
 
 
 @compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS, VECTOR, VECTOR, VECTOR, VECTOR)
-def _project(array: Array, left: Array, right: Array, waiting: int, inflation: float, places: Indices, phi: Array,
-             products: Array, reach: Array, regressed: Array) -> None:
-    """f, then Theta' phi as far as it is placed, into ``products``, S f into ``reach`` (D,), and Theta' phi into
-    ``regressed`` (q,), of M', U' and V'.
+def project(array: Array, left: Array, right: Array, waiting: int, inflation: float, places: Indices, phi: Array,
+            f: Array, reach: Array, regressed: Array) -> None:
+    """f (D,), S f into ``reach`` (D,), and Theta' phi into ``regressed`` (q,), of M', U' and V'.
 
     Four columns of M at a time: what they give of f goes at once into S f, while they are in the first cache.
     """
-    width, size = len(products), array.shape[1]
-    products[:] = 0.0
+    size, width = len(f), len(f)
+    for e in range(len(places)):
+        width += places[e] >= 0
+    products = np.zeros(width)  # f, then Theta' phi as far as it is placed
     reach[:] = 0.0
     for change in range(waiting):
         along = 0.0
@@ -210,28 +226,30 @@ def _project(array: Array, left: Array, right: Array, waiting: int, inflation: f
         for i in range(size):
             reach[i] += along * left[change, i]
     for i in range(size):
-        products[i] *= inflation
+        f[i] = products[i] * inflation
         reach[i] *= inflation * inflation
     for e in range(len(places)):
         regressed[e] = products[size + places[e]] if places[e] >= 0 else 0.0
 
 
-@compiled(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, INTEGERS, INTEGER, returns=INTEGER)
-def _wait(left: Array, right: Array, f: Array, reach: Array, innovations: Array, sigma: float, inflation: float,
-          places: Indices, placed: int) -> int:
-    """One more change, a column of U and one of V; how many estimates have a place now."""
+@compiled(MATRIX, MATRIX, INTEGER, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, INTEGERS, INTEGER, returns=INTEGER)
+def wait(left: Array, right: Array, waiting: int, f: Array, reach: Array, innovations: Array, sigma: float,
+         inflation: float, places: Indices, placed: int) -> int:
+    """One more change, a row of U' and one of V'; how many estimates have a place now."""
     size = len(f)
+    if size == 0:
+        return placed
     s = sigma * sigma
     for i in range(size):
         s += f[i] * f[i]
     share = -1.0 / (inflation * (s + sigma * np.sqrt(s)))
     for i in range(size):
-        left[i] = reach[i]
-        right[i] = share * f[i]
+        left[waiting, i] = reach[i]
+        right[waiting, i] = share * f[i]
     for e in range(len(innovations)):
         if places[e] < 0 and innovations[e] != 0.0:
             places[e] = placed
             placed += 1
         if places[e] >= 0:
-            right[size + places[e]] = innovations[e] / s
+            right[waiting, size + places[e]] = innovations[e] / s
     return placed

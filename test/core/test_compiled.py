@@ -54,12 +54,12 @@ def test_the_horizon(monkeypatch, features, columns, decay):
     model = SemiParametricRecursion(N, features, np.ones(columns), 1.0, 0.1)
     fast, readable = (HorizonIndex(7, N, features, columns, decay) for _ in range(2))
     for stamp in range(60):
-        prior = model.predict(rng.standard_normal(features), rng.standard_normal((N, columns)))
-        outputs, fixed = rng.standard_normal((2, N))
-        innovations = model.learn(prior, outputs - fixed) if stamp % 5 else None
+        prior = model.predict(rng.standard_normal(features), rng.standard_normal((N, columns)), rng.standard_normal(N))
+        outputs = rng.standard_normal(N)
+        innovations = model.learn(prior, outputs) if stamp % 5 else None
         parts = None if decay is None else rng.standard_normal((len(decay), N))
         charged, expected_charged = np.zeros((2, 7, N))
-        said = stamp, prior, fixed, outputs, model.theta, innovations, parts
+        said = stamp, prior, outputs, model.theta, innovations, parts
         errors = fast.advance(*said, charged)
         with monkeypatch.context() as without:
             without.setattr(horizon_error, 'AVAILABLE', False)
@@ -130,18 +130,20 @@ def test_the_features(features, estimates):
 @pytest.mark.parametrize('columns', [0, 1, 5, 22])
 def test_the_columns(monkeypatch, columns):
     rng = np.random.default_rng(3)
-    fast, readable = (SemiParametricRecursion(N, 12, np.ones(columns), 1.0, 0.1, forgetting=0.999) for _ in range(2))
+    fast, readable = (SemiParametricRecursion(N, 12, np.ones(columns), 1.0, 0.1, forgetting=0.999,
+                                              scale=np.linspace(0.5, 2.0, N)) for _ in range(2))
     for index in range(60):
         phi, coupled, outputs = rng.standard_normal(12), rng.standard_normal((N, columns)), rng.standard_normal(N)
         coupled[:, :1] *= index % 3  # a column of zeros at times
-        found = fast.predict(phi, coupled)
+        known = rng.standard_normal(N)
+        found = fast.predict(phi, coupled, known)
         fast.learn(found, outputs)
         with monkeypatch.context() as without:
             for module in (recursion, square_root_filter):
                 without.setattr(module, 'AVAILABLE', False)
-            expected = readable.predict(phi, coupled)
+            expected = readable.predict(phi, coupled, known)
             readable.learn(expected, outputs)
-        for name in ('mean', 'covariance', 'columns_left'):
+        for name in ('mean', 'covariance', 'std', 'regressed', 'columns_left'):
             np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-11)
         np.testing.assert_allclose(fast.theta, readable.theta, rtol=1e-10, atol=1e-11)
 

@@ -110,9 +110,8 @@ def test_predictive_deviations_are_those_of_the_errors(trained, recording):
 
 
 def test_the_density_is_that_of_a_gaussian_in_newtons(trained):
-    model, predictions = trained
-    prediction = predictions[-1]
-    scale = model.model.output_scale * prediction.std / prediction.model_std
+    prediction = trained[1][-1]
+    scale = prediction.std / prediction.model_std
     covariance = np.diag(scale) @ prediction.prior.covariance @ np.diag(scale)
     error = prediction.sample.outputs - prediction.mean
     expected = -0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(2 * np.pi * covariance)[1])
@@ -558,8 +557,8 @@ def test_what_tells_too_little_is_not_learnt(arm, recording):
     model, learnt = estimator(arm, 'SPK-ML', learn_least_gain=least), []
     for sample in recording:
         prediction = model.predict(sample)
-        sigma, ready, passed_over = model.model.recursion.sigma, model.ready, model.passed_over
-        gain, covariance = information_gain(prediction.prior, sigma), prediction.prior.covariance / sigma**2
+        noise, ready, passed_over = model.model.noise_std, model.ready, model.passed_over
+        gain, covariance = information_gain(prediction.prior, noise), prediction.prior.covariance / np.outer(noise, noise)
         assert gain >= 0.5 * np.linalg.slogdet(covariance)[1] - 1e-9
         if ready:
             learnt.append(gain >= least)

@@ -28,9 +28,9 @@ def running(length, model, rows, learn=lambda index: True):
     index = HorizonIndex(length, N, model.n_features, model.n_columns)
     found = []
     for t, (phi, columns, fixed, outputs) in enumerate(zip(*rows, strict=True)):
-        prior = model.predict(phi, columns)
-        innovations = model.learn(prior, outputs - fixed) if learn(t) else None
-        found.append(index.advance(1000 + t, prior, fixed, outputs, model.theta, innovations))
+        prior = model.predict(phi, columns, fixed)
+        innovations = model.learn(prior, outputs) if learn(t) else None
+        found.append(index.advance(1000 + t, prior, outputs, model.theta, innovations))
     return found
 
 
@@ -83,9 +83,9 @@ def test_after_clear_a_horizon_starts_afresh(moment):
     for t, (phi, columns, fixed, outputs) in enumerate(zip(*rows, strict=True)):
         if t == moment:
             index.clear()
-        prior = model.predict(phi, columns)
-        innovations = model.learn(prior, outputs - fixed)
-        found.append(index.advance(1000 + t, prior, fixed, outputs, model.theta, innovations))
+        prior = model.predict(phi, columns, fixed)
+        innovations = model.learn(prior, outputs)
+        found.append(index.advance(1000 + t, prior, outputs, model.theta, innovations))
     expected = brute_force(25, recursion(), rows)
     for t in range(120):
         whole = t >= 25 and not t - 25 < moment <= t
@@ -99,11 +99,11 @@ def test_a_perfect_model_has_no_error_and_a_constant_output_a_finite_one():
     index = HorizonIndex(3, 1, 0, 1)
     for t in range(6):
         prior = model.predict(np.zeros(0), np.ones((1, 1)))
-        errors = index.advance(t, prior, np.zeros(1), np.array([2.0 if t < 4 else 0.0]), model.theta, None)
+        errors = index.advance(t, prior, np.array([2.0 if t < 4 else 0.0]), model.theta, None)
     assert errors is not None
     assert np.isfinite([errors.eps, errors.eps_centred]).all()
     prior = model.predict(np.zeros(0), np.ones((1, 1)))
-    assert index.advance(6, prior, np.zeros(1), np.zeros(1), model.theta, None).eps[0] > 1e6
+    assert index.advance(6, prior, np.zeros(1), model.theta, None).eps[0] > 1e6
 
 
 def test_an_average_is_charged_with_the_weights_of_its_moment():

@@ -101,7 +101,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    11: {
+    12: {
         'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns within',
