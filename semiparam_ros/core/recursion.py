@@ -74,7 +74,7 @@ class SemiParametricRecursion:
         self.theta = np.zeros(self.n_columns) if prior_mean is None else np.array(prior_mean, dtype=float)
         self._weights = SquareRootFilter(n_features, rho, (self.n_columns + 1) * n_outputs)
         self._renewed = 0
-        self._information = np.zeros((self.n_columns + 1, self.n_columns + 1), order='F')
+        self._information = np.zeros((self.n_columns + 1, self.n_columns + 1))
         diagonal = np.arange(self.n_columns)
         self._information[diagonal, diagonal] = 1.0 / self._prior_std
         self._information[:-1, -1] = self.theta / self._prior_std
@@ -93,7 +93,7 @@ class SemiParametricRecursion:
         f, reach, regressed, left = np.empty(n_features), np.empty(n_features), np.empty((n, p + 1)), np.empty((n, p))
         mean, covariance, std = np.empty(n), np.empty((n, n)), np.empty(n)
         s = _predict(*self._weights.arrays, phi, np.ascontiguousarray(columns), known, self.scale, self.sigma,
-                     self._information.T, self.theta, f, reach, regressed, left, mean, covariance, std)
+                     self._information, self.theta, f, reach, regressed, left, mean, covariance, std)
         return Prior(mean, covariance, std, phi, f, reach, s, regressed, left, self.revision)
 
     def _predict(self, phi: Array, columns: Array, known: Array) -> Prior:
@@ -122,7 +122,7 @@ class SemiParametricRecursion:
         if AVAILABLE:
             self.theta = np.empty(self.n_columns)
             placed = _learn(prior.regressed, prior.columns_left, outputs, self.scale, prior.f, prior.reach, prior.s,
-                            self.sigma, innovations, self._information.T, self.theta, *self._weights.changes)
+                            self.sigma, innovations, self._information, self.theta, *self._weights.changes)
             if self.n_features:
                 self._weights.has_changed(placed)
         else:
@@ -158,7 +158,7 @@ class SemiParametricRecursion:
     def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
         return {**self._weights.state(), 'renewed': np.array(self._renewed),
-                'information': self._information.copy(order='F'), 'theta': self.theta.copy()}
+                'information': self._information.copy(), 'theta': self.theta.copy()}
 
     def restore(self, state: Mapping[str, Array | Indices]) -> None:
         """Return to a saved :meth:`state`; every prior computed before is then stale.
@@ -174,7 +174,7 @@ class SemiParametricRecursion:
         self.revise()
         self._weights.restore(state)
         self._renewed = int(state['renewed'])
-        self._information = np.array(state['information'], dtype=float, order='F')
+        self._information = np.array(state['information'], dtype=float, order='C')
         self.theta = np.array(state['theta'], dtype=float)
 
     def _check(self) -> None:
@@ -195,7 +195,7 @@ class SemiParametricRecursion:
     def _update_information(self, rows: Array) -> None:
         """R with further rows (k, p + 1) below it, triangular again."""
         block = min(self.n_columns + 1, QR_BLOCK)
-        self._information, _, _, _ = dtpqrt(0, block, self._information, rows, overwrite_a=1, overwrite_b=1)
+        self._information = np.ascontiguousarray(dtpqrt(0, block, self._information, rows)[0])
 
     def _forget(self) -> None:
         """Weigh the past less, and renew the prior of one feature weight and one coefficient in turn.
@@ -230,13 +230,13 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
              phi: Array, columns: Array, known: Array, scale: Array, sigma: float, information: Array, theta: Array,
              f: Array, reach: Array, regressed: Array, left: Array, mean: Array, covariance: Array,
              std: Array) -> float:
-    """s; and all else of a :class:`Prior`, from R' as ``information``."""
+    """s; and all else of a :class:`Prior`, from R as ``information``."""
     n, p = columns.shape
     project(array, left_changes, right_changes, waiting, inflation, places, phi, f, reach, regressed.reshape(n * (p + 1)))
-    half = np.empty((p, n))
     s = sigma * sigma
     for i in range(len(f)):
         s += f[i] * f[i]
+    half = np.empty((p, n))  # (E_C R^-1)'
     covariance[:] = 0.0
     for k in range(n):
         regressed[k, p] += known[k]
@@ -245,17 +245,16 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
         for c in range(p):
             left[k, c] = columns[k, c] - regressed[k, c]
             mean[k] += left[k, c] * theta[c]
-    for c in range(p):
-        for k in range(n):
             half[c, k] = left[k, c]
-        for i in range(c):
-            for k in range(n):
-                half[c, k] -= information[c, i] * half[i, k]
+    for c in range(p):
         for k in range(n):
             half[c, k] /= information[c, c]
         for k in range(n):
             for j in range(n):
                 covariance[k, j] += half[c, k] * half[c, j]
+        for later in range(c + 1, p):
+            for k in range(n):
+                half[later, k] -= information[c, later] * half[c, k]
     for k in range(n):
         std[k] = np.sqrt(covariance[k, k])
     return s
@@ -266,7 +265,7 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
 def _learn(regressed: Array, left: Array, outputs: Array, scale: Array, f: Array, reach: Array, s: float, sigma: float,
            innovations: Array, information: Array, theta: Array, left_changes: Array, right_changes: Array,
            waiting: int, inflation: float, places: Indices, placed: int) -> int:
-    """E, theta and the change of [S | Theta], and R' as ``information`` with further rows: reflections make it
+    """E, theta and the change of [S | Theta], and R as ``information`` with further rows: reflections make it
     triangular again (Householder). How many estimates have a place now."""
     n, size = innovations.shape
     for k in range(n):
@@ -294,16 +293,16 @@ def _learn(regressed: Array, left: Array, outputs: Array, scale: Array, f: Array
         for k in range(n):
             rows[c, k] /= corner - radius
         for j in range(c + 1, size):
-            along = information[j, c]
+            along = information[c, j]
             for k in range(n):
                 along += rows[c, k] * rows[j, k]
             along *= share
-            information[j, c] -= along
+            information[c, j] -= along
             for k in range(n):
                 rows[j, k] -= along * rows[c, k]
     for c in range(size - 2, -1, -1):
-        value = information[size - 1, c]
+        value = information[c, size - 1]
         for j in range(c + 1, size - 1):
-            value -= information[j, c] * theta[j]
+            value -= information[c, j] * theta[j]
         theta[c] = value / information[c, c]
     return placed
