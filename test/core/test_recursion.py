@@ -128,6 +128,22 @@ def test_it_equals_the_batch_solution(case):
     np.testing.assert_allclose(unknowns(ours), expected, **SAME)
 
 
+def test_outputs_of_different_scales_are_those_of_one_scale_in_other_units():
+    phi, columns, outputs = problem(6, 40, 3, 5, 4)
+    scale, known = np.array([0.01, 3.0, 200.0]), np.random.default_rng(0).normal(size=(40, 3))
+    one, scaled = (SemiParametricRecursion(3, 5, np.ones(4), 0.7, 0.2, scale=each) for each in (None, scale))
+    for row, coupled, y, beforehand in zip(phi, columns, outputs, known, strict=True):
+        prior = one.predict(row, coupled)
+        found = scaled.predict(row, scale[:, None] * coupled, scale * beforehand)
+        np.testing.assert_allclose(found.mean, scale * (prior.mean + beforehand), **SAME)
+        np.testing.assert_allclose(found.covariance, np.outer(scale, scale) * prior.covariance, **SAME)
+        np.testing.assert_allclose(found.std, np.sqrt(np.diag(found.covariance)), **SAME)
+        one.learn(prior, y)
+        scaled.learn(found, scale * (y + beforehand))
+    np.testing.assert_allclose(scaled.theta, one.theta, **SAME)
+    np.testing.assert_allclose(scaled.weights(), scale[:, None] * one.weights(), **SAME)
+
+
 def test_forgetting_weighs_the_past_as_the_batch_solution_does():
     phi, columns, outputs = problem(3, 400, 3, 6, 4)
     wide = 1e4  # so that the prior, which the recursion renews and the batch solution forgets, does not matter

@@ -135,6 +135,8 @@ class RigidBody:
     def _make_data(self) -> None:
         self._arm_data = self.arm.createData()
         self._distal_data = None if self.distal is None else self.distal.createData()
+        sizes = () if self.distal is None else (self.distal.nq, self.distal.nv, self.distal.nv)
+        self._motion_data = [np.zeros(size) for size in sizes]  # of the distal tree; its root comes first
 
     @classmethod
     def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
@@ -309,8 +311,10 @@ class RigidBody:
         placement = pin.SE3ToXYZQUAT(pin.updateFramePlacement(self.arm, data, frame))
         twist = pin.getFrameVelocity(self.arm, data, frame, pin.LOCAL).vector
         change = pin.getFrameAcceleration(self.arm, data, frame, pin.LOCAL).vector
-        full = pin.computeJointTorqueRegressor(self.distal, self._distal_data, np.concatenate((placement, q[take])),
-                                               np.concatenate((twist, dq[take])), np.concatenate((change, ddq[take])))
+        moved, turning, gaining = self._motion_data
+        moved[:7], turning[:6], gaining[:6] = placement, twist, change
+        moved[7:], turning[6:], gaining[6:] = q[take], dq[take], ddq[take]
+        full = pin.computeJointTorqueRegressor(self.distal, self._distal_data, moved, turning, gaining)
         return np.asarray(full[:6])
 
     def with_gravity(self, gravity: Array) -> RigidBody:
