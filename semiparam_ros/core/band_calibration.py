@@ -54,9 +54,14 @@ class BandCalibration:
     def learn(self, innovation: Array, std: Array) -> None:
         """Take in the innovation (n,) of a sample, and the standard deviation (n,) that the model gave it."""
         if AVAILABLE:
-            _learn(innovation, std, self._scales, self._log_weights, self.factor)
+            calibrate(innovation, std, *self.arrays)
         else:
             self._learn(innovation, std)
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """What :func:`calibrate` changes."""
+        return self._scales, self._log_weights, self.factor
 
     def _learn(self, innovation: Array, std: Array) -> None:
         standardised = innovation / std
@@ -91,7 +96,8 @@ class BandCalibration:
 
 
 @compiled(VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)
-def _learn(innovation: Array, std: Array, scales: Array, log_weights: Array, factor: Array) -> None:
+def calibrate(innovation: Array, std: Array, scales: Array, log_weights: Array, factor: Array) -> None:
+    """See :meth:`BandCalibration.learn`."""
     for k in range(len(innovation)):
         standardised = innovation[k] / std[k]
         ratio = min(standardised * standardised, LARGEST_STEP * scales[:, k].max())

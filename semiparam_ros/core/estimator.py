@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from semiparam_ros.core.band_calibration import BandCalibration
+from semiparam_ros.core.band_calibration import BandCalibration, calibrate
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
-from semiparam_ros.core.compiled import AVAILABLE, VECTOR, compiled
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, VECTOR, compiled
 from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.feature_count import MOST
@@ -28,7 +28,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
-from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset
+from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
 from semiparam_ros.errors import SemiparamError
 
 HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
@@ -353,14 +353,15 @@ class Estimator:
     def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
         """What a sample changes of what is learnt. :param errors: see :meth:`HorizonIndex.advance`."""
         sample, prior, recursion = prediction.sample, prediction.prior, self.model.recursion
+        outputs = np.ascontiguousarray(sample.outputs, dtype=float)
         due = learn and self._is_due(prior)
-        innovations = recursion.learn(prior, sample.outputs) if due else None
+        innovations = recursion.learn(prior, outputs) if due else None
         if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
         if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
-            self._follow(sample.outputs, prediction.model_mean, prediction.model_std, learn)
+            self._follow(outputs, prediction.model_mean, prediction.model_std, learn)
         parts = None if self.wandering is None else self.wandering.parts
-        return self.horizon.advance(sample.stamp, prior, sample.outputs, recursion.theta, innovations, parts, errors)
+        return self.horizon.advance(sample.stamp, prior, outputs, recursion.theta, innovations, parts, errors)
 
     def _is_due(self, prior: Prior) -> bool:
         """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.
@@ -567,6 +568,10 @@ class Estimator:
 
     def _follow(self, outputs: Array, model_mean: Array, model_std: Array, learn: bool) -> None:
         """Let the wandering offset and the bands follow what the model (n,) left of a sample (n,), in N and N m."""
+        self._window_left -= min(self._window_left, learn)
+        if AVAILABLE and learn and self.wandering is not None:
+            _follow(outputs, model_mean, model_std, *self.wandering.arrays, *self.calibration.arrays)
+            return
         innovation = residual = outputs - model_mean
         std = self.calibration.factor * model_std
         if self.wandering is not None:
@@ -577,7 +582,6 @@ class Estimator:
                 self.wandering.rest()
         if learn or not self._window_left:
             self.calibration.learn(innovation, model_std)
-        self._window_left -= min(self._window_left, learn)
 
 
 def require_finite(what: str, values: Array) -> None:
@@ -589,7 +593,17 @@ def require_finite(what: str, values: Array) -> None:
 @compiled(VECTOR, returns='boolean')
 def are_finite(values: Array) -> bool:
     """Whether none of the values (k,) is NaN or infinite; a dozen of them in a quarter of numpy's time."""
-    for value in values:
-        if not np.isfinite(value):
-            return False
-    return True
+    return bool(np.isfinite(values).all())
+
+
+@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, VECTOR, calls=(follow, calibrate))
+def _follow(outputs: Array, mean: Array, std: Array, offsets: Array, offset_weights: Array, parts: Array,
+            offset: Array, scales: Array, scale_weights: Array, factor: Array) -> None:
+    """See :meth:`Estimator._follow`, of a sample that is learnt."""
+    residual, innovation, width = np.empty_like(mean), np.empty_like(mean), np.empty_like(mean)
+    for k in range(len(mean)):
+        residual[k] = outputs[k] - mean[k]
+        innovation[k] = residual[k] - offset[k]
+        width[k] = factor[k] * std[k]
+    follow(residual, width, offsets, offset_weights, parts, offset)
+    calibrate(innovation, std, scales, scale_weights, factor)

@@ -97,10 +97,10 @@ class SemiParametricRecursion:
         return Prior(mean, covariance, std, phi, f, reach, s, regressed, left, self.revision)
 
     def _predict(self, phi: Array, columns: Array, known: Array) -> Prior:
-        f, reach, regressed = np.zeros(0), np.zeros(0), np.zeros(self.n_outputs * (self.n_columns + 1))
+        f, reach, said = np.zeros(0), np.zeros(0), np.zeros(self.n_outputs * (self.n_columns + 1))
         if self.n_features:
-            f, reach, regressed = self._weights.project(phi)
-        regressed = regressed.reshape(self.n_outputs, self.n_columns + 1)
+            f, reach, said = self._weights.project(phi)
+        regressed = said.reshape(self.n_outputs, self.n_columns + 1)
         regressed[:, -1] += known
         s = self.sigma**2 + float(f @ f)
         left = columns - regressed[:, :-1]
@@ -232,7 +232,8 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
              std: Array) -> float:
     """s; and all else of a :class:`Prior`, from R as ``information``."""
     n, p = columns.shape
-    project(array, left_changes, right_changes, waiting, inflation, places, phi, f, reach, regressed.reshape(n * (p + 1)))
+    project(array, left_changes, right_changes, waiting, inflation, places, phi, f, reach,
+            regressed.reshape(n * (p + 1)))
     s = sigma * sigma
     for i in range(len(f)):
         s += f[i] * f[i]

@@ -58,9 +58,14 @@ class WanderingOffset:
     def learn(self, residual: Array, std: Array) -> None:
         """Follow what the model left of a sample, (n,), whose predictive standard deviation was ``std`` (n,)."""
         if AVAILABLE:
-            _learn(residual, std, self._offsets, self._log_weights, self.parts, self.offset)
+            follow(residual, std, *self.arrays)
         else:
             self._learn(residual, std)
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """What :func:`follow` changes."""
+        return self._offsets, self._log_weights, self.parts, self.offset
 
     def _learn(self, residual: Array, std: Array) -> None:
         standardised = (residual - self._offsets) / std
@@ -94,7 +99,8 @@ class WanderingOffset:
 
 
 @compiled(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR)
-def _learn(residual: Array, std: Array, offsets: Array, log_weights: Array, parts: Array, offset: Array) -> None:
+def follow(residual: Array, std: Array, offsets: Array, log_weights: Array, parts: Array, offset: Array) -> None:
+    """See :meth:`WanderingOffset.learn`."""
     for k in range(len(residual)):
         for g in range(len(offsets)):
             standardised = (residual[k] - offsets[g, k]) / std[k]

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from semiparam_ros.core import (
     band_calibration,
     compiled,
+    estimator,
     horizon_error,
     input_range,
     recursion,
@@ -46,6 +48,24 @@ def test_what_follows_the_errors(follower):
     shown = ('factor',) if hasattr(fast, 'factor') else ('parts', 'offset')
     for name in shown:
         np.testing.assert_allclose(getattr(fast, name), getattr(readable, name), **TOLERANCE)
+
+
+def test_an_estimator_follows_what_is_learnt_as_its_parts_do(monkeypatch):
+    fast, readable = (SimpleNamespace(calibration=band_calibration.BandCalibration(N),
+                                      wandering=wandering_offset.WanderingOffset(N), _window_left=3) for _ in range(2))
+    rng = np.random.default_rng(7)
+    for index in range(200):
+        outputs, mean, std = rng.standard_normal(N), 0.3 * rng.standard_normal(N), rng.uniform(0.5, 2.0, N)
+        said = outputs, mean, std, index % 7 > 0
+        estimator.Estimator._follow(fast, *said)
+        with monkeypatch.context() as without:
+            for module in (estimator, band_calibration, wandering_offset):
+                without.setattr(module, 'AVAILABLE', False)
+            estimator.Estimator._follow(readable, *said)
+    for follower in ('calibration', 'wandering'):
+        for name, values in getattr(fast, follower).state().items():
+            np.testing.assert_allclose(values, getattr(readable, follower).state()[name], **TOLERANCE)
+    assert fast._window_left == readable._window_left == 0
 
 
 @pytest.mark.parametrize(('features', 'columns', 'decay'), [(20, 9, DECAY), (20, 0, None), (0, 9, DECAY)])

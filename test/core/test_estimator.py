@@ -558,8 +558,8 @@ def test_what_tells_too_little_is_not_learnt(arm, recording):
     for sample in recording:
         prediction = model.predict(sample)
         noise, ready, passed_over = model.model.noise_std, model.ready, model.passed_over
-        gain, covariance = information_gain(prediction.prior, noise), prediction.prior.covariance / np.outer(noise, noise)
-        assert gain >= 0.5 * np.linalg.slogdet(covariance)[1] - 1e-9
+        gain, ratio = information_gain(prediction.prior, noise), prediction.prior.covariance / np.outer(noise, noise)
+        assert gain >= 0.5 * np.linalg.slogdet(ratio)[1] - 1e-9
         if ready:
             learnt.append(gain >= least)
         model.observe(prediction)
