@@ -181,7 +181,7 @@ def touched(recording: Recording, samples: list[Sample], free: Run, every_s: flo
 def run(settings: Settings, samples: list[Sample]) -> Run:
     """The estimator behind the gate, sample by sample."""
     estimator = build_estimator(settings)
-    gate = ContactGate(estimator.body.n_outputs, estimator.body.outputs == 'effort')
+    gate = ContactGate.of(estimator.body)
     innovations, closed = [], []
     for sample in samples:
         prediction = estimator.predict(sample)

@@ -144,7 +144,7 @@ class OfflineLearner:
         description = next((bag.robot_description for bag in bags if bag.robot_description), None)
         self.settings, self._tick = settings, tick
         self.estimator = build_estimator(settings, description)
-        self.gate = ContactGate(self.estimator.body.n_outputs, self.estimator.body.outputs == 'effort')
+        self.gate = ContactGate.of(self.estimator.body)
         self.failed_windows: list[str] = []
         self._takeovers = deque(takeovers)
         body = self.estimator.body

@@ -12,6 +12,8 @@ deviation that the model gives them. For each output:
    (peaks over a threshold, Coles 2001, An Introduction to Statistical Modeling of Extreme Values, chapter 4). Their
    mean comes from a median, so that a few pushes too small to be seen do not widen it. A weak prior, and the
    predictive distribution in place of the fitted one, keep the threshold high while few blocks are known.
+3. *Plausibility.* A push is a force at a link: three numbers decide what all outputs feel. Friction that the model does
+   not know is felt by one joint alone. What no force at any link brings about counts half.
 
 Blocks in which the gate is closed belong to neither, unless it closes again and again: then they belong to both. An arm
 that sets out is held by friction that the model does not know well. So at rest the scale is at least a fifth of that of
@@ -21,13 +23,16 @@ turns round has a scale of its own, for the same reason. Motors that are off beh
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from math import exp, log, sqrt
 
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.estimator import Prediction
+from semiparam_ros.core.robot.frames import force_maps
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.settings.parameter_table import Table
@@ -72,6 +77,12 @@ AGAIN, AGAIN_S = 3, 10.0
 PRIOR_BLOCKS, PRIOR_EXCESSES = 20.0, 8.0
 MOST_EXCESSES = 8.0
 """However many blocks are known, the tail counts as known by so many: real tails are heavier than exponential ones."""
+
+FORCE_N = 100.0
+"""Standard deviation along each axis of the forces that a push is expected to have: what a lever of micrometres needs
+is none."""
+IMPLAUSIBLE = 0.5
+"""So much counts an innovation that no force at a link's origin brings about, as pushes elsewhere do not quite."""
 
 
 class Tail:
@@ -224,9 +235,13 @@ class ContactGate:
     must follow, and the innovations that were refused are usual from then on.
     """
 
-    def __init__(self, n_outputs: int, of_joints: bool = False) -> None:
-        """:param of_joints: each output is the effort of a joint, in the order of the velocities."""
-        self._of_joints = of_joints
+    def __init__(self, n_outputs: int, of_joints: bool = False,
+                 forces: Callable[[Array], Array] | None = None) -> None:
+        """:param of_joints: each output is the effort of a joint, in the order of the velocities.
+        :param forces: (n_links, n, 3) outputs caused by unit forces at the links, at positions (n_joints,); every
+            innovation is plausible without it.
+        """
+        self._of_joints, self._forces = of_joints, forces
         self.closed = False
         self._closed_since = self._closed_at = 0
         self.refused = self.contacts = self.changes = 0
@@ -235,6 +250,11 @@ class ContactGate:
         self._n_outputs = n_outputs
         self._calm_since: int | None = None
         self.forget()
+
+    @classmethod
+    def of(cls, body: RigidBody) -> ContactGate:
+        """The gate of a robot's outputs."""
+        return cls(body.n_outputs, body.outputs == 'effort', partial(force_maps, body))
 
     def forget(self) -> None:
         """Open it, and learn anew what is usual; the counts stay."""
@@ -278,7 +298,8 @@ class ContactGate:
         at = max(speed_band, self._closed_at)
         self._awake = 0.0 if speed_band == 0 else self._awake + seconds
         innovation = prediction.sample.outputs - prediction.model_mean
-        size = np.abs(innovation - self._mean if at == 0 else innovation)
+        change = innovation - self._mean if at == 0 else innovation
+        size = np.abs(change)
         usual = self._usual(at)
         if self._turns is not None:
             turning = self._turns.follow(prediction.sample.velocity, seconds)
@@ -287,8 +308,8 @@ class ContactGate:
                 usual = None if usual is None else np.maximum(usual, np.where(turning, self._turns.usual, 0.0))
         tail = self._tails[at > 0]
         thresholds, levels = tail.thresholds(settings.gate_false_alarms_per_hour)
-        ratio = np.zeros(self._n_outputs) if usual is None else size / np.maximum(
-            usual, SMALLEST_SCALE * prediction.model_std)
+        scale = None if usual is None else np.maximum(usual, SMALLEST_SCALE * prediction.model_std)
+        ratio = np.zeros(self._n_outputs) if scale is None else size / scale
         unseen = unseen or prediction.beyond > BEYOND
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
         self._within = 0.0 if unseen or prediction.beyond > JUST_BEYOND else min(self._within + seconds, UNSEEN_S)
@@ -298,6 +319,9 @@ class ContactGate:
         provisional = 1.0 if prediction.ready else EDGE_FACTOR
         thresholds = thresholds * (provisional * max(young, edge) if familiar else UNSEEN_FACTOR)
         self.level = ratio / thresholds
+        if scale is not None and self._forces is not None and self.level.max() > 1.0:
+            felt = explained(change / scale, self._forces(prediction.sample.position) / scale[:, None])
+            self.level = np.clip(felt, IMPLAUSIBLE * ratio, ratio) / thresholds
         if self.closed:
             self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
         elif self.level.max() > 1.0:
@@ -424,6 +448,19 @@ class ContactGate:
         for band in self._bands[1:] if self._closed_at else self._bands[:1]:
             usual = 0.0 if band.usual is None else band.usual
             band.restore(np.maximum(self._meanwhile.peaks, usual))
+
+
+def explained(ratio: Array, maps: Array) -> Array:
+    """(n,) how much of innovations (n,), in units of their usual peaks, a push explains: a force at one of the links.
+
+    :param maps: (n_links, n, 3) the same caused by unit forces [1/N].
+
+    It is the posterior mean of what a Gaussian force brings about, beside noise of unit variance, of whichever link
+    explains most of an output.
+    """
+    covariance = FORCE_N**2 * maps @ np.swapaxes(maps, 1, 2) + np.eye(len(ratio))
+    rest = np.linalg.solve(covariance, np.broadcast_to(ratio[:, None], (len(maps), len(ratio), 1)))[:, :, 0]
+    return np.asarray(np.abs(ratio - rest).max(axis=0))
 
 
 def standardised_innovation(prediction: Prediction) -> float:

@@ -86,7 +86,7 @@ class Learner:
     def __init__(self, settings: Settings, body: RigidBody, background: Background, listener: LearnerListener,
                  checkpoint: Callable[[], SavedState | None] = lambda: None) -> None:
         self.settings, self.body = settings, body
-        self.gate = ContactGate(body.n_outputs, body.outputs == 'effort')
+        self.gate = ContactGate.of(body)
         self.tare = Tare(body.n_outputs)
         self.learnt = self.answered = self.lost = 0
         self._background, self._listener, self._checkpoint = background, listener, checkpoint

@@ -165,7 +165,7 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         if bias.shape != (body.n_outputs,):
             raise SemiparamError(f"{path} holds a 'bias' of shape {bias.shape}; expected ({body.n_outputs},).")
         gate = _from_json(meta['gate'], _group(arrays, 'gate'))
-        ContactGate(body.n_outputs, body.outputs == 'effort').restore(gate)  # which checks it
+        ContactGate.of(body).restore(gate)  # which checks it
         renewal = _from_json(meta['renewal'], _group(arrays, 'renewal'))
         Renewal(settings.initial_samples, body.n_outputs).restore(renewal)
         return SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate, renewal)

@@ -7,7 +7,7 @@ import pytest
 
 from semiparam_ros.core.robot import rigid_body
 from semiparam_ros.core.robot import urdf as urdf_tree
-from semiparam_ros.core.robot.frames import FEW, felt_links, frame_motion
+from semiparam_ros.core.robot.frames import FEW, felt_links, force_maps, frame_motion, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
@@ -238,6 +238,8 @@ def test_links_move_alike_seen_one_by_one_and_all_at_once(joints, options):
         pieces = [frame_motion(body, motion[start:start + FEW // 3], name) for start in range(0, 2 * FEW, FEW // 3)]
         for role, all_at_once, *few in zip(together._fields, together, *pieces, strict=True):
             np.testing.assert_allclose(np.concatenate(few), all_at_once, atol=1e-12, err_msg=f'{name} {role}')
+    maps = [frame_motion(body, motion, name).force_map[3] for name in loaded_links(body)]
+    np.testing.assert_allclose(force_maps(body, motion.position[3]), maps, atol=1e-12)
 
 
 def test_a_description_without_inertias_still_has_a_regressor():

@@ -22,8 +22,8 @@ NO_PRIOR = Prior(*[np.zeros(0)] * len(Prior._fields))
 class Stand:
     """A gate with three outputs that is given innovations and speeds, at 20 Hz."""
 
-    def __init__(self, settings=ON, of_joints=False):
-        self.gate, self.settings, self.stamp = ContactGate(3, of_joints), settings, 10**9
+    def __init__(self, settings=ON, of_joints=False, forces=None):
+        self.gate, self.settings, self.stamp = ContactGate(3, of_joints, forces), settings, 10**9
 
     def judge(self, innovations, speed=0.5, std=1.0, beyond=0.0, ready=True):
         """Whether each of (N, 3) innovations is refused."""
@@ -149,6 +149,19 @@ def test_a_burst_at_each_turn_of_a_joint_is_friction_and_a_push_between_two_turn
     innovations[between, 1] += burst
     refused = np.array([gates[True]._one(*row, 1.0, 0.0) for row in zip(innovations, velocity, strict=True)])
     assert refused[between].mean() > 0.9
+
+
+@pytest.mark.parametrize(('sigmas', 'by_friction'), [(8.0, False), (20.0, True)])
+def test_what_no_force_at_a_link_brings_about_counts_half(sigmas, by_friction):
+    """Forces at the only link are felt by the first two outputs in equal parts of their scales; the third has none."""
+    maps = np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]]) * SCALES[:, None]
+    for shape, found in (((1.0, 1.0, 0.0), True), ((0.0, 0.0, 1.0), by_friction)):
+        stand = Stand(forces=lambda position: maps)
+        stand.judge(white(RATE_HZ * 60))
+        assert stand.judge(sigmas * SCALES * np.array([shape] * 3)).any() == found
+        stand = Stand()
+        stand.judge(white(RATE_HZ * 60))
+        assert stand.judge(sigmas * SCALES * np.array([shape] * 3)).any(), 'either is large'
 
 
 def test_without_a_timeout_it_stays_closed():

@@ -72,6 +72,24 @@ def links_beside(body: RigidBody, link: str) -> list[str]:
     return [frame.name for frame in chosen[:MOST_LINKS]]
 
 
+@lru_cache(maxsize=8)
+def _loaded_frames(body: RigidBody) -> tuple[int, ...]:
+    return tuple(_frame(body.arm, link, body) for link in loaded_links(body))
+
+
+def force_maps(body: RigidBody, position: Array) -> Array:
+    """(n_links, n, 3) outputs caused by an external unit force at the origin of each of the links of
+    :func:`loaded_links`, along base axes, at joint positions (n_joints,)."""
+    model, data, frames = body.arm, body.arm.createData(), _loaded_frames(body)
+    pin.computeJointJacobians(model, data, body.arm_vector(position))
+    if body.distal is None:
+        return np.array([-pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3, body.arm_columns].T
+                         for frame in frames])
+    places = np.array([pin.updateFramePlacement(model, data, frame).translation for frame in frames])
+    sensor = pin.updateFramePlacement(model, data, body.sensor_index)
+    return _on_sensor(body, places, np.broadcast_to(sensor.rotation, (len(frames), 3, 3)), sensor.translation)[0]
+
+
 @lru_cache(maxsize=24)
 def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     """Motion of a link and the outputs' response to a force on it. An unknown link raises SemiparamError."""
