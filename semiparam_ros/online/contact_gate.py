@@ -30,6 +30,7 @@ from math import exp, log, sqrt
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.compiled import NUMBER, VECTOR, compiled
 from semiparam_ros.core.estimator import Prediction
 from semiparam_ros.core.robot.frames import force_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -43,13 +44,12 @@ LONGEST_STEP_S = 0.1
 BEYOND, UNSEEN_FACTOR = 0.1, 4.0
 """A position, velocity or acceleration so far outside of those learnt, as a share of their range, is unseen motion: for
 a time after it, and until hyperparameters follow it, thresholds are so many times as high."""
-JUST_BEYOND, EDGE_FACTOR = 0.03, 1.5
+JUST_BEYOND, NEW_FACTOR = 0.03, 1.5
 """The same at the edge of what was learnt, which widens with each sample: a joint that creeps to where it never was is
-never far outside. So many times as high as otherwise while the model is provisional."""
+never far outside. So many times as high too while the model is provisional; and at a speed that is new, where they come
+down with the blocks that are known."""
 UNSEEN_S = 2.0
 """[s] That time."""
-YOUNG_FACTOR = 2.0
-"""They are so many times as high at a speed that is new, and come down with the blocks that are known."""
 SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
 TAIL_BLOCKS = 600
 
@@ -183,21 +183,16 @@ class Turns:
 
     def follow(self, velocity: Array, seconds: float) -> Mask:
         """(n,) whether each joint turns at this sample."""
-        speed = np.abs(velocity)
-        sets_out = (self.speed <= SPEEDS[0]) & (speed > SPEEDS[0])
-        self.speed = np.maximum(speed, self.speed * exp(-seconds / SPEED_MEMORY_S))
-        slow = (self.speed > SPEEDS[0]) & ((speed < TURN_SHARE * self.speed) | sets_out)
-        before = self.left > 0.0
-        self.left = np.where(slow, TURN_S, np.maximum(self.left - seconds, 0.0))
+        turned = self.left > 0.0
+        _follow_turns(np.abs(velocity), self.speed, self.left, seconds)
         turns = self.left > 0.0
-        over = before & ~turns
-        if over.any():
-            self._end(over)
+        for joint in np.flatnonzero(turned & ~turns).tolist():
+            self._end(joint)
         return turns
 
     def add(self, size: Array, turns: Mask) -> None:
         """Innovations (n,) of one sample."""
-        self.peak = np.where(turns, np.maximum(self.peak, size), self.peak)
+        np.maximum(self.peak, size, out=self.peak, where=turns)
 
     def reset(self) -> None:
         """Drop the turns that are not over."""
@@ -205,26 +200,37 @@ class Turns:
 
     def state(self) -> Memory:
         """For a file; :meth:`restore` takes it back."""
-        return {'speed': self.speed, 'left': self.left, 'peak': self.peak, 'peaks': self.peaks.copy(),
-                'counts': self.counts.copy()}
+        return {'speed': self.speed.copy(), 'left': self.left.copy(), 'peak': self.peak.copy(),
+                'peaks': self.peaks.copy(), 'counts': self.counts.copy()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Go on from a state."""
         self.speed, self.left, self.peak, self.peaks = (state[name] for name in ('speed', 'left', 'peak', 'peaks'))
         self.counts = state['counts'].astype(int)
-        self._renew()
+        for joint in range(len(self.counts)):
+            self._renew(joint)
 
-    def _end(self, over: Mask) -> None:
-        self.peaks[:-1, over] = self.peaks[1:, over]
-        self.peaks[-1, over] = self.peak[over]
-        self.counts[over] += 1
-        self.peak = np.where(over, 0.0, self.peak)
-        self._renew()
+    def _end(self, joint: int) -> None:
+        self.peaks[:-1, joint] = self.peaks[1:, joint]
+        self.peaks[-1, joint] = self.peak[joint]
+        self.counts[joint] += 1
+        self.peak[joint] = 0.0
+        self._renew(joint)
 
-    def _renew(self) -> None:
-        for joint, count in enumerate(self.counts.tolist()):
-            if count >= FEWEST_BLOCKS:
-                self.usual[joint] = np.median(self.peaks[-count:, joint])
+    def _renew(self, joint: int) -> None:
+        if self.counts[joint] >= FEWEST_BLOCKS:
+            self.usual[joint] = np.median(self.peaks[-self.counts[joint]:, joint])
+
+
+@compiled(VECTOR, VECTOR, VECTOR, NUMBER)
+def _follow_turns(now: Array, speed: Array, left: Array, seconds: float) -> None:
+    """Go on by one sample with the speeds ``now``."""
+    fall = exp(-seconds / SPEED_MEMORY_S)
+    for joint in range(len(now)):
+        sets_out = speed[joint] <= SPEEDS[0] < now[joint]
+        speed[joint] = max(now[joint], speed[joint] * fall)
+        turns = speed[joint] > SPEEDS[0] and (now[joint] < TURN_SHARE * speed[joint] or sets_out)
+        left[joint] = TURN_S if turns else max(left[joint] - seconds, 0.0)
 
 
 class ContactGate:
@@ -314,10 +320,8 @@ class ContactGate:
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
         self._within = 0.0 if unseen or prediction.beyond > JUST_BEYOND else min(self._within + seconds, UNSEEN_S)
         familiar = self._familiar >= UNSEEN_S
-        young = YOUNG_FACTOR - (YOUNG_FACTOR - 1.0) * self._bands[at].known
-        edge = EDGE_FACTOR if self._within < UNSEEN_S else 1.0
-        provisional = 1.0 if prediction.ready else EDGE_FACTOR
-        thresholds = thresholds * (provisional * max(young, edge) if familiar else UNSEEN_FACTOR)
+        new = 1.0 if self._within < UNSEEN_S or not prediction.ready else 1.0 - self._bands[at].known
+        thresholds = thresholds * (1.0 + (NEW_FACTOR - 1.0) * new if familiar else UNSEEN_FACTOR)
         self.level = ratio / thresholds
         if scale is not None and self._forces is not None and self.level.max() > 1.0:
             felt = explained(change / scale, self._forces(prediction.sample.position) / scale[:, None])
