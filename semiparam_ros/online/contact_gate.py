@@ -46,8 +46,8 @@ BEYOND, UNSEEN_FACTOR = 0.1, 4.0
 a time after it, and until hyperparameters follow it, thresholds are so many times as high."""
 JUST_BEYOND, NEW_FACTOR = 0.03, 1.5
 """The same at the edge of what was learnt, which widens with each sample: a joint that creeps to where it never was is
-never far outside. So many times as high too while the model is provisional; and at a speed that is new, where they come
-down with the blocks that are known."""
+never far outside. So many times as high too at a speed that is new, where they come down with the blocks that are
+known; and again so many times while the model is provisional."""
 UNSEEN_S = 2.0
 """[s] That time."""
 SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
@@ -304,6 +304,8 @@ class ContactGate:
         at = max(speed_band, self._closed_at)
         self._awake = 0.0 if speed_band == 0 else self._awake + seconds
         innovation = prediction.sample.outputs - prediction.model_mean
+        if at == 0 and not self._resting and not self.closed:
+            self._mean = innovation  # as where brakes have let go: how the arm is held now is not known from before
         change = innovation - self._mean if at == 0 else innovation
         size = np.abs(change)
         usual = self._usual(at)
@@ -320,8 +322,9 @@ class ContactGate:
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
         self._within = 0.0 if unseen or prediction.beyond > JUST_BEYOND else min(self._within + seconds, UNSEEN_S)
         familiar = self._familiar >= UNSEEN_S
-        new = 1.0 if self._within < UNSEEN_S or not prediction.ready else 1.0 - self._bands[at].known
-        thresholds = thresholds * (1.0 + (NEW_FACTOR - 1.0) * new if familiar else UNSEEN_FACTOR)
+        new = 1.0 if self._within < UNSEEN_S else 1.0 - self._bands[at].known
+        caution = (1.0 + (NEW_FACTOR - 1.0) * new) * (1.0 if prediction.ready else NEW_FACTOR)
+        thresholds = thresholds * (caution if familiar else UNSEEN_FACTOR)
         self.level = ratio / thresholds
         if scale is not None and self._forces is not None and self.level.max() > 1.0:
             felt = explained(change / scale, self._forces(prediction.sample.position) / scale[:, None])

@@ -117,8 +117,9 @@ def test_motors_that_are_off_touch_nothing():
     assert stand.judge(0.01 * white(2) - weight, speed=0.0).all()
     assert not any(stand._one(row - weight, 0.0, 1.0, 0.0, off=True) for row in 0.01 * white(RATE_HZ * 20))
     assert not stand.gate.closed and not stand.gate.level.any()
-    assert not stand.judge(0.01 * white(RATE_HZ * 20, seed=1), speed=0.0).any()
-    assert stand.judge(0.01 * white(10) + weight, speed=0.0).all()
+    held = 0.5 * weight
+    assert not stand.judge(0.01 * white(RATE_HZ * 20, seed=1) + held, speed=0.0).any(), 'stiction is another one now'
+    assert stand.judge(0.01 * white(10) + held + weight, speed=0.0).all()
 
 
 def swinging(seconds, burst, seed=0):
