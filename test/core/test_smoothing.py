@@ -77,3 +77,16 @@ def test_stretches_of_a_long_recording_are_smoothed_as_well_as_a_whole_one():
     error = (found.acceleration - true.acceleration)[inner].std(axis=0)
     assert error == pytest.approx((smoothed(seen).acceleration - truth.acceleration).std(axis=0), rel=0.3)
     assert np.all(acceleration_errors(seen[inside])[0] < 3.0 * error)
+
+
+def test_measured_accelerations_and_a_smoother_motion_make_accelerations_better():
+    """At 20 Hz each is better than what is measured and than the smoother before."""
+    truth, seen = recorded(20.0, joints=2)
+    noise = 0.02 * np.random.default_rng(3).normal(size=truth.position.shape)
+    seen = replace(seen, acceleration=truth.acceleration + noise)
+
+    def error(found):
+        return float((found.acceleration - truth.acceleration)[10:-10].std())
+
+    plain, more, both = (error(smoothed(seen, *how)) for how in ((2, 4), (2, 6), (3, 6)))
+    assert both < 0.95 * more < 0.95 * 0.75 * plain < noise.std()

@@ -71,7 +71,7 @@ def test_noise_in_the_inputs_is_no_delay(seed, encoder_noise):
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 def test_what_errors_of_fast_motion_leave_is_no_effect_and_the_remedy_is_said(outputs):
     body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
-    fast, slow = (diagnose(body, as_recorded(body, smooth_motion(4, 1500, speed=speed))) for speed in (3.0, 0.5))
+    fast, slow = (diagnose(body, as_recorded(body, smooth_motion(4, 1500, speed=speed))) for speed in (5.0, 0.5))
     assert fast.verdict == slow.verdict == 'nothing_missing'
     assert any('too fast for 20 Hz' in note and 'measure them' in note for note in fast.notes)
     assert not any('too fast' in note for note in slow.notes)

@@ -1,8 +1,11 @@
-"""Joint motion from a whole recording: a Gaussian-process smoother on positions and velocities.
+"""Joint motion from a whole recording: a Gaussian-process smoother on positions, velocities and accelerations.
 
-Each joint is a four times integrated Wiener process (white snap) seen through noisy positions and velocities. Its
-posterior mean is the Kalman smoother's, computed here as one banded linear system; the three standard deviations are
-those of greatest marginal likelihood. A causal filter at 20 Hz misses several times the sensor's noise; this does not.
+Each joint is an integrated Wiener process (white snap, or a higher derivative that is white: one arm moves more
+smoothly than another) seen through noisy positions, velocities and, where they are measured, accelerations. Its
+posterior mean is the Kalman smoother's, computed here as one banded linear system; the standard deviations are those of
+greatest marginal likelihood. A causal filter at 20 Hz misses several times the sensor's noise; this does not. The error
+of a posterior mean is independent of it, so regressors of the smoothed motion are not pulled towards zero, as noisy
+ones are (Berkson 1950).
 """
 
 from __future__ import annotations
@@ -19,10 +22,12 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 
 ORDER = 4
+"""Which derivative of the positions is white noise, unless it is given."""
 TUNING_SAMPLES = 1200
+FIRST_RATIOS = (3.0, 0.3, 1.0, 1.0)
+"""Snap, and noise of position, velocity and acceleration, over that of the velocity: where the search begins."""
 SEEN = 150
 """Samples on either side that an acceleration's error is computed from: many more than it depends on."""
-BAND = 2 * ORDER
 LONGEST_STEP = 20.0
 """A gap in the recording counts as this many steps: beyond it the blocks would be singular."""
 FORGOTTEN = 1e-6
@@ -33,32 +38,36 @@ LEAST_STEP = 0.2
 """Steps shorter than this share of the median add noise as if they were not: their precision would overflow."""
 
 
-def smoothed(samples: Samples, with_velocities: bool = True) -> Samples:
+def smoothed(samples: Samples, measured: int = 2, order: int = ORDER) -> Samples:
     """The same samples with positions, velocities and accelerations as the smoother sees them.
 
     Each recording by itself, where several are one.
 
-    :param with_velocities: use the measured velocities too; not where they lag the positions.
+    :param measured: what is used: 1 positions, 2 velocities too, which does harm where they lag, 3 accelerations too.
+    :param order: which derivative of the positions is white noise; the higher, the smoother the motion.
     """
     if samples.breaks:
-        parts = [smoothed(replace(samples[part], breaks=()), with_velocities) for part in samples.recordings]
+        parts = [smoothed(replace(samples[part], breaks=()), measured, order) for part in samples.recordings]
         position, velocity, acceleration = (np.concatenate([getattr(part, name) for part in parts])
                                             for name in ('position', 'velocity', 'acceleration'))
         return replace(samples, position=position, velocity=velocity, acceleration=acceleration)
-    columns = [_smooth_joint(samples.time, samples.position[:, joint], samples.velocity[:, joint], with_velocities)
-               for joint in range(samples.position.shape[1])]
+    columns = [_smooth_joint(samples.time, list(motion[:measured]), order) for motion in zip(
+        samples.position.T, samples.velocity.T, samples.acceleration.T, strict=True)]
     position, velocity, acceleration = (np.column_stack(part) for part in zip(*columns, strict=True))
     return replace(samples, position=position, velocity=velocity, acceleration=acceleration)
 
 
-def _smooth_joint(time: Array, position: Array, velocity: Array,
-                  with_velocities: bool) -> tuple[Array, Array, Array]:
-    step = float(np.median(np.diff(time)))
-    centre = float(position.mean())
-    problem = _Problem(_steps(time), position - centre, velocity * step, with_velocities)
-    short = problem.liveliest(TUNING_SAMPLES)
-    states = problem.states(short.best())
+def _smooth_joint(time: Array, motion: list[Array], order: int) -> tuple[Array, Array, Array]:
+    problem, step, centre = _problem(time, motion, order)
+    states = problem.states(problem.liveliest(TUNING_SAMPLES).best())
     return states[:, 0] + centre, states[:, 1] / step, states[:, 2] / step**2
+
+
+def _problem(time: Array, motion: list[Array], order: int) -> tuple[_Problem, float, float]:
+    """One joint's motion (N,) in units of its typical step, that step [s], and the middle of its positions."""
+    step, centre = float(np.median(np.diff(time))), float(motion[0].mean())
+    scaled = [values * step**power for power, values in enumerate([motion[0] - centre, *motion[1:]])]
+    return _Problem(_steps(time), scaled, order), step, centre
 
 
 def _steps(time: Array) -> Array:
@@ -67,59 +76,66 @@ def _steps(time: Array) -> Array:
     return np.asarray(np.minimum(steps / np.median(steps), LONGEST_STEP))
 
 
-def acceleration_errors(samples: Samples, with_velocities: bool = True, times: Sequence[float] = (1.0,)) -> Array:
+def acceleration_errors(samples: Samples, measured: int = 2, order: int = ORDER,
+                        times: Sequence[float] = (1.0,)) -> Array:
     """(K, n_joints) standard deviations [rad/s^2] of the smoothed accelerations' errors, as the model of the motion has
     them; if the same motion were recorded at each of K ``times`` the rate, with encoders as good. NaN where rounding
     hides it.
 
-    :param with_velocities: as for :func:`smoothed`.
+    :param measured: and ``order`` as for :func:`smoothed`.
     """
-    step = float(np.median(np.diff(samples.time)))
     errors = []
-    for position, velocity in zip(samples.position.T, samples.velocity.T, strict=True):
-        problem = _Problem(_steps(samples.time), position - position.mean(), velocity * step, with_velocities)
+    for motion in zip(samples.position.T, samples.velocity.T, samples.acceleration.T, strict=True):
+        problem, step, _ = _problem(samples.time, list(motion[:measured]), order)
         logs = problem.liveliest(TUNING_SAMPLES).best()
         errors.append([problem.acceleration_error(logs, each) / step**2 for each in times])
     return np.array(errors).T
 
 
 class _Problem:
-    """One joint in units of its typical step, so that the blocks are well conditioned."""
+    """One joint in units of its typical step, so that the blocks are well conditioned.
 
-    def __init__(self, steps: Array, position: Array, velocity: Array, with_velocities: bool) -> None:
-        self.steps, self.position, self.velocity = steps, position, velocity
-        self.use = (1.0, float(with_velocities))
+    :param steps: (N-1,) steps of time. :param order: which derivative is white.
+    :param motion: positions, velocities and accelerations (N,), or the first of these.
+    """
+
+    def __init__(self, steps: Array, motion: list[Array], order: int) -> None:
+        self.steps, self.motion, self.order = steps, motion, order
         self._gaps = steps >= LONGEST_STEP
-        self._transition, noise = _transitions(steps)
-        noise[self._gaps] /= FORGOTTEN
-        self._precision = np.asarray(np.linalg.inv(noise), dtype=float)
-        self._noise_logdet = float(np.linalg.slogdet(noise)[1].sum())
+        self._transition, self._precision, logdets = _transitions(steps, order)
+        self._precision[self._gaps] *= FORGOTTEN
+        self._noise_logdet = float(logdets.sum()) - order * int(self._gaps.sum()) * float(np.log(FORGOTTEN))
         back = np.swapaxes(self._transition, 1, 2) @ self._precision
         self._prior = _banded(back @ self._transition, -back, self._precision)
 
     def liveliest(self, count: int) -> _Problem:
         """The ``count`` samples in a row that hold most motion: a joint at rest says nothing of its snap."""
-        travelled = np.concatenate([[0.0], np.cumsum(np.where(self._gaps, 0.0, np.abs(np.diff(self.position))))])
+        steps = np.where(self._gaps, 0.0, np.abs(np.diff(self.motion[0])))
+        travelled = np.concatenate([[0.0], np.cumsum(steps)])
         first = int(np.argmax(travelled[count - 1:] - travelled[:1 - count])) if count < len(travelled) else 0
         part = slice(first, first + count)
-        return _Problem(self.steps[part][:count - 1], self.position[part], self.velocity[part], bool(self.use[1]))
+        return _Problem(self.steps[part][:count - 1], [values[part] for values in self.motion],
+                        self.order)
 
     def best(self) -> Array:
-        """Logarithms of the standard deviations of greatest likelihood: snap, position, velocity.
+        """Logarithms of the standard deviations of greatest likelihood: the white derivative's, those of position,
+        velocity and acceleration.
 
-        Their common size follows from the misfit in closed form, so a search over their ratios is left: of two, of one
-        without velocities.
+        Their common size follows from the misfit in closed form, so a search over their ratios to one of them is left.
         """
-        rough = np.diff(self.velocity, 3)
+        rough = np.diff(np.diff(self.motion[0]) if len(self.motion) < 2 else self.motion[1], 3)
         noise = np.log(float(np.sqrt(np.mean(rough**2) / 20.0)) + 1e-12)
-        searched = 1 + int(self.use[1])
-        first, held = np.split(np.log([3.0, 0.3, 1.0]), [searched])
+        start = np.log(FIRST_RATIOS[:1 + len(self.motion)])
+        searched = np.delete(np.arange(len(start)), min(len(self.motion), 2))
 
         def at(ratios: Array) -> Array:
-            return noise + np.concatenate([ratios, held])
+            logs = noise + start
+            logs[searched] = noise + ratios
+            return logs
 
+        first = start[searched]
         found = scipy.optimize.minimize(lambda ratios: self.cost(at(ratios))[0], first, method='Nelder-Mead', options={
-            'fatol': 0.01, 'xatol': 0.001, 'initial_simplex': np.vstack([first, first + np.eye(searched)])})
+            'fatol': 0.01, 'xatol': 0.001, 'initial_simplex': np.vstack([first, first + np.eye(len(first))])})
         best = at(found.x)
         return best + self.cost(best)[1]
 
@@ -132,10 +148,10 @@ class _Problem:
         except np.linalg.LinAlgError:  # noise so small that rounding spoils the factor
             return float('inf'), 0.0
         determinant = 2.0 * float(np.log(factor[-1]).sum())
-        count = len(self.position)
-        snap = self._noise_logdet + 2.0 * ORDER * (count - 1) * float(logs[0])
-        measured = 2.0 * count * float(logs[1] * self.use[0] + logs[2] * self.use[1])
-        freedom = count * sum(self.use) - ORDER
+        count = len(self.motion[0])
+        snap = self._noise_logdet + 2.0 * self.order * (count - 1) * float(logs[0])
+        measured = 2.0 * count * float(logs[1:].sum())
+        freedom = count * len(self.motion) - self.order
         size = max(self._misfit(states, logs) / freedom, LEAST_SIZE)
         return 0.5 * (determinant + snap + measured + freedom * (float(np.log(size)) + 1.0)), 0.5 * float(np.log(size))
 
@@ -145,70 +161,72 @@ class _Problem:
         Summed square by square: the short form |y|^2 - x'A'y loses all digits to cancellation where a long stretch is
         smooth, and then praises states that are wrong by more than the motion.
         """
-        snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:]) * self.use
+        snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:])
         jumps = states[1:] - np.einsum('tij,tj->ti', self._transition, states[:-1])
         return float(snap * np.einsum('ti,tij,tj->', jumps, self._precision, jumps, optimize=True)
-                     + weights[0] * np.sum((self.position - states[:, 0]) ** 2)
-                     + weights[1] * np.sum((self.velocity - states[:, 1]) ** 2))
+                     + sum(weight * np.sum((values - states[:, order]) ** 2)
+                           for order, (weight, values) in enumerate(zip(weights, self.motion, strict=True))))
 
     def states(self, logs: Array) -> Array:
-        """(N, ORDER) smoothed position and derivatives, in units of the step."""
+        """(N, order) smoothed position and derivatives, in units of the step."""
         return self._solve(np.clip(logs, -40.0, 20.0))[1]
 
     def acceleration_error(self, logs: Array, times: float) -> float:
         """Standard deviation of an acceleration far from the ends, of measurements at ``times`` the rate; NaN where
         the noise is so small beside the motion that rounding spoils the factor."""
-        finer = logs - np.log(times) * np.array([ORDER - 0.5, 0.0, 1.0])  # in units of the shorter step
+        powers = np.array([self.order - 0.5, *range(len(self.motion))])
         count = 2 * SEEN + 1
-        problem = _Problem(np.ones(count - 1), np.zeros(count), np.zeros(count), bool(self.use[1]))
-        one = np.zeros(count * ORDER)
-        one[SEEN * ORDER + 2] = 1.0
+        problem = _Problem(np.ones(count - 1), [np.zeros(count)] * len(self.motion), self.order)
+        finer, middle = logs - np.log(times) * powers, SEEN * self.order + 2  # in units of the shorter step
+        one = np.zeros(count * self.order)
+        one[middle] = 1.0
         try:
             factor, _ = problem._solve(finer)
         except np.linalg.LinAlgError:
             return float('nan')
-        variance = cho_solve_banded((factor, False), one)[SEEN * ORDER + 2]
+        variance = cho_solve_banded((factor, False), one)[middle]
         return float(np.sqrt(variance)) * times**2
 
     def _solve(self, logs: Array) -> tuple[Array, Array]:
-        """Cholesky factor of the states' precision, and their posterior mean (N, ORDER)."""
-        snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:]) * self.use
-        band = self._prior * snap
-        band[-1, 0::ORDER] += weights[0]
-        band[-1, 1::ORDER] += weights[1]
+        """Cholesky factor of the states' precision, and their posterior mean (N, order)."""
+        snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:])
+        band, right = self._prior * snap, np.zeros(self._prior.shape[1])
+        for order, (weight, values) in enumerate(zip(weights, self.motion, strict=True)):
+            band[-1, order::self.order] += weight
+            right[order::self.order] = weight * values
         band[-1] += 1e-12
-        right = np.zeros(band.shape[1])
-        right[0::ORDER] = weights[0] * self.position
-        right[1::ORDER] = weights[1] * self.velocity
         factor = cholesky_banded(band, check_finite=False)
         solution = cho_solve_banded((factor, False), right, check_finite=False)
-        return factor, solution.reshape(-1, ORDER)
+        return factor, solution.reshape(-1, self.order)
 
 
-def _transitions(steps: Array) -> tuple[Array, Array]:
-    """F (N-1, 4, 4) and Q (N-1, 4, 4) of the integrated Wiener process over ``steps``."""
-    transition = np.zeros((len(steps), ORDER, ORDER))
-    noise = np.zeros_like(transition)
-    felt = np.maximum(steps, LEAST_STEP)
-    for i in range(ORDER):
-        for j in range(ORDER):
-            if j >= i:
-                transition[:, i, j] = steps ** (j - i) / factorial(j - i)
-            power = 2 * ORDER - 1 - i - j
-            noise[:, i, j] = felt**power / (power * factorial(ORDER - 1 - i) * factorial(ORDER - 1 - j))
-    return transition, noise
+def _transitions(steps: Array, order: int) -> tuple[Array, Array, Array]:
+    """F (N-1, order, order) of the integrated Wiener process over ``steps``, the inverse of its Q, log det Q (N-1,).
+
+    Over a step h Q is that over 1 with rows and columns scaled by powers of h, and so is its inverse.
+    """
+    powers = np.arange(order)
+    ahead = powers - powers[:, None]
+    factorials = np.array([float(factorial(power)) for power in range(order)])
+    later = np.maximum(ahead, 0)
+    transition = np.where(ahead >= 0, steps[:, None, None] ** later / factorials[later], 0.0)
+    left = order - 1 - powers
+    noise = 1.0 / ((left + left[:, None] + 1) * factorials[left] * factorials[left][:, None])
+    scale = np.maximum(steps, LEAST_STEP)[:, None] ** (left + 0.5)
+    precision = np.linalg.inv(noise) / (scale[:, :, None] * scale[:, None, :])
+    return transition, precision, np.linalg.slogdet(noise)[1] + 2.0 * np.log(scale).sum(axis=1)
 
 
 def _banded(before: Array, across: Array, after: Array) -> Array:
-    """Upper banded form of the block tridiagonal precision of all states, from its (N-1, 4, 4) pieces."""
-    count = len(before) + 1
-    diagonal = np.zeros((count, ORDER, ORDER))
+    """Upper banded form of the block tridiagonal precision of all states, from its (N-1, order, order) pieces."""
+    count, order = len(before) + 1, before.shape[1]
+    diagonal = np.zeros((count, order, order))
     diagonal[:-1] += before
     diagonal[1:] += after
-    band = np.zeros((BAND, count * ORDER))
-    for i in range(ORDER):
-        for j in range(ORDER):
+    band = np.zeros((2 * order, count * order))
+    for i in range(order):
+        for j in range(order):
             if j >= i:
-                band[BAND - 1 + i - j, j::ORDER] = diagonal[:, i, j]
-            band[BAND - 1 + i - j - ORDER, ORDER + j::ORDER] = across[:, i, j]
+                band[2 * order - 1 + i - j, j::order] = diagonal[:, i, j]
+            band[order - 1 + i - j, order + j::order] = across[:, i, j]
     return band

@@ -28,7 +28,13 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
 BUT_ACCELERATIONS = 'smoothed, accelerations recorded'
-OPTIONS = ('smoothed', 'smoothed from positions', 'recorded', BUT_ACCELERATIONS)
+SMOOTHED = {'smoothed': (2, 4), 'smoothed more': (2, 6), 'smoothed from positions': (1, 4),
+            'smoothed with accelerations': (3, 4), 'smoothed more, with accelerations': (3, 6)}
+"""How many of positions, velocities and accelerations the smoother uses, and which derivative it takes for white."""
+ESTIMATED = ('smoothed', 'smoothed more', 'smoothed from positions')
+MEASURED = ('recorded', BUT_ACCELERATIONS, 'smoothed with accelerations', 'smoothed more, with accelerations')
+"""Those that use the accelerations of a recording."""
+OPTIONS = (*ESTIMATED, *MEASURED)
 
 
 class Inputs(NamedTuple):
@@ -41,8 +47,8 @@ class Inputs(NamedTuple):
 
     @property
     def measured_accelerations(self) -> bool:
-        """Whether the accelerations are those of the recording."""
-        return self.motion in ('recorded', BUT_ACCELERATIONS)
+        """Whether the accelerations rest on those of the recording."""
+        return self.motion in MEASURED
 
     def prepare(self, samples: Samples) -> Samples:
         """Another recording of the same robot, prepared alike."""
@@ -60,7 +66,7 @@ class Inputs(NamedTuple):
         return whole
 
 
-@lru_cache(maxsize=5)
+@lru_cache(maxsize=len(OPTIONS) + 1)
 def _prepared(inputs: Inputs, samples: Samples) -> Samples:
     working = averaged(samples, inputs.factor)
     if inputs.motion == BUT_ACCELERATIONS:
@@ -75,7 +81,7 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     Raises SemiparamError when too few samples are left to work with.
     """
     factor = working_factor(samples, config)
-    possible = OPTIONS if samples.acceleration.any() else OPTIONS[:-1]
+    possible = OPTIONS if samples.acceleration.any() else (*ESTIMATED, 'recorded')
     options = {name: Inputs(name, factor, config.smoothing_ends) for name in possible}
     require_enough(config, *(inputs.mask(train_mask) for inputs in options.values()))
     outputs = samples.outputs[train_mask]
@@ -98,7 +104,7 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     """
     if inputs.measured_accelerations or samples.breaks:
         return []
-    config, raw, with_velocities = fit.config, averaged(samples, inputs.factor), inputs.motion == 'smoothed'
+    config, raw, smoother = fit.config, averaged(samples, inputs.factor), SMOOTHED[inputs.motion]
     spread = fit.samples.acceleration.std(axis=0)
     left = fit.squares / np.maximum(fit.counts, 1.0)
     still = body.outputs_of(fit.samples, fit.rigid_part)
@@ -113,7 +119,7 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
             made += np.mean((moved - still)[fit.train_mask] ** 2, axis=0)
         return float((made / left).max())
 
-    errors, *finer = acceleration_errors(raw, with_velocities, (1, *config.faster))
+    errors, *finer = acceleration_errors(raw, *smoother, times=(1, *config.faster))
     if not share(errors) >= config.input_error_share:  # nor where they are not known
         return []
     rate = 1e9 / float(np.median(np.diff(raw.stamps)))
@@ -167,7 +173,7 @@ def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
 
 def moved(samples: Samples, motion: str) -> Samples:
     """The samples with their whole motion as one of OPTIONS."""
-    return samples if motion == 'recorded' else smoothed(samples, motion == 'smoothed')
+    return samples if motion == 'recorded' else smoothed(samples, *SMOOTHED[motion])
 
 
 def averaged(samples: Samples, factor: int) -> Samples:
