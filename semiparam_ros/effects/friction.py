@@ -13,7 +13,7 @@ from semiparam_ros.core.robot.size import plausible, size_beyond
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
-from semiparam_ros.effects.hysteresis import Way, bristle
+from semiparam_ros.effects.hysteresis import Way, bristle, sticking_bristle
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
 PRESLIDING_SHARES = (0.0005, 0.002, 0.008)
@@ -74,7 +74,7 @@ class _Sliding(JointEffect):
         """(N,) direction of sliding in [-1, 1]: of the velocity, or of a bristle that bends before it slides."""
         velocity = samples.velocity[:, joint]
         if 'presliding' in self.parameters:
-            return bristle(Way(samples.stamps, samples.position[:, joint], velocity), self.value('presliding'), memory)
+            return bristle(_way(samples, joint), self.value('presliding'), memory)
         return np.tanh(velocity / self.value('turn_speed', 0.01)), None
 
     def doubt(self, body: RigidBody, samples: Samples) -> str:
@@ -151,6 +151,14 @@ class StribeckFriction(_Sliding):
         parameters = {name: value for name, value in self.parameters.items() if name != 'stribeck_speed'}
         return (CoulombFriction(self.where, parameters, start=self.start),)
 
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        if 'presliding' not in self.parameters:
+            return super().basis(body, samples, memory)
+        joint = joint_index(body, self.where)
+        states, memory = sticking_bristle(_way(samples, joint), self.value('presliding'),
+                                          self.value('stribeck_speed', 0.1), memory)
+        return on_joint(body, self.where, states), memory
+
     def sliding(self, direction: Array, velocity: Array) -> Array:
         fading = np.exp(-((velocity / self.value('stribeck_speed', 0.1)) ** 2))
         return np.column_stack([direction, direction * fading])
@@ -197,3 +205,7 @@ class LoadFriction(_Sliding):
         load = body.regressors(samples)[:, joint] @ parameters
         direction, memory = self.direction(samples, joint, memory)
         return on_joint(body, self.where, (np.abs(load) * direction)[:, None]), memory
+
+
+def _way(samples: Samples, joint: int) -> Way:
+    return Way(samples.stamps, samples.position[:, joint], samples.velocity[:, joint])

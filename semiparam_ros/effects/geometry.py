@@ -17,6 +17,8 @@ from semiparam_ros.effects.base import Axis, Coefficient, Effect, joint_index
 
 MOST_TURN = 0.8
 """Angle [rad] beyond which a zero or a base is not off but another one: half a right angle."""
+POINTS = 5
+"""Samples through which accelerations are interpolated in a whole recording."""
 
 
 class JointOffset(Effect):
@@ -151,7 +153,7 @@ def _joined(before: _Past, after: _Past) -> _Past:
 def _interpolated(past: _Past, wanted: Stamps, newest: Stamps, centred: bool) -> tuple[Array, Array, Array]:
     """Inputs at ``wanted`` [ns] by pieces that end no later than the sample numbered ``newest``.
 
-    Positions and velocities by cubics through values and slopes, accelerations by parabolas through three values: the
+    Positions and velocities by cubics through values and slopes, accelerations by polynomials through values alone: the
     derivative of the cubics would take in the velocities' noise, least where a delay is a whole number of samples, and
     so draw it there.
     The last piece extrapolates, so that one sample at a time gives what the whole recording gives.
@@ -173,24 +175,24 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps, centred: bool) ->
 
 
 def _centred(past: _Past, wanted: Stamps) -> Array:
-    """Accelerations at ``wanted`` [ns], each by the parabola through the nearest sample and its two neighbours.
+    """Accelerations at ``wanted`` [ns], each by the polynomial through the nearest sample and two on either side of it.
 
-    A parabola that ends with the newest sample averages its noise with that of earlier ones as soon as it looks back
-    ever so little: a small delay then lowers the error though there is none. In the middle of a parabola nothing is
-    gained to first order.
+    A polynomial that ends with the newest sample averages its noise with that of earlier ones as soon as it looks back
+    ever so little: a small delay then lowers the error though there is none. In the middle of one nothing is gained to
+    first order.
     """
     stamps, values = past.stamps, past.acceleration
-    if len(stamps) < 3:
+    if len(stamps) < POINTS:
         return np.column_stack([np.interp(wanted, stamps, column) for column in values.T])
     nearest = np.clip(np.searchsorted(stamps, wanted), 1, len(stamps) - 1)
     nearest -= wanted - stamps[nearest - 1] < stamps[nearest] - wanted
-    middle = np.clip(nearest, 1, len(stamps) - 2)
-    ahead, before, after = ((late - early)[:, None] * 1e-9 for late, early in (
-        (wanted, stamps[middle]), (stamps[middle], stamps[middle - 1]), (stamps[middle + 1], stamps[middle])))
-    rise = (values[middle + 1] - values[middle]) / after
-    earlier = (values[middle] - values[middle - 1]) / before
-    bend = (rise - earlier) / (before + after)
-    return np.asarray(values[middle] + ahead * (rise + (ahead - after) * bend))
+    rows = np.clip(nearest - POINTS // 2, 0, len(stamps) - POINTS)[:, None] + np.arange(POINTS)
+    ahead = (wanted[:, None] - stamps[rows]) * 1e-9
+    apart = (stamps[rows][:, :, None] - stamps[rows][:, None, :]) * 1e-9
+    diagonal = np.arange(POINTS)
+    ratios = np.broadcast_to(ahead[:, None, :], apart.shape).copy()
+    apart[:, diagonal, diagonal] = ratios[:, diagonal, diagonal] = 1.0
+    return np.asarray(np.einsum('ti,tij->tj', (ratios / apart).prod(axis=2), values[rows]))
 
 
 def _parabola(values: Array, stamps: Stamps, left: Stamps, right: Stamps, ahead: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -11,7 +12,10 @@ from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compi
 from semiparam_ros.core.types import Array, Stamps
 
 MOST_APART = 0.1
-"""Of the sum of two speeds times the step: how far a turning joint's travel may be from their mean's."""
+"""Of the sum of two speeds times the step: how far the travel may be from their mean's for both to be believed."""
+PARTS = 8
+"""Parts of a step between two samples that are followed one by one; half of them lie before the joint turns back."""
+_HALF = np.linspace(0.0, 1.0, PARTS // 2 + 1)
 
 
 def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memory]:
@@ -26,24 +30,41 @@ def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memor
 
 def bristle(way: Way, slip: float, memory: Memory) -> tuple[Array, Memory]:
     """(N,) state of a Dahl bristle in [-1, 1] along a way that may turn back between two samples."""
-    state, past = cast('tuple[float, Memory]', memory) if memory is not None else (0.0, None)
-    pieces, past = way.pieces(past)
-    states = _dahl(pieces[:, None], slip, np.array([state]))[1::2, 0]
-    return states, (float(states[-1]), past)
+    states, memory = _bent(way, slip, lambda aims, speeds: aims[:, None], memory)
+    return states[:, 0], memory
+
+
+def sticking_bristle(way: Way, slip: float, stribeck_speed: float, memory: Memory) -> tuple[Array, Memory]:
+    """(N, 2) states of a bristle that slides at 1, and of what it holds more of exp(-(speed / stribeck_speed)^2).
+
+    Their sum with weights is the bristle whose level is that sum: it needs the way ``slip`` to bend, and by then the
+    joint no longer stands still.
+    """
+    return _bent(way, slip, lambda aims, speeds: np.column_stack(
+        [aims, aims * np.exp(-(speeds / stribeck_speed) ** 2)]), memory)
+
+
+def _bent(way: Way, slip: float, levels: Callable[[Array, Array], Array], memory: Memory) -> tuple[Array, Memory]:
+    """(N, k) states that decay over ``slip`` towards levels (N PARTS, k) of the direction and the speed."""
+    state, past = cast('tuple[Array | None, Memory]', memory) if memory is not None else (None, None)
+    travel, speeds, past = way.followed(past)
+    aims = levels(np.sign(travel), speeds)
+    states = _towards(aims, np.exp(-np.abs(travel) / slip), np.zeros(aims.shape[1]) if state is None else state)
+    return states[PARTS - 1::PARTS].copy(), (states[-1].copy(), past)
 
 
 def play_place(way: Way, gap: float, memory: Memory) -> tuple[Array, Memory]:
     """(N,) place in [-1, 1] between the flanks of a gap that a way crosses, and what to go on from."""
     place, past = cast('tuple[float, Memory]', memory) if memory is not None else (0.0, None)
-    pieces, past = way.pieces(past)
-    steps, places = 2.0 / gap * pieces, np.empty(len(pieces))
+    travel, _, past = way.followed(past)
+    steps, places = 2.0 / gap * travel, np.empty(len(travel))
     if AVAILABLE:
         _play_all(steps, float(place), places)
     else:
         for index, step in enumerate(steps.tolist()):
             place = min(max(place + step, -1.0), 1.0)
             places[index] = place
-    return places[1::2].copy(), (float(places[-1]), past)
+    return places[PARTS - 1::PARTS].copy(), (float(places[-1]), past)
 
 
 class Way(NamedTuple):
@@ -53,30 +74,55 @@ class Way(NamedTuple):
     position: Array
     velocity: Array
 
-    def pieces(self, past: Memory) -> tuple[Array, Memory]:
-        """(2 N,) two signed pieces of travel before each sample, and (stamp, position, velocity) of the last one.
+    def followed(self, past: Memory) -> tuple[Array, Array, Memory]:
+        """Signed travel and velocity (N PARTS,) in each part of the steps to the samples, and (stamp, position,
+        velocity) of the last one.
 
-        Where the velocity changes its sign between two samples, the joint went on and came back: with a velocity that
-        is linear in between, the turning point follows. Dry friction turns over there, not where the net travel ends.
-        Elsewhere, and where positions and velocities disagree, the second piece is zero.
+        Between two samples the velocity is the parabola that has the velocities and the travel measured there. Where it
+        changes its sign the joint went on and came back: dry friction turns over there, not where the net travel ends.
+        Where positions and velocities disagree, the travel is even.
         """
         stamp, place, speed = cast('tuple[int, float, float]', past) if past is not None else (
             int(self.stamps[0]), float(self.position[0]), float(self.velocity[0]))
-        before, step = np.append(speed, self.velocity[:-1]), np.diff(self.stamps, prepend=stamp) * 1e-9
-        net, after = np.diff(self.position, prepend=place), self.velocity
-        change = np.abs(before) + np.abs(after)
-        on = 0.5 * before * step * np.divide(np.abs(before), change, out=np.zeros_like(net), where=change > 0.0)
-        turns = (before * after < 0.0) & (np.abs(net - 0.5 * (before + after) * step) < MOST_APART * change * step)
-        turns &= (net - on) * after >= 0.0
-        pieces = np.column_stack([np.where(turns, on, net), np.where(turns, net - on, 0.0)]).ravel()
-        return pieces, (int(self.stamps[-1]), float(self.position[-1]), float(self.velocity[-1]))
+        step = np.diff(self.stamps, prepend=stamp) * 1e-9
+        net, after = np.diff(self.position, prepend=place), self.velocity * step
+        before = np.append(speed, self.velocity[:-1]) * step
+        apart = ~(np.abs(net - 0.5 * (before + after)) < MOST_APART * (np.abs(before) + np.abs(after)))
+        before, after = np.where(apart, net, before), np.where(apart, net, after)
+        parts = _in_parts(before, 6.0 * net - 4.0 * before - 2.0 * after, 3.0 * (before + after) - 6.0 * net)
+        travel, lengths = np.diff(parts.travel, axis=1), np.diff(parts.time, axis=1) * step[:, None]
+        speeds = np.divide(travel, lengths, out=np.zeros_like(travel), where=lengths > 0.0)
+        return travel.ravel(), speeds.ravel(), (
+            int(self.stamps[-1]), float(self.position[-1]), float(self.velocity[-1]))
+
+
+class _Parts(NamedTuple):
+    """Ends of the parts of N steps: ``time`` (N, PARTS + 1) from 0 to 1, and the ``travel`` until then."""
+
+    time: Array
+    travel: Array
+
+
+def _in_parts(start: Array, rise: Array, bend: Array) -> _Parts:
+    """Parts of steps in which the velocity is start + rise u + bend u^2 (N,), with the middle one at its zero."""
+    root = -0.5 * (rise + np.copysign(np.sqrt(np.maximum(rise**2 - 4.0 * bend * start, 0.0)), rise))
+    turns = start * (start + rise + bend) < 0.0
+    middle = np.divide(start, root, out=np.full_like(start, 0.5), where=turns & (root != 0.0))
+    outside = (middle < 0.0) | (middle > 1.0)  # the other zero
+    middle = np.where(outside, np.divide(root, bend, out=np.full_like(start, 0.5), where=outside), middle)[:, None]
+    time = np.hstack([middle * _HALF, middle + (1.0 - middle) * _HALF[1:]])
+    return _Parts(time, time * (start[:, None] + time * (rise[:, None] / 2.0 + time * bend[:, None] / 3.0)))
 
 
 def _dahl(steps: Array, slip: float, state: Array) -> Array:
     """(N, k) states after each step (N, k) of travel."""
     length = np.linalg.norm(steps, axis=1)
     aims = np.divide(steps, length[:, None], out=np.zeros_like(steps), where=length[:, None] > 0.0)
-    keep = np.exp(-length / slip)
+    return _towards(aims, np.exp(-length / slip), state)
+
+
+def _towards(aims: Array, keep: Array, state: Array) -> Array:
+    """(M, k) states, each of which keeps a share (M,) of its difference to an aim (M, k)."""
     states = np.empty(aims.shape)
     if AVAILABLE:
         _follow_all(keep, np.ascontiguousarray(aims), np.array(state, dtype=float), states)

@@ -12,7 +12,16 @@ from semiparam_ros.core.columns import OFFSET_PRIOR_SCALE, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Values, channel_units, joint_index, on_joint
+from semiparam_ros.effects.base import (
+    CHANNELS,
+    Axis,
+    Coefficient,
+    Effect,
+    Values,
+    channel_units,
+    joint_index,
+    on_joint,
+)
 
 N_CHANNELS = 6
 
@@ -101,7 +110,21 @@ class _Calibration(Effect):
         return np.asarray(self.matrix() @ regressors)
 
 
-class SensorGain(_Calibration):
+class _Gains(_Calibration):
+    """A matrix with a gain for each channel."""
+
+    def without_common_gain(self) -> _Gains:
+        common = float(np.median(np.diag(self.matrix())))
+        if not common > 0.0:
+            return self
+        values = {}
+        for name, _ in self.calibrations:
+            own = float(name.startswith('gain'))
+            values[name] = (own + self.value(name)) / common - own
+        return self.with_values(**values)
+
+
+class SensorGain(_Gains):
     """Each channel reads too much or too little. The common gain of all forces cannot be told from the masses."""
 
     kind: ClassVar[str] = 'sensor_gain'
@@ -151,7 +174,7 @@ def _cross_unit(to: str, by: str) -> str:
     return 'm' if to[0] == 't' else '1/m'
 
 
-class SensorCrosstalk(_Calibration):
+class SensorCrosstalk(_Gains):
     """Each channel hears the others: the off-diagonal part of the calibration matrix."""
 
     kind: ClassVar[str] = 'sensor_crosstalk'

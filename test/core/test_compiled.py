@@ -171,7 +171,8 @@ def test_the_columns(monkeypatch, columns):
 @pytest.mark.parametrize('follow', [
     lambda travel, way, memory: hysteresis.dahl_state(travel, 0.05, memory),
     lambda travel, way, memory: hysteresis.bristle(way, 0.02, memory),
-    lambda travel, way, memory: hysteresis.play_place(way, 0.1, memory)], ids=['dahl', 'bristle', 'play'])
+    lambda travel, way, memory: hysteresis.sticking_bristle(way, 0.02, 0.1, memory),
+    lambda travel, way, memory: hysteresis.play_place(way, 0.1, memory)], ids=['dahl', 'bristle', 'sticking', 'play'])
 def test_what_remembers_the_way_travelled(monkeypatch, follow):
     travel = np.cumsum(0.02 * np.random.default_rng(4).standard_normal((200, 3)), axis=0)
     travel[50:60] = travel[50]
@@ -195,7 +196,9 @@ def test_friction_turns_over_where_the_joint_does_between_two_samples():
     coarse = hysteresis.Way(*(part[::50] for part in fine))
     true, seen = (hysteresis.bristle(way, 2e-3, None)[0] for way in (fine, coarse))
     straight = hysteresis.dahl_state(coarse.position[:, None], 2e-3, None)[0][:, 0]
-    assert np.abs(seen - true[::50]).max() < 0.05 < 0.5 < np.abs(straight - true[::50]).max()
+    assert np.abs(seen - true[::50]).max() < 1e-3 < 0.5 < np.abs(straight - true[::50]).max()
+    true, seen = (hysteresis.sticking_bristle(way, 2e-3, 0.1, None)[0] for way in (fine, coarse))
+    assert np.abs(seen - true[::50]).max() < 0.02
 
 
 def test_without_numba_the_forms_in_numpy_run():

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from semiparam_ros.core.types import Mask
-from semiparam_ros.diagnosis.regression import Fit, with_effects
+from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, best_start
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.shapes import settled
@@ -27,7 +27,14 @@ def fitted_to_all(fit: Fit, usable: Mask, found: Collection[int]) -> Fit:
     effects = list(fit.effects)
     for number in found:
         effects[number] = _started_anew(everything, effects, number)
-    return settled(declare(with_effects(everything, effects), []), found)
+    return _without_common_gain(settled(declare(with_effects(everything, effects), []), found))
+
+
+def _without_common_gain(fit: Fit) -> Fit:
+    """The same model with gains as :meth:`Effect.without_common_gain` has them, unless a known mass tells them."""
+    effects = [effect.without_common_gain() for effect in fit.effects]
+    known = any(effect.is_load and 'mass' in effect.parameters for effect in effects)
+    return fit if known or effects == list(fit.effects) else refit_weights(with_effects(fit, effects))
 
 
 def _started_anew(fit: Fit, effects: list[Effect], number: int) -> Effect:
