@@ -92,6 +92,10 @@ class DiagnosisConfig:
     absorbed_share: float = 1e-6
     """Gives a candidate no credit for a direction of which the declared columns leave only this share (chosen)."""
 
+    deviation_stretches: int = 20
+    """Stretches of the recording whose contradictions widen the standard deviations (chosen: each much longer than the
+    noise's correlation, and enough of them to tell a variance)."""
+
     # --- evaluation ---
 
     horizon: int = 25

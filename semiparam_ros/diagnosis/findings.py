@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.ambiguity import Rival
-from semiparam_ros.diagnosis.search.candidates import added_columns
-from semiparam_ros.diagnosis.search.shapes import shape_columns, shapes_of
 from semiparam_ros.diagnosis.search.stepwise import Step
+from semiparam_ros.diagnosis.uncertainty import Deviations, deviations
 from semiparam_ros.effects import Effect, kinds
 
 
@@ -54,9 +49,9 @@ def findings(fit: Fit, steps: list[Step], everything: Fit) -> list[Finding]:
 
     :param everything: the final model fitted to all samples, its effects in the same order; the values are its own.
     """
-    deviations = coefficient_deviations(everything, [index for index, _, _ in places_in(fit, steps)])
+    sure = deviations(everything, [index for index, _, _ in places_in(fit, steps)])
     return [Finding(everything.effects[index], number, steps[number - 1].added[place].evidence,
-                    _parameters(everything, index, deviations), steps[number - 1].rivals[place])
+                    _parameters(everything, index, sure), steps[number - 1].rivals[place])
             for index, number, place in places_in(fit, steps)]
 
 
@@ -107,8 +102,8 @@ def _explained(step: Step, channels: list[int]) -> float:
 
 def declared_findings(fit: Fit, found: list[Finding]) -> list[Finding]:
     """The effects of the model that were declared beforehand, with their fitted values."""
-    deviations = coefficient_deviations(fit, ())
-    return [Finding(effect, 0, 0.0, _parameters(fit, index, deviations), ())
+    sure = deviations(fit, ())
+    return [Finding(effect, 0, 0.0, _parameters(fit, index, sure), ())
             for index, effect in enumerate(fit.effects) if effect not in [finding.effect for finding in found]]
 
 
@@ -119,36 +114,15 @@ def _index_in(fit: Fit, effect: Effect, taken: list[int]) -> int | None:
     return same[0] if same else None
 
 
-def coefficient_deviations(fit: Fit, found: Collection[int]) -> Array:
-    """(p,) standard deviations of theta, widened for the residual's autocorrelation, for the calibrations and for the
-    nonlinear values of the effects with the numbers ``found``: none of them is known exactly."""
-    further = [added_columns(fit, effect) for effect in fit.effects if effect.is_calibration]
-    shapes = shapes_of(fit, found)
-    further += [shape_columns(fit, shapes)] if shapes else []
-    columns = np.concatenate(further, axis=2) if further else np.zeros((*fit.residual.shape, 0))
-    return fit.deviations_with(columns) * float(np.sqrt(np.mean(fit.correlation)))
-
-
-def _parameters(fit: Fit, index: int, deviations: Array) -> dict[str, Quantity]:
+def _parameters(fit: Fit, index: int, sure: Deviations) -> dict[str, Quantity]:
     effect = fit.effects[index]
     block = CoupledColumns(fit.body, fit.effects).blocks[str(index)]
     learnt = {coefficient.name: Quantity(float(value), float(std), coefficient.unit)
               for coefficient, value, std in zip(effect.coefficients(fit.body), fit.theta[block],
-                                                 deviations[block], strict=True)}
-    return learnt | _calibrations(fit, effect) | _searched(effect)
-
-
-def _calibrations(fit: Fit, effect: Effect) -> dict[str, Quantity]:
-    if not effect.is_calibration:
-        return {}
-    together = [known for known in fit.effects if known.is_calibration]
-    covariance = fit.explain(np.concatenate([added_columns(fit, known) for known in together], axis=2)).covariance
-    inflation = float(np.mean(fit.correlation))
-    before = sum(len(known.calibrations) for known in together[:together.index(effect)])
-    variances = np.diag(covariance)[before:before + len(effect.calibrations)]
-    stds = np.sqrt(np.maximum(variances, 0.0) * inflation)
-    return {coefficient.name: Quantity(effect.value(coefficient.name), float(std), coefficient.unit)
-            for coefficient, std in zip(effect.calibrations, stds, strict=True)}
+                                                 sure.coefficients[block], strict=True)}
+    calibrated = {coefficient.name: Quantity(effect.value(coefficient.name), float(std), coefficient.unit)
+                  for coefficient, std in zip(effect.calibrations, sure.calibrations.get(index, ()), strict=True)}
+    return learnt | calibrated | _searched(effect)
 
 
 def _searched(effect: Effect) -> dict[str, Quantity]:

@@ -175,13 +175,12 @@ class Fit:
         """(p, p) of theta over the noise's variance in scaled units."""
         return np.asarray(cho_solve(self.factor, np.eye(len(self.theta))))
 
-    def deviations_with(self, columns: Array) -> Array:
-        """(p,) standard deviations of theta over the noise's, where those of further columns (N, n, c) are open too."""
-        variances = np.diag(self.theta_covariance()).copy()
-        if columns.shape[2]:
-            _, covariance, _, cross, _ = self._regressed(columns)
-            variances += np.einsum('pi,ij,pj->p', cross, covariance, cross)
-        return np.asarray(np.sqrt(variances))
+    def covariance_with(self, columns: Array) -> Array:
+        """(p + c, p + c) of theta and of the coefficients of further columns (N, n, c), over the noise's variance in
+        scaled units. Directions of these that theta's columns hold already count as known."""
+        _, covariance, _, cross, _ = self._regressed(columns)
+        across = cross @ covariance
+        return np.asarray(np.block([[self.theta_covariance() + across @ cross.T, -across], [-across.T, covariance]]))
 
     def known_precision(self) -> tuple[Array, Array]:
         """(p,) precision of coefficients whose values or sizes are known, zero elsewhere; and its pull on theta."""

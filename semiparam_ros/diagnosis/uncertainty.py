@@ -1,0 +1,58 @@
+"""Standard deviations of what is told: of coefficients and of calibrations, with nothing else taken for known.
+
+The model's own covariance takes the law of every effect for exact and the noise for what is left on average. Where a
+law fits less well in one stretch than in another, where noise grows with the motion, or where errors of an acceleration
+reach several outputs at once, the stretches contradict one another by more than that. How much they do is the sandwich
+covariance of clustered samples (Liang and Zeger 1986, Biometrika 73), with stretches of time as clusters. The larger
+of the two is told: with few stretches the sandwich itself is uncertain, and one stretch may hold all that tells of a
+value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.diagnosis.search.shapes import shape_columns, shapes_of
+
+
+class Deviations(NamedTuple):
+    """Standard deviations: ``coefficients`` (p,) of theta, ``calibrations`` (c,) by the number of their effect."""
+
+    coefficients: Array
+    calibrations: dict[int, Array]
+
+
+def deviations(fit: Fit, found: Collection[int]) -> Deviations:
+    """Those of a fitted model, where its calibrations and the nonlinear values of the effects with the numbers
+    ``found`` are open too."""
+    calibrated = [number for number, effect in enumerate(fit.effects) if effect.is_calibration]
+    further = [added_columns(fit, fit.effects[number]) for number in calibrated]
+    shapes = shapes_of(fit, found)
+    further += [shape_columns(fit, shapes)] if shapes else []
+    columns = np.concatenate([np.zeros((*fit.residual.shape, 0)), *further], axis=2)
+    told, edges = _deviations(fit, columns), len(fit.theta) + np.cumsum([0, *(part.shape[2] for part in further)])
+    return Deviations(told[:edges[0]], {number: told[start:end] for number, start, end in zip(
+        calibrated, edges, edges[1:], strict=False)})
+
+
+def _deviations(fit: Fit, columns: Array) -> Array:
+    """(p + c,) standard deviations of theta and of the coefficients of further columns (N, n, c)."""
+    covariance, count = fit.covariance_with(columns), fit.columns.shape[2]
+    stretches = np.array_split(np.flatnonzero(fit.train_mask), fit.config.deviation_stretches)
+    repeated, scores = np.zeros_like(covariance), np.zeros((len(stretches), len(covariance)))
+    for channel, (used, felt, rows) in enumerate(zip(fit.in_use, fit.felt, fit.rows, strict=True)):
+        own = np.append(felt, count + np.arange(columns.shape[2]))
+        weighed = np.hstack([rows, columns[used, channel]]) / fit.scale[channel]
+        repeated[np.ix_(own, own)] += (fit.correlation[channel] - 1.0) * (weighed.T @ weighed)
+        weighed *= fit.residual[used, channel, None] / fit.scale[channel]
+        ends = np.searchsorted(used, [stretch[-1] for stretch in stretches], side='right')
+        scores[:, own] += np.diff(np.cumsum(weighed, axis=0)[ends - 1], axis=0, prepend=0.0)
+    changes = scores @ covariance
+    clustered = (changes**2).sum(axis=0) * len(stretches) / (len(stretches) - 1)
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance + covariance @ repeated @ covariance), clustered)))

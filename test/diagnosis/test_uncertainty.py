@@ -1,0 +1,60 @@
+"""Standard deviations that are told, against the scatter of values over draws of what disturbs them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.regression import fit_model, refit_weights
+from semiparam_ros.diagnosis.uncertainty import deviations
+from semiparam_ros.effects import kinds
+from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+
+BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+MOTION = smooth_motion(4, 1500, seed=2, speed=0.5)
+EXACT = BODY.regressors(MOTION) @ BODY.base_parameters
+VISCOUS, GAIN, DRAWS = 0.3, 0.1, 20
+
+
+def white(rng):
+    return rng.standard_normal(EXACT.shape)
+
+
+def of_the_motion(rng):
+    """Noise that grows with the joints' speed."""
+    return rng.standard_normal(EXACT.shape) * np.abs(MOTION.velocity) / np.abs(MOTION.velocity).mean(axis=0)
+
+
+def of_the_law(rng):
+    """A friction that differs from stretch to stretch."""
+    return np.repeat(rng.standard_normal((20, 4)), len(EXACT) // 20, axis=0) * MOTION.velocity
+
+
+def told(disturbance):
+    """How far a friction is off, and the standard deviation that is told, with efforts disturbed by a hundredth."""
+    friction = np.zeros_like(EXACT)
+    friction[:, 1] = VISCOUS * MOTION.velocity[:, 1]
+    gains = np.array([1.0, 1.0, 1.0 + GAIN, 1.0])
+    small = 0.01 * EXACT.std(axis=0) / disturbance.std(axis=0)
+    samples = replace(MOTION, outputs=EXACT * gains + friction + disturbance * small)
+    effects = [kinds()['viscous_friction'](BODY.joints[1]), kinds()['effort_gain'](BODY.joints[2], {'gain': GAIN})]
+    fit = refit_weights(fit_model(BODY, samples, effects, np.ones(len(samples), dtype=bool), np.ones(4)))
+    return fit.theta[-1] - VISCOUS, deviations(fit, [0]).coefficients[-1]
+
+
+@pytest.mark.parametrize('disturbed', [white, of_the_motion, of_the_law])
+def test_deviations_are_as_large_as_the_scatter_of_the_values(disturbed):
+    """The model's own covariance gives two thirds of it where noise or a law differs from stretch to stretch."""
+    rng = np.random.default_rng(1)
+    off, std = np.array([told(disturbed(rng)) for _ in range(DRAWS)]).T
+    assert 0.6 < np.sqrt(np.mean(off**2) / np.mean(std**2)) < 1.25
+
+
+def test_a_calibration_and_what_it_cannot_be_told_from_have_deviations():
+    """With the gains of all joints open, the direction that the masses hold already counts as known."""
+    effects = [kinds()['effort_gain'](joint, {'gain': GAIN}) for joint in BODY.joints]
+    samples = replace(MOTION, outputs=EXACT * (1.0 + GAIN) + 0.01 * white(np.random.default_rng(2)))
+    sure = deviations(fit_model(BODY, samples, effects, np.ones(len(samples), dtype=bool), np.ones(4)), ())
+    assert list(sure.calibrations) == [0, 1, 2, 3]
+    assert all(0.0 < float(std[0]) < 10.0 for std in sure.calibrations.values())
