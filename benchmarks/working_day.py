@@ -45,7 +45,7 @@ from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.online.learner import Answer, Learner
-from semiparam_ros.online.worker import Done, InlineBackground, Job, Result
+from semiparam_ros.online.worker import Done, InlineBackground, Job, Result, absorb
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
 from semiparam_ros.settings.robot_description import moving_joints
@@ -200,7 +200,8 @@ def live(day: Day, folder: Path, rate: float) -> Path:
 
 
 class LateBackground(InlineBackground):
-    """Hands a result over ``after`` samples later, as where the day runs faster than the background."""
+    """Hands what it builds over ``after`` samples later, as where the day runs faster than the background; what then
+    learns the samples that came meanwhile is done at once."""
 
     def __init__(self, after: int) -> None:
         self._after = after
@@ -208,10 +209,10 @@ class LateBackground(InlineBackground):
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
-        job = super().submit(function, *arguments, done=lambda *given: self._waiting.append(
+        if function is absorb:
+            return super().submit(function, *arguments, done=done)
+        return super().submit(function, *arguments, done=lambda *given: self._waiting.append(
             (self._after, partial(done, *given))))
-        self.sample_offered(0)
-        return job
 
     def sample_offered(self, count: int = 1) -> None:
         """So many samples came."""
