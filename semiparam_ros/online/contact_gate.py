@@ -58,6 +58,9 @@ SPEEDS = (0.02, 0.2, 0.8, 2.0)
 SPEED_MEMORY_S = 1.0
 FASTER = 2.5
 """A faster band that was not seen yet has usual peaks at most so many times those of the next slower one."""
+SLOWER_SHARE = 0.5
+"""Usual peaks in motion are at least this share of those of the next faster band: fast motion slows down at times, and
+still has its accelerations then."""
 REST_MEMORY_S = 5.0
 START_S = 1.0
 """So long after rest the friction of a joint may have either sign."""
@@ -418,6 +421,9 @@ class ContactGate:
         if own is None:
             nearest = min(moving, key=lambda band: abs(band - at))
             own = moving[nearest] * max(1.0, FASTER ** (at - nearest))
+        faster = self._bands[at + 1].usual if 0 < at < len(SPEEDS) else None
+        if faster is not None:
+            own = np.maximum(own, SLOWER_SHARE * faster)
         if at and self._awake >= START_S:
             return own
         typical = np.median(list(moving.values()), axis=0)

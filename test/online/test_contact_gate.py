@@ -194,6 +194,15 @@ def test_ten_times_the_speed_is_no_contact():
     assert not stand.judge(6.0 * white(RATE_HZ * 60, seed=1), speed=1.5).any()
 
 
+@pytest.mark.parametrize(('sigmas', 'refused'), [(2.5, False), (8.0, True)])
+def test_fast_motion_that_slows_down_is_no_slow_motion(sigmas, refused):
+    stand = Stand()
+    stand.judge(0.2 * white(RATE_HZ * 60), speed=0.5)
+    stand.judge(white(RATE_HZ * 60, seed=1), speed=1.5)
+    stand.judge(0.2 * white(RATE_HZ * 5, seed=2), speed=0.5)
+    assert stand.judge(sigmas * SCALES * np.ones((3, 1)), speed=0.5).any() == refused
+
+
 def test_motion_that_was_never_seen_is_learnt_first_and_hard_pushes_are_found():
     stand = Stand()
     stand.judge(white(RATE_HZ * 60))
