@@ -167,8 +167,12 @@ class CoupledColumns:
         columns, added = self.of_corrected(body, inputs, [entry[1] for entry in past])
         return columns, list(zip(corrected, added, strict=True))
 
-    def of_corrected(self, body: RigidBody, inputs: Samples, past: Sequence[Memory] = ()) -> tuple[Array, list[Memory]]:
-        """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of them."""
+    def of_corrected(self, body: RigidBody, inputs: Samples, past: Sequence[Memory] = (),
+                     further: Sequence[Array] = ()) -> tuple[Array, list[Memory]]:
+        """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of them.
+
+        :param further: (N, n, k) each, columns that follow those of the effects.
+        """
         psi = body.regressors(inputs)
         parts, added = [], []
         past = past or [None] * len(self.effects)
@@ -182,7 +186,7 @@ class CoupledColumns:
             parts.append(self._shaped(body, columns) if effect.is_load else columns)
             added.append(remembered)
         offset = np.broadcast_to(self._offset, (len(inputs), *self._offset.shape))
-        return np.concatenate([psi, offset, *parts], axis=2), added
+        return np.concatenate([psi, offset, *parts, *further], axis=2), added
 
     def _shaped(self, body: RigidBody, columns: Array) -> Array:
         """What a load adds (N, n, c), as the effects shape psi: a gain of the efforts multiplies both."""

@@ -21,7 +21,7 @@ from semiparam_ros.effects import Effect
 
 LARGE = ('columns', 'corrected', 'in_use', 'rows')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = (*LARGE, 'felt', 'grams')
+OF_COLUMNS = (*LARGE, 'felt', 'grams', 'at_prior')
 """What neither its weights nor its outputs change."""
 
 
@@ -59,8 +59,8 @@ class Fit:
     @cached_property
     def columns(self) -> Array:
         """C (N, n, p): those of the rigid body, the offset and the effects, then the nuisance columns."""
-        columns, _ = CoupledColumns(self.body, self.effects).of_corrected(*self.corrected)
-        return columns if self.nuisance is None else np.concatenate([columns, self.nuisance], axis=2)
+        further = () if self.nuisance is None else (self.nuisance,)
+        return CoupledColumns(self.body, self.effects).of_corrected(*self.corrected, further=further)[0]
 
     @cached_property
     def corrected(self) -> tuple[RigidBody, Samples]:
@@ -77,12 +77,12 @@ class Fit:
     def felt(self) -> list[Indices]:
         """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels few bodies of a
         robot with limbs, and nothing of what rubs in other joints."""
-        return [np.flatnonzero(self.columns[:, channel].any(axis=0)) for channel in range(len(self.scale))]
+        return [np.flatnonzero(acting) for acting in np.asarray(self.columns.any(axis=0))]
 
     @cached_property
     def rows(self) -> list[Array]:
         """(M_k, p_k) of each channel k the columns in use that it feels, not divided by its scale."""
-        return [self.columns[used[:, None], channel, felt]
+        return [self.columns[used, channel][:, felt]
                 for channel, (used, felt) in enumerate(zip(self.in_use, self.felt, strict=True))]
 
     @cached_property
@@ -92,6 +92,11 @@ class Fit:
         for gram, rows, felt in zip(grams, self.rows, self.felt, strict=True):
             gram[np.ix_(felt, felt)] = rows.T @ rows
         return grams
+
+    @cached_property
+    def at_prior(self) -> Array:
+        """(N, n) outputs less those of the prior mean, in the outputs' units."""
+        return self.samples.outputs - predicted(self.columns, self.prior_mean())
 
     @cached_property
     def factor(self) -> tuple[Array, bool]:
@@ -159,10 +164,10 @@ class Fit:
         count = columns.shape[2]
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.columns.shape[2], count))
-        for channel, rows in enumerate(self.rows):
-            acting = np.flatnonzero(columns[:, channel].any(axis=0))
+        for channel, (rows, acts) in enumerate(zip(self.rows, np.asarray(columns.any(axis=0)), strict=True)):
+            acting = np.flatnonzero(acts)
             if len(acting):
-                used, weight = columns[self.in_use[channel][:, None], channel, acting], self.scale[channel] ** -2.0
+                used, weight = columns[self.in_use[channel], channel][:, acting], self.scale[channel] ** -2.0
                 inner[np.ix_(acting, acting)] += weight * (used.T @ used)
                 right[acting] += weight * (used.T @ self.residual[self.in_use[channel], channel])
                 shared[np.ix_(self.felt[channel], acting)] += weight * (rows.T @ used)
@@ -243,9 +248,7 @@ def predicted(columns: Array, coefficients: Array) -> Array:
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
-    start = fit.prior_mean()
-    return _least_squares(_with_columns(fit, scale=scale, theta=start,
-                                        residual=fit.samples.outputs - predicted(fit.columns, start)))
+    return _least_squares(_with_columns(fit, scale=scale, theta=fit.prior_mean(), residual=fit.at_prior))
 
 
 def refit_weights(first: Fit) -> Fit:

@@ -303,7 +303,9 @@ class RigidBody:
 
     def _effort_rows(self, q: Array, dq: Array, ddq: Array) -> Array:
         full = pin.computeJointTorqueRegressor(self.arm, self._arm_data, q, dq, ddq)
-        return np.asarray(full.reshape(self.arm.nv, -1)[self.arm_columns])  # one row comes as a vector
+        if full.ndim == 1:  # of one joint
+            full = full[None]
+        return full if self._in_order else np.asarray(full[self.arm_columns])
 
     def _sensor_rows(self, q: Array, dq: Array, ddq: Array) -> Array:
         data, frame, take = self._arm_data, self.sensor_index, self._distal_from
@@ -389,6 +391,6 @@ def _full_regressors(body: RigidBody, samples: Samples) -> Array:
                              f'{body.n_joints} joints: {", ".join(body.joints)}.')
     motion = (body.arm_vector(values) for values in (samples.position, samples.velocity, samples.acceleration))
     full = np.empty((len(samples), body.n_outputs, len(body.basis)))
-    for rows, (q, dq, ddq) in zip(full, zip(*motion, strict=True), strict=True):
-        rows[:] = body.rows(q, dq, ddq)
-    return body.sign * full
+    for index, (q, dq, ddq) in enumerate(zip(*motion, strict=True)):
+        full[index] = body.rows(q, dq, ddq)
+    return np.asarray(full if body.sign == 1.0 else body.sign * full)

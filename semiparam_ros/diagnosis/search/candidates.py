@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -11,7 +12,7 @@ from scipy.linalg import cho_solve
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Values
@@ -121,24 +122,11 @@ def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[i
 
     :param near_s: looks within the length of a block around this time [s] alone.
     """
-    fitting, size = np.flatnonzero(fit.train_mask), columns.shape[2]
+    fitting = np.flatnonzero(fit.train_mask)
     count = len(fitting)
-    gram, right = np.zeros((count, size, size)), np.zeros((count, size))
-    cross = np.zeros((count, fit.columns.shape[2], size))
-    for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
-        weight = (fit.counted[fitting, channel] / fit.scale[channel])[:, None]
-        own = columns[fitting, channel] * weight
-        gram += np.einsum('ti,tj->tij', own, own)
-        right += own * fit.residual[fitting, channel, None] * weight
-        felt = fit.felt[channel]
-        cross[:, felt] += np.einsum('ti,tj->tij', fit.columns[fitting[:, None], channel, felt], own * weight)
-    gram, cross, right = (_suffix(values) for values in (gram, cross, right))
 
-    def gain(start: int) -> float:
-        size = 1.0 / np.sqrt(np.diag(gram[start]) + 1e-300)
-        inner = gram[start] - cross[start].T @ cho_solve(fit.factor, cross[start])
-        scaled = inner * np.outer(size, size) + START_RIDGE * np.eye(len(size))
-        return float(right[start] * size @ np.linalg.solve(scaled, right[start] * size))
+    def gains(starts: Indices) -> list[float]:
+        return [_explained(fit, *sums) for sums in zip(*_sums_from(fit, columns, fitting[starts]), strict=True)]
 
     margin = max(int(fit.config.start_margin * count), 1)
     low, high = margin, count - margin
@@ -147,12 +135,39 @@ def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[i
         reach = float(times[-1] - times[0]) / fit.config.split_blocks
         low, high = np.clip(np.searchsorted(times, (near_s - reach, near_s + reach)), 1, count - 1).tolist()
     coarse = np.unique(np.linspace(low, high, fit.config.start_grid).astype(int))
-    rough = max(coarse, key=gain)
+    always, *coarse_gains = gains(np.append(0, coarse))
+    rough = int(coarse[np.argmax(coarse_gains)])
     step = int(coarse[1] - coarse[0]) if len(coarse) > 1 else 1
     for finer in (max(step // 8, 1), 1):
-        near = range(max(rough - step, 1), min(rough + step + 1, count), finer)
-        rough, step = max(near, key=gain), 2 * finer
-    return int(fitting[rough - 1] + fitting[rough] + 1) // 2, gain(rough), gain(0)
+        near = np.arange(max(rough - step, 1), min(rough + step + 1, count), finer)
+        near_gains = gains(near)
+        rough, step = int(near[np.argmax(near_gains)]), 2 * finer
+    return int(fitting[rough - 1] + fitting[rough] + 1) // 2, max(near_gains), always
+
+
+def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array, Array]:
+    """Products of columns (N, n, c) with one another (s, c, c), with the residual (s, c) and with the declared ones
+    (s, p, c) over the samples in use from each of the starts (s,) on, sample numbers in ascending order."""
+    size = columns.shape[2]
+    gram, right = np.zeros((len(starts), size, size)), np.zeros((len(starts), size))
+    cross = np.zeros((len(starts), fit.columns.shape[2], size))
+    for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
+        used, rows, felt = fit.in_use[channel], fit.rows[channel], fit.felt[channel]
+        own, residual, weight = columns[used, channel], fit.residual[used, channel], fit.scale[channel] ** -2.0
+        for number, (start, end) in enumerate(pairwise([*np.searchsorted(used, starts).tolist(), len(used)])):
+            part = own[start:end] * weight
+            gram[number] += own[start:end].T @ part
+            right[number] += residual[start:end] @ part
+            cross[number, felt] += rows[start:end].T @ part
+    return _suffix(gram), _suffix(right), _suffix(cross)
+
+
+def _explained(fit: Fit, gram: Array, right: Array, cross: Array) -> float:
+    """Squares in scaled units that columns explain beside the declared ones, from :func:`_sums_from`."""
+    size = 1.0 / np.sqrt(np.diag(gram) + 1e-300)
+    inner = gram - cross.T @ cho_solve(fit.factor, cross)
+    scaled = inner * np.outer(size, size) + START_RIDGE * np.eye(len(size))
+    return float(right * size @ np.linalg.solve(scaled, right * size))
 
 
 def _suffix(values: Array) -> Array:
