@@ -36,7 +36,8 @@ class Samples:
     """N samples in order of time; ``origin`` [ns] is where ``time`` starts, and slices keep it.
 
     ``breaks`` [ns]: where several recordings are one, the first stamp of each but the first. ``whole``: nothing comes
-    in later, so what belongs to one sample may be read from those after it too.
+    in later, so what belongs to one sample may be read from those after it too. ``averaged_s`` [s]: each value is the
+    mean over so long a time.
 
     Two are the same only when they are one object, so that what is computed of them can be cached.
     """
@@ -49,6 +50,7 @@ class Samples:
     origin: int
     breaks: tuple[int, ...] = ()
     whole: bool = False
+    averaged_s: float = 0.0
 
     @classmethod
     def joined(cls, recordings: Sequence[Samples]) -> Samples:

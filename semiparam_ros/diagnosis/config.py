@@ -57,6 +57,10 @@ class DiagnosisConfig:
     least_helped_over_harmed: float = 3.0
     """Accepts an effect whose gain in the folds that it helps is this many times the loss in the others (chosen)."""
 
+    turned_speed_share: float = 0.1
+    """Asks of an effect that moves friction to help at joints faster than this share of their highest speed too: dry
+    friction has turned over there (the largest share that a search tries)."""
+
     # --- data: outliers ---
 
     gap_steps: float = 5.0
@@ -254,8 +258,8 @@ class DiagnosisConfig:
     settled_step: float = 1e-4
     """Ends the Gauss-Newton steps once the largest change [rad, s or 1] is below this: it no longer matters."""
     settled_gain: float = 0.1
-    """Ends the Gauss-Newton steps of nonlinear values once they gain less than this of the squares over their variance:
-    less than a tenth of a standard deviation (chosen)."""
+    """Ends the Gauss-Newton steps of calibrations and nonlinear values once they gain less than this of the squares
+    over their variance: less than a third of a standard deviation (chosen)."""
     reference_rounds: int = 2
     """Refers friction that grows with the load so many times to the load of the model that holds it (chosen)."""
     shortened_step: float = 0.1

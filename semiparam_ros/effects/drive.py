@@ -121,6 +121,7 @@ class GearCoupling(Effect):
     sentence: ClassVar[str] = 'the joint moves with the one before it: their gears are coupled'
     mistaken_for: ClassVar[tuple[str, ...]] = ('joint_offset', 'gravity_tilt')
     separated_by: ClassVar[str] = 'motion of either joint while the other stands still'
+    moves_friction: ClassVar[bool] = True
     calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('ratio', ''),)
 
     @classmethod

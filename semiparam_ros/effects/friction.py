@@ -19,6 +19,9 @@ SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
 PRESLIDING_SHARES = (0.0005, 0.002, 0.008)
 DRIVING_SHARE = 0.05
 """Of a friction's coefficients, what one may be below zero by chance."""
+LONGEST_LEAD_S = 0.05
+SAME_SPEED = 1e-5
+"""Of the turn speed: a difference of speeds that changes no friction, and is large against rounding."""
 GRADUAL_SHARE = 0.3
 """Of a joint's usual speed: friction that turns over more slowly than that is hardly dry."""
 
@@ -56,9 +59,13 @@ class JointEffect(Effect):
 
 
 class _Sliding(JointEffect):
-    """Depends on the direction of sliding, which turns over within ``turn_speed`` or within a way of ``presliding``."""
+    """Depends on the direction of sliding, which turns over within ``turn_speed`` or within a way of ``presliding``.
 
-    parameter_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'presliding': 'rad', 'stribeck_speed': 'rad/s'}
+    With ``lead_s`` it turns over so long before the recorded velocity does: where that lags, or where friction gives.
+    """
+
+    parameter_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'presliding': 'rad', 'stribeck_speed': 'rad/s',
+                                                 'lead_s': 's'}
     positive: ClassVar[tuple[str, ...]] = ('turn_speed', 'presliding', 'stribeck_speed')
     resists: ClassVar[bool] = True
 
@@ -70,12 +77,18 @@ class _Sliding(JointEffect):
         return [*({'turn_speed': fastest * share} for share in SPEED_SHARES),
                 *({'presliding': reach * share} for share in PRESLIDING_SHARES)]
 
+    def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
+        return (-LONGEST_LEAD_S, LONGEST_LEAD_S) if name == 'lead_s' else super().bounds(name, body, samples, residual)
+
     def direction(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
         """(N,) direction of sliding in [-1, 1]: of the velocity, or of a bristle that bends before it slides."""
-        velocity = samples.velocity[:, joint]
         if 'presliding' in self.parameters:
             return bristle(_way(samples, joint), self.value('presliding'), memory)
-        return np.tanh(velocity / self.value('turn_speed', 0.01)), None
+        velocity, change = samples.velocity[:, joint], samples.acceleration[:, joint]
+        ahead, turn = velocity + self.value('lead_s') * change, self.value('turn_speed', 0.01)
+        if samples.averaged_s > 0.0:
+            return _mean_tanh(ahead, 0.5 * samples.averaged_s * np.abs(change), turn), None
+        return np.tanh(ahead / turn), None
 
     def doubt(self, body: RigidBody, samples: Samples) -> str:
         if 'presliding' in self.parameters:
@@ -96,6 +109,22 @@ class _Sliding(JointEffect):
         joint = joint_index(body, self.where)
         direction, memory = self.direction(samples, joint, memory)
         return on_joint(body, self.where, self.sliding(direction, samples.velocity[:, joint])), memory
+
+
+def _mean_tanh(velocity: Array, reach: Array, turn: float) -> Array:
+    """(N,) mean of tanh(v / turn) over the velocities within ``reach`` (N,) of ``velocity`` (N,).
+
+    A sample that averages over a time holds the friction of all the speeds that the joint passes within it.
+    """
+    reach = np.maximum(reach / turn, SAME_SPEED)
+    fast, slow = velocity / turn + reach, velocity / turn - reach
+    return np.asarray((_log_cosh(fast) - _log_cosh(slow)) / (2.0 * reach))
+
+
+def _log_cosh(values: Array) -> Array:
+    """(N,) log(2 cosh(values)), whose derivative is tanh."""
+    size = np.abs(values)
+    return np.asarray(size + np.log1p(np.exp(-2.0 * size)))
 
 
 class ViscousFriction(JointEffect):

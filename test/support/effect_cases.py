@@ -23,6 +23,7 @@ def everywhere() -> list[tuple[str, Effect]]:
                 cases.append((outputs, kind.from_values(where, values, tuple(body.base_parameters))))
         cases.append((outputs, kinds()['terms'](body.output_names[0], FORMULA[outputs])))
         cases.append((outputs, kinds()['velocity_filter']()))  # no search tries it
+    cases.append(('effort', kinds()['coulomb_friction']('elbow', {'turn_speed': 0.02, 'lead_s': 0.01})))
     return cases
 
 

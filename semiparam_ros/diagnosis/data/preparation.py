@@ -188,4 +188,5 @@ def averaged(samples: Samples, factor: int) -> Samples:
     stamps = samples.stamps[:groups * factor].reshape(groups, factor)
     middle = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
     return Samples(middle, mean(samples.position), mean(samples.velocity), mean(samples.acceleration),
-                   mean(samples.outputs), samples.origin, samples.breaks)
+                   mean(samples.outputs), samples.origin, samples.breaks,
+                   averaged_s=factor * float(np.median(np.diff(samples.stamps))) * 1e-9)

@@ -11,7 +11,7 @@ import numpy as np
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.input_errors import without_error_columns
-from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.regression import Fit, fit_model
 
 
 def interleaved_split(count: int, config: DiagnosisConfig = DEFAULTS) -> Mask:
@@ -111,10 +111,29 @@ def improves(before: Fit, after: Fit, least: float = 0.0) -> bool:
     share improves, so that no sequence of rounds leads back.
 
     With columns for errors of the inputs, it must do so without them too: an effect that only makes up for what those
-    columns spoil explains nothing.
+    columns spoil explains nothing. And where an effect moves the joints' friction, it must help where no joint turns
+    over too: near standstill it may only make up for the form of dry friction.
 
     :param least: by how much the score must improve.
     """
     if not (unseen_score(after) < unseen_score(before) - least and carries_over(before, after)):
         return False
+    if not _helps_beyond_turns(before, after):
+        return False
     return before.nuisance is None or improves(without_error_columns(before), without_error_columns(after), least)
+
+
+def _helps_beyond_turns(before: Fit, after: Fit) -> bool:
+    """Whether effects that move friction carry over to outputs whose joints are too fast for dry friction to turn."""
+    known = {(effect.kind, effect.where) for effect in before.effects}
+    moving = [effect for effect in after.effects if effect.moves_friction and (effect.kind, effect.where) not in known]
+    if not moving or after.body.outputs != 'effort':
+        return True
+    speed, config = np.abs(after.samples.velocity), after.config
+    fast = after.counted & (speed > config.turned_speed_share * speed[after.train_mask].max(axis=0))
+    if fast[after.train_mask].sum(axis=0).min() < config.least_working_samples:
+        return True
+    rest = [effect for effect in after.effects if effect not in moving]
+    without, within = (fit_model(after.body, after.samples, effects, after.train_mask, after.scale, config, fast,
+                                 after.nuisance) for effects in (rest, after.effects))
+    return carries_over(without, within)

@@ -8,17 +8,19 @@ parameters are then searched anew.
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 from semiparam_ros.diagnosis.data.splits import improves
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, others
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, nonlinear, refined, score
+from semiparam_ros.diagnosis.search.shapes import settled
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.geometry import TimeDelay
 
 KIND = TimeDelay.kind
-BRISTLE = 'presliding'
+BRISTLE, TURN, LEAD = 'presliding', 'turn_speed', 'lead_s'
 
 
 def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]],
@@ -51,10 +53,30 @@ def reshaped(fit: Fit, declared: Collection[Place]) -> Fit:
     return fit
 
 
+def with_leads(fit: Fit, declared: Collection[Place]) -> Fit:
+    """The model whose dry frictions turn over ahead of the recorded velocities or after them, if that helps.
+
+    Their own form comes before any further cause, such as a delay of all that the efforts hold.
+    """
+    bare = [effect for effect in _at_stake(fit, declared)
+            if TURN in effect.parameters and LEAD not in effect.parameters]
+    if not bare:
+        return fit
+    leading = with_effects(fit, [effect.with_values(**{LEAD: 0.0}) if effect in bare else effect
+                                 for effect in fit.effects])
+    after = settled(leading, [index for index, effect in enumerate(leading.effects) if LEAD in effect.parameters])
+    worth = score(fit, Trial(bare[0], after.residual, len(bare)), after.correlation).evidence
+    return after if worth > fit.config.least_evidence and improves(fit, after) else fit
+
+
 def _turning_at_once(fit: Fit, declared: Collection[Place]) -> Fit:
-    """The model with frictions that depend on the velocity alone in place of bristles, which take up a delay."""
+    """The model with frictions that depend on the velocity alone: bristles and leads take up a delay."""
     for effect in _at_stake(fit, declared):
-        if BRISTLE in effect.parameters:
+        if LEAD in effect.parameters:
+            rest = {name: value for name, value in effect.parameters.items() if name != LEAD}
+            fit = with_effects(fit, [replace(known, parameters=rest) if known is effect else known
+                                     for known in fit.effects])
+        elif BRISTLE in effect.parameters:
             without = with_effects(fit, others(fit, effect))
             trial = _other_shape(without, effect, leave_out=BRISTLE)
             fit = fit if trial is None else with_effects(without, [*without.effects, trial.effect])

@@ -14,7 +14,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.diagnosis.data.splits import improves, unseen_score
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held
-from semiparam_ros.diagnosis.search.delay_with_friction import reshaped
+from semiparam_ros.diagnosis.search.delay_with_friction import reshaped, with_leads
 from semiparam_ros.diagnosis.search.elimination import worth_at_once
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, score
@@ -59,7 +59,7 @@ def _better(fit: Fit, other: Fit) -> bool:
 
 
 def _shaped(fit: Fit, declared: Collection[Place]) -> Fit:
-    return min(fit, reshaped(fit, declared), key=unseen_score)
+    return with_leads(min(fit, reshaped(fit, declared), key=unseen_score), declared)
 
 
 def _completed(fit: Fit, kinds: dict[str, type[Effect]], declared: Collection[Place]) -> Fit | None:

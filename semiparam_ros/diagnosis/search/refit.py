@@ -21,15 +21,19 @@ def replace_effect(fit: Fit, effect: Effect) -> Fit:
 def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     """Move the calibrations of the effects ``moving`` to the least squares, all together.
 
-    A step that would raise the loss is shortened. Derivatives are costly and are kept as long as they shorten the
-    steps well.
+    A step that would raise the loss is shortened, one that would hardly lower it is not taken. Derivatives are costly
+    and are kept as long as they shorten the steps well.
     """
     places, slopes, last = {(effect.kind, effect.where) for effect in moving}, None, np.inf
     for _ in range(fit.config.gauss_newton_steps):
         moving = [effect for effect in fit.effects if (effect.kind, effect.where) in places]
         if slopes is None:
             slopes = [added_columns(fit, effect) for effect in moving]
-        step = fit.explain(np.concatenate(slopes, axis=2)).coefficients
+        explained = fit.explain(np.concatenate(slopes, axis=2))
+        left = (fit.used(explained.residual) ** 2).sum(axis=0)
+        if fit.counts @ (1.0 - left / np.maximum(fit.squares, 1e-300)) < fit.config.settled_gain:
+            break
+        step = explained.coefficients
         after = _stepped(fit, moving, step)
         while after.loss > fit.loss and np.abs(step).max() > fit.config.settled_step:
             step = step * fit.config.backtracking
@@ -46,11 +50,15 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
 
 
 def _stepped(fit: Fit, moving: list[Effect], step: Array) -> Fit:
-    """The model with the calibrations of some of its effects moved by a step (c,), one value after the other."""
+    return with_effects(fit, calibrations_moved(fit, moving, step))
+
+
+def calibrations_moved(fit: Fit, moving: list[Effect], step: Array) -> list[Effect]:
+    """The model's effects, the calibrations of some moved by a step (c,), one value after the other."""
     ends = np.cumsum([len(effect.calibrations) for effect in moving])[:-1]
     moved = {(effect.kind, effect.where): _moved(effect, part)
-             for effect, part in zip(moving, np.split(step, ends), strict=True)}
-    return with_effects(fit, [moved.get((effect.kind, effect.where), effect) for effect in fit.effects])
+             for effect, part in zip(moving, np.split(step, ends), strict=True)} if moving else {}
+    return [moved.get((effect.kind, effect.where), effect) for effect in fit.effects]
 
 
 def _moved(effect: Effect, step: Array) -> Effect:

@@ -14,7 +14,8 @@ import numpy as np
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.diagnosis.search.refit import calibrations_moved, declare
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
 
@@ -59,17 +60,20 @@ def shape_columns(fit: Fit, shapes: list[Shape]) -> Array:
 
 
 def settled(fit: Fit, found: Collection[int]) -> Fit:
-    """The model with the nonlinear values of these effects at the least squares, by Gauss-Newton.
+    """The model with the nonlinear values of these effects and all calibrations at the least squares, by Gauss-Newton.
 
-    Steps that do not lower the loss are not taken.
+    One of them may pull against another, as the lead of frictions and a delay of the efforts do. Steps that do not
+    lower the loss are not taken.
     """
     for _ in range(fit.config.gauss_newton_steps):
         shapes = shapes_of(fit, found)
         if not shapes:
             break
-        steps = fit.explain(shape_columns(fit, shapes)).coefficients
-        effects = list(fit.effects)
-        for (number, name, low, high), step in zip(shapes, steps.tolist(), strict=True):
+        calibrations = [effect for effect in fit.effects if effect.is_calibration]
+        slopes = [shape_columns(fit, shapes), *(added_columns(fit, effect) for effect in calibrations)]
+        steps = fit.explain(np.concatenate(slopes, axis=2)).coefficients
+        effects = calibrations_moved(fit, calibrations, steps[len(shapes):])
+        for (number, name, low, high), step in zip(shapes, steps.tolist(), strict=False):
             value = float(np.clip(effects[number].value(name) + step, low, high))
             effects[number] = effects[number].with_values(**{name: value})
         moved = with_effects(fit, effects)

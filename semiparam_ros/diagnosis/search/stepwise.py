@@ -15,7 +15,7 @@ from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, wi
 from semiparam_ros.diagnosis.search.ambiguity import Rival, rivals_of, simplest, tolerance
 from semiparam_ros.diagnosis.search.candidates import Place, candidates, held, others
 from semiparam_ros.diagnosis.search.delay_with_friction import KIND as DELAY
-from semiparam_ros.diagnosis.search.delay_with_friction import delay_with_friction, reshaped
+from semiparam_ros.diagnosis.search.delay_with_friction import delay_with_friction, reshaped, with_leads
 from semiparam_ros.diagnosis.search.elimination import without_needless, worth_at_once
 from semiparam_ros.diagnosis.search.friction_everywhere import friction_of_all, friction_where_it_helps
 from semiparam_ros.diagnosis.search.joint_offsets import joint_offsets
@@ -71,9 +71,12 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
         step = step or next_step(fit, kinds, report)
         if step is None:
             report('delay beside friction', 1.0)
+            if steps:
+                fit = with_leads(fit, declared)
+                steps[-1] = replace(steps[-1], after=fit)
             step = _delay_step(fit, kinds, declared)
         elif any(trial.effect.kind == DELAY for trial in step.added):
-            step = replace(step, after=reshaped(step.after, declared))
+            step = replace(step, after=with_leads(reshaped(step.after, declared), declared))
         if step is None and stays == declared:
             report('friction where it helps', 1.0)
             step = _friction_step(fit, friction_where_it_helps(fit, kinds, declared))

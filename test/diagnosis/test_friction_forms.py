@@ -1,0 +1,78 @@
+"""The form of dry friction: averaged over a working sample, ahead of the velocities, and never told as a delay."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.data.preparation import averaged
+from semiparam_ros.diagnosis.data.splits import carries_over, improves
+from semiparam_ros.diagnosis.search.delay_with_friction import with_leads
+from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.shapes import settled
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
+from semiparam_ros.effects.friction import CoulombFriction
+from semiparam_ros.effects.geometry import TimeDelay
+from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+
+BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+COUNT, TURN = 1500, 0.02
+EVERYTHING = np.ones(COUNT, dtype=bool)
+
+
+def rubbing(lead_s=0.0, delay_s=0.0):
+    """An arm whose joints rub, all of them as if they were faster by ``lead_s`` times the acceleration."""
+    motion = smooth_motion(4, COUNT, seed=0, speed=0.5)
+    _, inputs, _ = TimeDelay(None, {'delay_s': delay_s}).correct(BODY, replace(motion, whole=True), None)
+    exact = BODY.regressors(inputs) @ BODY.base_parameters
+    exact += 3.0 * np.tanh((inputs.velocity + lead_s * inputs.acceleration) / TURN)
+    noise = 0.003 * exact.std(axis=0) * np.random.default_rng(1).standard_normal(exact.shape)
+    return replace(motion, outputs=exact + noise, whole=True)
+
+
+def fitted(samples, delay_s=None, lead_s=None):
+    values = {'turn_speed': TURN, **({} if lead_s is None else {'lead_s': lead_s})}
+    delay = [] if delay_s is None else [TimeDelay(None, {'delay_s': delay_s})]
+    return declare(starting_fit(BODY, samples, [], EVERYTHING),
+                   [*(CoulombFriction(joint, dict(values)) for joint in BODY.joints), *delay])
+
+
+def test_a_working_sample_holds_the_mean_of_the_friction_within_it():
+    fine = smooth_motion(4, 4000, seed=0, speed=0.5)
+    coarse = averaged(fine, 10)
+    friction = CoulombFriction('turn', {'turn_speed': 0.002})
+    wanted = np.tanh(fine.velocity[:, 1] / 0.002).reshape(-1, 10).mean(axis=1)
+    error, plain = (np.std(friction.basis(BODY, samples, None)[0][:, 1, 0] - wanted)
+                    for samples in (coarse, replace(coarse, averaged_s=0.0)))
+    assert error < 0.3 * plain
+
+
+def test_friction_with_a_lead_is_that_of_the_velocity_to_come():
+    motion = smooth_motion(4, 200, seed=0, speed=0.5)
+    ahead = replace(motion, velocity=motion.velocity + 0.01 * motion.acceleration)
+    column, same = (CoulombFriction('turn', {'turn_speed': TURN, **lead}).basis(BODY, inputs, None)[0]
+                    for lead, inputs in (({'lead_s': 0.01}, motion), ({}, ahead)))
+    np.testing.assert_allclose(column, same)
+
+
+def test_friction_that_leads_is_no_delay_of_the_efforts():
+    """MuJoCo's friction turns over up to 10 ms before its joint does: efforts were told to be 2 to 6 ms early."""
+    bare = fitted(rubbing(lead_s=0.01))
+    late = fitted(bare.samples, delay_s=0.0)
+    assert late.effects[-1].value('delay_s') < -0.001 and carries_over(bare, late)
+    assert not improves(bare, late)
+    leading = with_leads(bare, ())
+    assert [effect.value('lead_s') for effect in leading.effects] == pytest.approx([0.01] * 4, abs=5e-4)
+
+
+def test_a_delay_that_every_output_shows_is_believed():
+    bare = fitted(rubbing(delay_s=0.02))
+    assert improves(bare, fitted(bare.samples, delay_s=0.0))
+
+
+def test_a_lead_of_friction_and_a_delay_are_settled_together():
+    start = fitted(rubbing(lead_s=0.01, delay_s=0.02), delay_s=0.01, lead_s=0.0)
+    found = settled(start, range(4))
+    assert found.effects[-1].value('delay_s') == pytest.approx(0.02, abs=1e-3)
+    assert [effect.value('lead_s') for effect in found.effects[:-1]] == pytest.approx([0.01] * 4, abs=2e-3)
