@@ -85,7 +85,8 @@ FORCE_N = 100.0
 """Standard deviation along each axis of the forces that a push is expected to have: what a lever of micrometres needs
 is none."""
 IMPLAUSIBLE = 0.5
-"""So much counts an innovation that no force at a link's origin brings about, as pushes elsewhere do not quite."""
+"""So much counts an innovation that no force at a link's origin or centre of mass brings about, as pushes elsewhere do
+not quite."""
 
 
 class Tail:
@@ -247,8 +248,8 @@ class ContactGate:
     def __init__(self, n_outputs: int, of_joints: bool = False,
                  forces: Callable[[Array], Array] | None = None) -> None:
         """:param of_joints: each output is the effort of a joint, in the order of the velocities.
-        :param forces: (n_links, n, 3) outputs caused by unit forces at the links, at positions (n_joints,); every
-            innovation is plausible without it.
+        :param forces: (n_places, n, 3) outputs caused by unit forces at places on the links, at positions (n_joints,);
+            every innovation is plausible without it.
         """
         self._of_joints, self._forces = of_joints, forces
         self.closed = False
@@ -466,9 +467,9 @@ class ContactGate:
 def explained(ratio: Array, maps: Array) -> Array:
     """(n,) how much of innovations (n,), in units of their usual peaks, a push explains: a force at one of the links.
 
-    :param maps: (n_links, n, 3) the same caused by unit forces [1/N].
+    :param maps: (n_places, n, 3) the same caused by unit forces [1/N].
 
-    It is the posterior mean of what a Gaussian force brings about, beside noise of unit variance, of whichever link
+    It is the posterior mean of what a Gaussian force brings about, beside noise of unit variance, of whichever place
     explains most of an output.
     """
     covariance = FORCE_N**2 * maps @ np.swapaxes(maps, 1, 2) + np.eye(len(ratio))

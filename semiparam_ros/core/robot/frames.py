@@ -78,16 +78,25 @@ def _loaded_frames(body: RigidBody) -> tuple[int, ...]:
 
 
 def force_maps(body: RigidBody, position: Array) -> Array:
-    """(n_links, n, 3) outputs caused by an external unit force at the origin of each of the links of
-    :func:`loaded_links`, along base axes, at joint positions (n_joints,)."""
+    """(2 n_links, n, 3) outputs caused by an external unit force along base axes, at joint positions (n_joints,).
+
+    At the origin of each of the links of :func:`loaded_links`, then at the centres of mass of what moves with each.
+
+    A link without another one fixed to it, such as a flange, has its origin on its joint's axis.
+    """
     model, data, frames = body.arm, body.arm.createData(), _loaded_frames(body)
     pin.computeJointJacobians(model, data, body.arm_vector(position))
+    origins = np.array([pin.updateFramePlacement(model, data, frame).translation for frame in frames])
+    carriers = [model.frames[frame].parentJoint for frame in frames]
+    centres = np.array([data.oMi[joint].act(model.inertias[joint].lever) for joint in carriers])
+    places = np.concatenate([origins, centres])
     if body.distal is None:
-        return np.array([-pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3, body.arm_columns].T
-                         for frame in frames])
-    places = np.array([pin.updateFramePlacement(model, data, frame).translation for frame in frames])
+        motions = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:, body.arm_columns]
+                   for frame in frames] * 2
+        arms = places - np.tile(origins, (2, 1))
+        return np.array([np.cross(arm, motion[3:].T) - motion[:3].T for arm, motion in zip(arms, motions, strict=True)])
     sensor = pin.updateFramePlacement(model, data, body.sensor_index)
-    return _on_sensor(body, places, np.broadcast_to(sensor.rotation, (len(frames), 3, 3)), sensor.translation)[0]
+    return _on_sensor(body, places, np.broadcast_to(sensor.rotation, (len(places), 3, 3)), sensor.translation)[0]
 
 
 @lru_cache(maxsize=24)
