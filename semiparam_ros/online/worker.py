@@ -18,6 +18,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
@@ -41,6 +43,11 @@ Done = Callable[[Result | None, BaseException | None], None]
 NICENESS = 5
 MOST_DEATHS = 2
 """A job whose process dies so many times is given up: it is the job that kills it, by its memory for instance."""
+
+STILL_S = 30.0
+"""So long a process may sleep over a job without using the processor; then it is taken for dead, and killed."""
+LOOKS = 30
+"""So many looks at it in that time."""
 
 EstimatorJob = Callable[..., Estimator]
 """Gives an estimator, in the background."""
@@ -70,20 +77,22 @@ class Background(Protocol):
 
 
 class ProcessBackground:
-    """One process, started at once so that it is warm when it is needed, and replaced should it die.
+    """One process, started at once so that it is warm when it is needed, and replaced should it die or stand still.
 
     It is given one job at a time: when it dies, just the job that it worked on is to blame, and is tried once more.
 
     :param later: see :data:`Later`; in that thread all of this runs but the jobs themselves.
     :param told: called there with what a job tells of its progress, see :func:`tell`.
+    :param still_s: see :data:`STILL_S`.
     """
 
-    def __init__(self, later: Later, told: Callable[[str], None] = lambda sentence: None) -> None:
-        self._later, self._told = later, told
+    def __init__(self, later: Later, told: Callable[[str], None] = lambda sentence: None,
+                 still_s: float = STILL_S) -> None:
+        self._later, self._told, self._still_s = later, told, still_s
         self._closed = False
-        self._pool = _new_pool(self._hear)
         self._queue: deque[_ProcessJob] = deque()
         self._running: _ProcessJob | None = None
+        self._pool = self._new_pool()
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
@@ -106,7 +115,7 @@ class ProcessBackground:
         self._closed = True
         self._queue.clear()
         for process in list((self._pool._processes or {}).values()):
-            process.terminate()
+            process.kill()  # a stopped one would not hear anything less
         # Waiting costs nothing now, and spares the interpreter's end a pool that is half closed.
         self._pool.shutdown(wait=True, cancel_futures=True)
 
@@ -125,10 +134,43 @@ class ProcessBackground:
                 return self._pool.submit(job.function, *job.arguments)
             except BrokenProcessPool as error:
                 died = error
-                self._pool = _new_pool(self._hear)
+                self._pool = self._new_pool()
         future: Future[object] = Future()
         future.set_exception(died)
         return future
+
+    def _new_pool(self) -> ProcessPoolExecutor:
+        spawn = multiprocessing.get_context('spawn')
+        # Not a queue: its lock would stay locked where the process is killed while it writes.
+        reader, writer = spawn.Pipe(duplex=False)
+        pool = ProcessPoolExecutor(1, spawn, initializer=_prepare, initargs=(writer,))
+        # The process inherits this: a Ctrl-C while it is still importing is not for it.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            pool.submit(_warm)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        # The process has its own: when it ends so does the thread, and half a result is waited for no longer.
+        writer.close()
+        pool._result_queue._writer.close()  # type: ignore[attr-defined]
+        (process,) = pool._processes.values()
+        threading.Thread(target=self._watch, args=(reader, process), name='progress', daemon=True).start()
+        return pool
+
+    def _watch(self, reader: Connection, process: BaseProcess) -> None:
+        """Pass on what a process tells, and kill it when it stands still over a job.
+
+        Looks are counted, not seconds, so that a time in which nothing ran at all is no reason.
+        """
+        still, used = 0, -1
+        with reader, suppress(EOFError, OSError):
+            while True:
+                if reader.poll(self._still_s / LOOKS):
+                    self._hear(reader.recv())
+                before, (state, used) = used, _activity(process)
+                still = still + 1 if self._running is not None and state != 'R' and used == before else 0
+                if still > LOOKS:
+                    process.kill()
 
     def _finish(self, future: Future[object]) -> None:
         job, self._running = self._running, None
@@ -186,26 +228,10 @@ class InlineBackground:
         function()
 
 
-def _new_pool(told: Callable[[str], object]) -> ProcessPoolExecutor:
-    spawn = multiprocessing.get_context('spawn')
-    # Not a queue: its lock would stay locked where the process is killed while it writes.
-    reader, writer = spawn.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(1, spawn, initializer=_prepare, initargs=(writer,))
-    # The process inherits this: a Ctrl-C while it is still importing is not for it.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        pool.submit(_warm)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    writer.close()  # the process has its own, and when it ends so does the thread
-    threading.Thread(target=_pass_on, args=(reader, told), name='progress', daemon=True).start()
-    return pool
-
-
-def _pass_on(reader: Connection, told: Callable[[str], object]) -> None:
-    with reader, suppress(EOFError, OSError):
-        while True:
-            told(reader.recv())
+def _activity(process: BaseProcess) -> tuple[str, int]:
+    """The state of its first thread, where jobs run (R: it has a processor or waits for one), and the ticks it used."""
+    fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
+    return fields[0], int(fields[11]) + int(fields[12])
 
 
 def tell(sentence: str) -> None:

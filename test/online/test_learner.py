@@ -2,7 +2,10 @@
 
 import os
 import pickle
+import queue
 import signal
+import struct
+import sys
 import weakref
 from dataclasses import replace
 from functools import partial
@@ -643,8 +646,6 @@ def test_what_the_hand_carries_is_found():
 
 
 def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies():
-    import queue
-
     tasks = queue.Queue()
     background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
 
@@ -663,31 +664,35 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies():
 
 
 def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(tmp_path):
-    import queue
-
     tasks = queue.Queue()
-    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
-    for name in ('first', 'second', 'dropped', 'third'):
-        job = background.submit(append_and_perhaps_die, tmp_path / name, name == 'first',
+    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task)), still_s=0.3), []
+    for name in ('killed', 'second', 'dropped', 'stopped', 'killed while it sends', 'third'):
+        job = background.submit(append_and_perhaps_die, tmp_path / name,
                                 done=lambda result, error: results.append((result, error)))
         if name == 'dropped':
             job.cancel()
             dropped = weakref.ref(job)
     assert dropped() is None, 'what it holds is free as soon as the next one comes'
-    while len(results) < 3:
+    while len(results) < 5:
         tasks.get(timeout=60)()
     background.close()
-    assert results == [('first', None), ('second', None), ('third', None)]
-    counts = {path.name: len(path.read_text()) for path in tmp_path.iterdir()}
-    assert counts == {'first': 2, 'second': 1, 'third': 1}
+    runs = {'killed': 2, 'second': 1, 'stopped': 2, 'killed while it sends': 2, 'third': 1}
+    assert results == [(name, None) for name in runs]
+    assert {path.name: len(path.read_text()) for path in tmp_path.iterdir()} == runs
 
 
-def append_and_perhaps_die(path, die):
-    """In the background process: leave a mark of each run; die in the first one, as by the system's hand."""
+def append_and_perhaps_die(path):
+    """In the background process: leave a mark of each run; in the first one die as by the system's hand, or stop."""
     with path.open('a') as stream:
         stream.write('x')
-    if die and len(path.read_text()) == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
+    if len(path.read_text()) == 1:
+        if path.name == 'killed while it sends':
+            half = struct.pack('!i', 1000) + b'half a result'
+            os.write(sys._getframe(1).f_locals['result_queue']._writer.fileno(), half)
+        if path.name.startswith('killed'):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if path.name == 'stopped':
+            os.kill(os.getpid(), signal.SIGSTOP)
     return path.name
 
 

@@ -61,7 +61,7 @@ def test_an_outside_client_gets_an_answer_to_every_call_and_cannot_end_the_node(
 def test_a_node_starts_with_an_effect_that_leaves_its_values_out_or_says_why_not(ros_domain, tmp_path, kind):
     dump_params(replace(LIVE, effects=(kind,)), tmp_path / 'p.yaml')
     with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
-        client.listen(DiagnosticArray, '/diagnostics')
+        client.subscribe(DiagnosticArray, '/diagnostics')
         client.wait(lambda: node.process.poll() is not None or client.heard['/diagnostics'],
                     'a node that works, or its end')
         if node.process.poll() is None:

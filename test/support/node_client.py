@@ -27,7 +27,8 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-PATIENCE_S = 80.0
+PATIENCE_S = 240.0
+POLL_S = 0.005
 RECENT = 50
 """Reports to look at: five a second from each of the nodes that talk on the topic."""
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=1)
@@ -90,6 +91,12 @@ class Client:
             self.executor.spin_once(timeout_sec=0.1)
 
     def listen(self, kind, *topics, qos=KEEP_ALL):
+        """Hear these topics, the node's own and those with a leading slash, from the next message on."""
+        self.subscribe(kind, *topics, qos=qos)
+        self.meet()
+
+    def subscribe(self, kind, *topics, qos=KEEP_ALL):
+        """The same without waiting until the node knows it."""
         for topic in topics:
             name = topic if topic.startswith('/') else f'{self.target}/{topic}'
             self.node.create_subscription(kind, name, self.heard[topic].append, qos)
@@ -100,25 +107,41 @@ class Client:
             profile = LATCHED if topic == 'robot_description' else qos
             self.outputs[topic] = self.node.create_publisher(TYPES[topic], topic, profile)
         self.wait(lambda: all(output.get_subscription_count() for output in self.outputs.values()), 'the node listens')
+        self.meet()
 
     def connect(self, outputs='wrench'):
-        """Hear every answer, and prove with one service call that the node knows it."""
-        self.listen_to_answers(outputs)
-        self.wait(lambda: self.node.count_publishers(f'{self.target}/residual'), 'the node appears')
-        self.get('variant')
-        time.sleep(0.3)
-
-    def listen_to_answers(self, outputs='wrench'):
+        """Hear every answer, and the reports."""
         kind = WrenchStamped if outputs == 'wrench' else JointState
-        self.listen(kind, f'predicted_{outputs}', f'predicted_{outputs}_std', 'residual')
-        self.listen(JointState, 'horizon_error')
-        self.listen(DiagnosticArray, '/diagnostics')
+        self.subscribe(kind, f'predicted_{outputs}', f'predicted_{outputs}_std', 'residual')
+        self.subscribe(JointState, 'horizon_error')
+        self.subscribe(DiagnosticArray, '/diagnostics')
+        self.meet()
+
+    def meet(self):
+        """Wait until the node knows every reader and writer that there is here.
+
+        Participants learn of each other's readers, and of the writers, in the order in which these were made. A call
+        with a writer of requests and a reader of answers of its own is answered once the node knows both, and so all
+        that was made before. An answer that is sent before its reader is known is lost: it is asked for again.
+        """
+        client, calls, due = self.node.create_client(GetParameters, f'{self.target}/get_parameters'), [], 0.0
+
+        def answered():
+            nonlocal due
+            if client.service_is_ready() and time.monotonic() > due:
+                calls.append(client.call_async(GetParameters.Request()))
+                due = time.monotonic() + 1.0
+            return any(call.done() for call in calls)
+
+        self.wait(answered, 'the node knows this client')
 
     def wait(self, condition, what='', timeout_s=PATIENCE_S):
-        end = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < end, f'waited in vain: {what}'
-            time.sleep(0.005)
+        """Until a condition holds; time in which the machine stood still does not count."""
+        for _ in range(round(timeout_s / POLL_S)):
+            if condition():
+                return
+            time.sleep(POLL_S)
+        raise AssertionError(f'waited in vain: {what}')
 
     # Inputs
 
@@ -175,7 +198,8 @@ class Client:
         if key not in self.clients:
             self.clients[key] = self.node.create_client(
                 kind, name if name.startswith('/') else f'{self.target}/{name}')
-        self.wait(self.clients[key].service_is_ready, f'service {name}')
+            self.wait(self.clients[key].service_is_ready, f'service {name}')
+            self.meet()
         return self.clients[key].call_async(request)
 
     def call(self, kind, name, request):

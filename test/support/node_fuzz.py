@@ -52,7 +52,7 @@ class Pair:
         self.answered, self.worst, self.memory = 0, dict.fromkeys(ANSWERS, 0.0), []
         self.taken_over, self.window = 0, settings.initial_samples
         for client in self.clients:
-            client.listen_to_answers()
+            client.connect()
             client.offer(*TOPICS)
 
     def compare(self, count):

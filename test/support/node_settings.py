@@ -217,7 +217,7 @@ def fuzz(folder, options, settings):
     dump_params(replace(settings, state_file=state.name, state_folder=str(folder), retained_samples=RETAINED),
                 folder / 'p.yaml')
     with NodeProcess(folder, folder / 'p.yaml') as node, Client() as client:
-        client.listen_to_answers()
+        client.connect()
         client.offer('joint_states', 'joint_accelerations', 'wrench', 'robot_description', 'desired_trajectory')
         fuzzer = Fuzzer(client, JOINTS, samples[0].stamp, options.seed)
         changes = SettingsChanges(client, state, options.seed)

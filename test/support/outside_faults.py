@@ -277,6 +277,7 @@ def _clock_jumps(folder, settings, times):
         clock = client.node.create_publisher(Clock, '/clock', 10)
         assert client.set(use_sim_time=True)[0].successful
         client.wait(clock.get_subscription_count, 'the node follows the clock')
+        client.meet()
         robot.move(200)
         client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
         for _ in range(2 * times):
