@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export OMP_NUM_THREADS ?= 1
+# With it each of the hundreds of processes that the tests start would compile the package's sources anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 # The first interpreter that can build the environment; `make setup PYTHON=...` chooses another.
 SUITS := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))

@@ -35,7 +35,7 @@ MAY_IMPORT = {
 
 # The numbers know no ROS, no bag format and no terminal.
 NUMERIC = ('core', 'effects', 'diagnosis', 'simulation')
-NUMERIC_MAY_IMPORT = {'numba', 'numpy', 'scipy', 'pinocchio', 'joblib', 'sklearn'}
+NUMERIC_MAY_IMPORT = {'numba', 'numpy', 'scipy', 'pinocchio', 'sklearn'}
 ONLY_ROS = {'rclpy', 'rcl_interfaces', 'sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'trajectory_msgs',
             'diagnostic_msgs', 'rosgraph_msgs', 'builtin_interfaces'}
 

@@ -22,6 +22,7 @@ from semiparam_ros.core.horizon_error import HorizonIndex
 from semiparam_ros.core.hyperparameters import noise_covariance
 from semiparam_ros.core.random_features import RandomFeatures
 from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.core.signals import smoothing
 from semiparam_ros.core.square_root_filter import SquareRootFilter
 from semiparam_ros.core.wandering_offset import DECAY
 from semiparam_ros.effects import hysteresis
@@ -104,6 +105,25 @@ def test_noise_that_drifts(monkeypatch, steps, step):
                                    rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(drift.correlation(left, right), dense, rtol=1e-10, atol=1e-10)
         monkeypatch.setattr(noise_covariance, 'AVAILABLE', False)
+
+
+@pytest.mark.parametrize('width', [2, 8])
+def test_a_banded_system(monkeypatch, width):
+    rng = np.random.default_rng(4)
+    full = np.triu(np.tril(rng.standard_normal((30, 30)), width - 1)) + 3.0 * np.eye(30)
+    full = full.T @ full
+    diagonals = np.array([[full[row, row + k] if row + k < 30 else 0.0 for k in range(width)] for row in range(30)])
+    right = rng.standard_normal(30)
+    upper = np.linalg.cholesky(full).T
+    for _ in ('compiled', 'readable'):
+        factor, solution = smoothing._solved(diagonals.copy(), right.copy())
+        np.testing.assert_allclose(solution, np.linalg.solve(full, right), **TOLERANCE)
+        np.testing.assert_allclose([factor[row, k] for row in range(30) for k in range(min(width, 30 - row))],
+                                   [upper[row, row + k] for row in range(30) for k in range(min(width, 30 - row))],
+                                   **TOLERANCE)
+        with pytest.raises(np.linalg.LinAlgError):
+            smoothing._solved(diagonals - 100.0 * (np.arange(width) == 0), right.copy())
+        monkeypatch.setattr(smoothing, 'AVAILABLE', False)
 
 
 @pytest.mark.parametrize('count', [2, 30])

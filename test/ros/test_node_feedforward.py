@@ -264,8 +264,10 @@ def test_messages_that_are_cut_off_or_in_another_encoding():
 
 def test_long_messages_are_refused_by_their_head():
     writer = TrajectoryWriter(0, '', ['a'])
-    for _ in range(MOST_POINTS + 1):
+    for _ in range(MOST_POINTS):
         writer.add([[0.0]] * 4, 0)
+    assert len(list(TrajectoryReader(writer.message()).points())) == MOST_POINTS
+    writer.add([[0.0]] * 4, 0)
     with pytest.raises(SemiparamError, match=f'has {MOST_POINTS + 1} points; expected at most {MOST_POINTS}'):
         TrajectoryReader(writer.message())
     names = [str(index) for index in range(MOST_NAMES + 1)]

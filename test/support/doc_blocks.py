@@ -13,9 +13,12 @@ Blocks ``bash`` must exit with 0, blocks ``python`` too; a block ``text`` behind
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
+import io
 import os
 import re
+import runpy
 import shlex
 import shutil
 import signal
@@ -203,12 +206,20 @@ def check_parses(block: Block, repository: Path) -> None:
 
 
 @lru_cache
-def options_of(script: tuple[str, ...], repository: Path) -> set[str]:
-    """Those that the --help of a script names."""
-    answer = subprocess.run([sys.executable, *script, '--help'], cwd=repository, capture_output=True, text=True,
-                            timeout=60, check=False)
-    assert answer.returncode == 0, (script, answer.stderr)
-    return set(re.findall(r'--[a-z-]+', answer.stdout))
+def options_of(script: tuple[str, ...]) -> set[str]:
+    """Those that the --help of a script or of a module (-m) names."""
+    if script[0] == '-m':
+        return set(re.findall(r'--[a-z-]+', subprocess.run(
+            [sys.executable, *script, '--help'], capture_output=True, text=True, check=True).stdout))
+    path, argv = sys.path.copy(), sys.argv
+    sys.path.insert(0, str(Path(script[0]).parent))
+    sys.argv = [*script, '--help']
+    try:  # in this process, which has loaded most of what it imports
+        with contextlib.redirect_stdout(io.StringIO()) as printed, contextlib.suppress(SystemExit):
+            runpy.run_path(script[0], run_name='__main__')
+    finally:
+        sys.path[:], sys.argv = path, argv
+    return set(re.findall(r'--[a-z-]+', printed.getvalue()))
 
 
 def check_command(words: list[str], repository: Path) -> None:
@@ -225,7 +236,7 @@ def check_command(words: list[str], repository: Path) -> None:
     elif program == 'python':
         script = arguments[:2] if arguments[0] == '-m' else [str(repository / arguments[0])]
         options = {word for word in arguments[1:] if word.startswith('--')}
-        assert options <= options_of(tuple(script), repository), words
+        assert options <= options_of(tuple(script)), words
     elif program == 'pytest':
         files = [word for word in arguments if word.startswith('test/')]
         assert files, words

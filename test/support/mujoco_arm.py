@@ -42,7 +42,8 @@ def recording(robot: Robot, seed: int = 0, prepare: Callable[[mujoco.MjSpec], No
     """
     model = built(robot, prepare)
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
-    dofs = [model.joint(name).dofadr[0] for name in robot.joints]
+    dofs = np.array([model.joint(name).dofadr[0] for name in robot.joints])
+    own = np.ix_(dofs, dofs)
     wanted = _path(len(robot.joints), rng) + np.array(robot.home)
     speed = np.gradient(wanted, STEP_S, axis=0)
     change = np.gradient(speed, STEP_S, axis=0)
@@ -53,11 +54,12 @@ def recording(robot: Robot, seed: int = 0, prepare: Callable[[mujoco.MjSpec], No
         act(model, data)
         mujoco.mj_step1(model, data)
         mujoco.mj_fullM(model, data, inertia)
-        aim = ddq + STIFFNESS * (q - data.qpos[dofs]) + DAMPING * (dq - data.qvel[dofs])
-        data.qfrc_applied[dofs] = inertia[np.ix_(dofs, dofs)] @ aim + data.qfrc_bias[dofs]
-        seen = data.qpos[dofs].copy(), data.qvel[dofs].copy()
+        position, velocity = data.qpos[dofs], data.qvel[dofs]
+        aim = ddq + STIFFNESS * (q - position) + DAMPING * (dq - velocity)
+        efforts = inertia[own] @ aim + data.qfrc_bias[dofs]
+        data.qfrc_applied[dofs] = efforts
         mujoco.mj_step2(model, data)
-        rows.append((*seen, data.sensordata.copy() if robot.sensor_joint else data.qfrc_applied[dofs].copy()))
+        rows.append((position, velocity, data.sensordata.copy() if robot.sensor_joint else efforts))
     position, velocity, outputs = (np.array(part)[::round(1.0 / STEP_S / RATE_HZ)] for part in zip(*rows, strict=True))
     position = position + ENCODER * rng.standard_normal(position.shape) + (np.array(zeros) if len(zeros) else 0.0)
     velocity = velocity + TACHO * rng.standard_normal(velocity.shape)

@@ -6,13 +6,13 @@ A coarse scan on a thinned window gives the starts; each is searched on a draft;
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 import scipy  # it loads scipy.optimize, which takes a fifth of a second, with the first use
-from joblib import Parallel, delayed
 
 from semiparam_ros.core.hyperparameters.marginal_likelihood import Point, Slope, Window, evidence
 from semiparam_ros.core.hyperparameters.window import least_squares, normalised, residual_scale
@@ -218,8 +218,9 @@ def maximise(objective: Objective, starts: Sequence[Array], bounds: Array, metho
         raise SemiparamError(f"unknown optimiser '{method}'; expected one of {', '.join(METHODS)}.")
     search = _quasi_newton if method == 'quasi-newton' else _nelder_mead
     inside = [np.clip(start, bounds[:, 0], bounds[:, 1]) for start in starts]
-    ends = Parallel(n_jobs=jobs, prefer='threads')(
-        delayed(search)(objective, start, bounds, iterations, tolerance) for start in inside)
+    with ThreadPoolExecutor(jobs) as threads:
+        ends = list((map if jobs == 1 else threads.map)(
+            lambda start: search(objective, start, bounds, iterations, tolerance), inside))
     return sorted(ends, key=lambda end: -end.value)
 
 

@@ -204,8 +204,10 @@ def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
     return nearest, inside[nearest]
 
 
+@lru_cache(maxsize=64)
 def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
-    """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body."""
+    """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body, which
+    is not to be written to."""
     model = body.arm if body.distal is None else body.distal
     frame = model.frames[_frame(model, link, body)]
     placement = frame.placement

@@ -55,6 +55,7 @@ def _beyond(body: RigidBody, first: int) -> Size:
     return Size(mass, steps + last)
 
 
+@lru_cache(maxsize=1024)
 def plausible(unit: str, size: Size) -> float:
     """What a quantity of this unit may be for a robot of this size: ``SHARE`` of its mass, of its weight, of the torque
     that holds it stretched out, and as much in a second or a radian."""

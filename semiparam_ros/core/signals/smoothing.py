@@ -18,6 +18,7 @@ import numpy as np
 import scipy  # it loads scipy.optimize, which takes a fifth of a second, with the first use
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, VECTOR, compiled
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 
@@ -106,7 +107,8 @@ class _Problem:
         self._precision[self._gaps] *= FORGOTTEN
         self._noise_logdet = float(logdets.sum()) - order * int(self._gaps.sum()) * float(np.log(FORGOTTEN))
         back = np.swapaxes(self._transition, 1, 2) @ self._precision
-        self._prior = _banded(back @ self._transition, -back, self._precision)
+        self._prior = _diagonals(back @ self._transition, -back, self._precision)
+        self._workspace = np.empty_like(self._prior)
 
     def liveliest(self, count: int) -> _Problem:
         """The ``count`` samples in a row that hold most motion: a joint at rest says nothing of its snap."""
@@ -147,7 +149,7 @@ class _Problem:
             factor, states = self._solve(logs)
         except np.linalg.LinAlgError:  # noise so small that rounding spoils the factor
             return float('inf'), 0.0
-        determinant = 2.0 * float(np.log(factor[-1]).sum())
+        determinant = 2.0 * float(np.log(factor[:, 0]).sum())
         count = len(self.motion[0])
         snap = self._noise_logdet + 2.0 * self.order * (count - 1) * float(logs[0])
         measured = 2.0 * count * float(logs[1:].sum())
@@ -163,7 +165,7 @@ class _Problem:
         """
         snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:])
         jumps = states[1:] - np.einsum('tij,tj->ti', self._transition, states[:-1])
-        return float(snap * np.einsum('ti,tij,tj->', jumps, self._precision, jumps, optimize=True)
+        return float(snap * np.sum(jumps * np.einsum('tij,tj->ti', self._precision, jumps))
                      + sum(weight * np.sum((values - states[:, order]) ** 2)
                            for order, (weight, values) in enumerate(zip(weights, self.motion, strict=True))))
 
@@ -184,19 +186,19 @@ class _Problem:
             factor, _ = problem._solve(finer)
         except np.linalg.LinAlgError:
             return float('nan')
-        variance = cho_solve_banded((factor, False), one)[middle]
+        variance = cho_solve_banded((factor.T, True), one)[middle]
         return float(np.sqrt(variance)) * times**2
 
     def _solve(self, logs: Array) -> tuple[Array, Array]:
-        """Cholesky factor of the states' precision, and their posterior mean (N, order)."""
+        """Cholesky factor of the states' precision, its diagonals as columns until the next call, and their posterior
+        mean (N, order)."""
         snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:])
-        band, right = self._prior * snap, np.zeros(self._prior.shape[1])
+        diagonals, right = np.multiply(self._prior, snap, out=self._workspace), np.zeros(len(self._prior))
         for order, (weight, values) in enumerate(zip(weights, self.motion, strict=True)):
-            band[-1, order::self.order] += weight
+            diagonals[order::self.order, 0] += weight
             right[order::self.order] = weight * values
-        band[-1] += 1e-12
-        factor = cholesky_banded(band, check_finite=False)
-        solution = cho_solve_banded((factor, False), right, check_finite=False)
+        diagonals[:, 0] += 1e-12
+        factor, solution = _solved(diagonals, right)
         return factor, solution.reshape(-1, self.order)
 
 
@@ -217,16 +219,56 @@ def _transitions(steps: Array, order: int) -> tuple[Array, Array, Array]:
     return transition, precision, np.linalg.slogdet(noise)[1] + 2.0 * np.log(scale).sum(axis=1)
 
 
-def _banded(before: Array, across: Array, after: Array) -> Array:
-    """Upper banded form of the block tridiagonal precision of all states, from its (N-1, order, order) pieces."""
+def _diagonals(before: Array, across: Array, after: Array) -> Array:
+    """(N order, 2 order) diagonals of the block tridiagonal precision of all states, from the main one on, as columns:
+    row r holds what stands in row r of the matrix from there to the right. From its (N-1, order, order) pieces."""
     count, order = len(before) + 1, before.shape[1]
-    diagonal = np.zeros((count, order, order))
-    diagonal[:-1] += before
-    diagonal[1:] += after
-    band = np.zeros((2 * order, count * order))
+    blocks = np.zeros((count, order, order))
+    blocks[:-1] += before
+    blocks[1:] += after
+    diagonals = np.zeros((count * order, 2 * order))
     for i in range(order):
         for j in range(order):
             if j >= i:
-                band[2 * order - 1 + i - j, j::order] = diagonal[:, i, j]
-            band[order - 1 + i - j, order + j::order] = across[:, i, j]
-    return band
+                diagonals[i::order, j - i] = blocks[:, i, j]
+            diagonals[i:-order:order, order + j - i] = across[:, i, j]
+    return diagonals
+
+
+def _solved(diagonals: Array, right: Array) -> tuple[Array, Array]:
+    """Cholesky factor U of A = U'U, both by their diagonals, and the solution of A x = right; overwrites its arguments.
+
+    LAPACK has the same, but takes four times as long where there are so few diagonals.
+    Raises LinAlgError where A is not positive definite.
+    """
+    if not AVAILABLE:
+        factor = cholesky_banded(diagonals.T, lower=True, check_finite=False)
+        return factor.T, cho_solve_banded((factor, True), right, check_finite=False)
+    if _factor_and_solve(diagonals, right):
+        raise np.linalg.LinAlgError
+    return diagonals, right
+
+
+@compiled(MATRIX, VECTOR, returns=INTEGER)
+def _factor_and_solve(diagonals: Array, right: Array) -> int:
+    """:func:`_solved` in place; 0, or 1 where it fails."""
+    count, width = diagonals.shape
+    for row in range(count):
+        pivot = diagonals[row, 0]
+        if not pivot > 0.0:
+            return 1
+        inverse = 1.0 / np.sqrt(pivot)
+        right[row] *= inverse
+        for column in range(width):
+            diagonals[row, column] *= inverse
+        for below in range(1, min(width, count - row)):
+            share = diagonals[row, below]
+            right[row + below] -= share * right[row]
+            for column in range(below, width):
+                diagonals[row + below, column - below] -= share * diagonals[row, column]
+    for row in range(count - 1, -1, -1):
+        total = right[row]
+        for after in range(1, min(width, count - row)):
+            total -= diagonals[row, after] * right[row + after]
+        right[row] = total / diagonals[row, 0]
+    return 0
