@@ -20,6 +20,7 @@ import numpy as np
 
 from semiparam_ros.core.compiled import AVAILABLE, MATRIX, VECTOR, compiled
 from semiparam_ros.core.types import Array
+from semiparam_ros.core.wandering_offset import like
 from semiparam_ros.errors import SemiparamError
 
 MEMORIES = np.array([[np.inf], [10.0], [30.0], [100.0], [500.0]])
@@ -45,23 +46,30 @@ class BandCalibration:
     def __init__(self, n_outputs: int) -> None:
         shares = np.full((len(MEMORIES), 1), (1.0 - SHARE_OF_OWN) / (len(MEMORIES) - 1))
         shares[0] = SHARE_OF_OWN
-        self._scales = np.ones((len(MEMORIES), n_outputs))
-        self._log_weights = np.log(shares) * self._scales
-        self.factor: Array = np.ones(n_outputs)
-        """(n,) c, of the standard deviation of each output."""
+        self.table: Array = np.ones((2 * len(MEMORIES) + 1, n_outputs))
+        """All of it, one below the other: scales, log weights and :attr:`factor`."""
+        self._log_weights[:] = np.log(shares)
         self._mix()
+
+    @property
+    def factor(self) -> Array:
+        """(n,) c, of the standard deviation of each output."""
+        return np.asarray(self.table[-1])
+
+    @property
+    def _scales(self) -> Array:
+        return self.table[:len(MEMORIES)]
+
+    @property
+    def _log_weights(self) -> Array:
+        return self.table[len(MEMORIES):-1]
 
     def learn(self, innovation: Array, std: Array) -> None:
         """Take in the innovation (n,) of a sample, and the standard deviation (n,) that the model gave it."""
         if AVAILABLE:
-            calibrate(innovation, std, *self.arrays)
+            calibrate(innovation, std, self.table)
         else:
             self._learn(innovation, std)
-
-    @property
-    def arrays(self) -> tuple[Array, Array, Array]:
-        """What :func:`calibrate` changes."""
-        return self._scales, self._log_weights, self.factor
 
     def _learn(self, innovation: Array, std: Array) -> None:
         standardised = innovation / std
@@ -69,35 +77,32 @@ class BandCalibration:
         wide = _WIDENING * self._scales
         log_weights = _KEEP * self._log_weights - 0.5 * (np.log(wide) + ratio / wide)
         log_weights -= log_weights.max(axis=0)
-        self._log_weights = np.maximum(log_weights, LEAST_LOG_WEIGHT)
+        self._log_weights[:] = np.maximum(log_weights, LEAST_LOG_WEIGHT)
         step = np.minimum(ratio, LARGEST_STEP * self._scales) - self._scales
-        self._scales = np.maximum(self._scales + _RATE * step, LEAST_SCALE)
+        self._scales[:] = np.maximum(self._scales + _RATE * step, LEAST_SCALE)
         self._mix()
 
     def state(self) -> dict[str, Array]:
-        """Copies; :meth:`restore` takes them back bit for bit."""
-        return {'scales': self._scales.copy(), 'log_weights': self._log_weights.copy(), 'factor': self.factor.copy()}
+        """A copy; :meth:`restore` takes it back bit for bit."""
+        return {'table': self.table.copy()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
-        found = [np.array(state.get(name, np.nan), dtype=float) for name in self.state()]
-        scales, log_weights, factor = found
-        if not (scales.shape == log_weights.shape == self._scales.shape and factor.shape == self.factor.shape
-                and all(np.isfinite(values).all() for values in found) and (scales >= LEAST_SCALE).all()
-                and (factor > 0.0).all()):
-            raise SemiparamError(f'the saved calibration of the bands has shapes {scales.shape} and '
-                                 f'{log_weights.shape}; expected positive scales and weights of shape '
-                                 f'{self._scales.shape}.')
-        self._scales, self._log_weights, self.factor = scales, log_weights, factor
+        table = like(self.table, state.get('table'), 'the calibration of the bands')
+        if (table[:len(MEMORIES)] < LEAST_SCALE).any() or (table[-1] <= 0.0).any():
+            raise SemiparamError('the saved calibration of the bands has scales that are not positive.')
+        self.table[:] = table
 
     def _mix(self) -> None:
         weights = np.exp(self._log_weights)
-        self.factor = np.sqrt((weights * _WIDENING * self._scales).sum(axis=0) / weights.sum(axis=0))
+        self.factor[:] = np.sqrt((weights * _WIDENING * self._scales).sum(axis=0) / weights.sum(axis=0))
 
 
-@compiled(VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)
-def calibrate(innovation: Array, std: Array, scales: Array, log_weights: Array, factor: Array) -> None:
+@compiled(VECTOR, VECTOR, MATRIX)
+def calibrate(innovation: Array, std: Array, table: Array) -> None:
     """See :meth:`BandCalibration.learn`."""
+    memories = len(MEMORIES)
+    scales, log_weights, factor = table[:memories], table[memories:2 * memories], table[-1]
     for k in range(len(innovation)):
         standardised = innovation[k] / std[k]
         ratio = min(standardised * standardised, LARGEST_STEP * scales[:, k].max())

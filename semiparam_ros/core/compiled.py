@@ -22,8 +22,9 @@ except ImportError:
 else:
     AVAILABLE = True
 
-VECTOR, MATRIX, BLOCKS = 'float64[::1]', 'float64[:,::1]', 'float64[:,:,::1]'
-"""Types of arguments: arrays without gaps, by rows. One by columns is passed as its transpose."""
+VECTOR, MATRIX, STRIDED = 'float64[::1]', 'float64[:,::1]', 'float64[:]'
+"""Types of arguments: arrays without gaps, by rows; one by columns is passed as its transpose. A strided one may have
+gaps."""
 INTEGER, NUMBER, INTEGERS = 'int64', 'float64', 'int64[::1]'
 
 _FAST = {'reassoc', 'contract', 'nsz'}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from math import log
+from math import isnan, log
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +13,8 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from semiparam_ros.core.band_calibration import BandCalibration, calibrate
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, VECTOR, compiled
-from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex, advance
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.feature_count import MOST
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
@@ -22,7 +22,7 @@ from semiparam_ros.core.initial_window import InitialWindow, Remembered
 from semiparam_ros.core.input_range import beyond, widened
 from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
-from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
+from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
@@ -147,14 +147,13 @@ class ModelOptions:
 
 
 class Prediction(NamedTuple):
-    """What the model said of one sample before learning it, in N, N m; and the horizon that it completed."""
+    """What the model said of one sample before learning it, in N, N m."""
 
     mean: Array  # (n,)
     std: Array  # (n,) predictive, noise included, calibrated
     model_mean: Array  # (n,) of the model alone, without the wandering offset
     model_std: Array  # (n,) of the model alone, not calibrated: what a gate or a detector of changes compares with
     ready: bool  # the initial window is over
-    horizon: HorizonErrors | None
     sample: Sample
     prior: Prior
     columns: Array  # (n, p) all of C
@@ -166,6 +165,8 @@ class Prediction(NamedTuple):
     """Of the variants that it is the average of, where it is one."""
     off: bool = False
     """Whether the motors are off behind brakes: nothing moves, and all outputs are far smaller than predicted."""
+    horizon: HorizonErrors | None = None
+    """The one that it completed, once it is learnt."""
 
     @property
     def log_density(self) -> float:
@@ -260,12 +261,13 @@ class Estimator:
         self._since_learnt = 0
         self.passed_over = 0
         """Samples that were to be learnt but were not, by ``learn_every`` and ``learn_least_gain``."""
+        self._no_errors = np.zeros((0, body.n_outputs))
         self._begin_following()
 
     def step(self, sample: Sample, learn: bool = True) -> Prediction:
         """Predict the sample, then learn it (unless told not to, or the robot is at rest)."""
         prediction = self.predict(sample)
-        return prediction._replace(horizon=self.observe(prediction, learn and prediction.motion.is_news))
+        return Prediction(*prediction[:-1], self.observe(prediction, learn and prediction.motion.is_news))
 
     def predict(self, sample: Sample) -> Prediction:
         """Predict the outputs at the sample's inputs; nothing changes. Unknown outputs may be NaN.
@@ -275,8 +277,9 @@ class Estimator:
         return self._answer(self._see(sample))
 
     def _see(self, sample: Sample) -> Seen:
-        x = sample.inputs
-        require_finite('positions, velocities and accelerations', x)
+        x, outside = beyond(self.inputs_learnt, sample)
+        if isnan(outside):
+            require_finite('positions, velocities and accelerations', x)
         memory = None if self._has_jumped(sample.stamp) else self._memory
         columns, memory = self.columns.one(sample, self._origin_at(sample.stamp), memory)
         if self.columns.effects:
@@ -284,7 +287,7 @@ class Estimator:
         position = x[:self.body.n_joints]
         motion = self.motion.after(sample.stamp, position, sample.outputs) if self.motion else \
             at_start(sample.stamp, position, sample.outputs)
-        return Seen(sample, x, columns, memory, motion, beyond(self.inputs_learnt, x, self.body.n_joints))
+        return Seen(sample, x, columns, memory, motion, outside)
 
     def _answer(self, seen: Seen) -> Prediction:
         prior = self.model.predict(seen.x, seen.columns)
@@ -293,8 +296,8 @@ class Estimator:
         if self.ready and motion.still > 1:
             off = bool(np.abs(seen.sample.outputs).max() < OFF_SHARE * np.abs(prior.mean).max())
             motion = motion._replace(is_news=motion.is_news and not off)
-        return Prediction(mean, self.calibration.factor * prior.std, prior.mean, prior.std, self.ready, None,
-                          seen.sample, prior, seen.columns, seen.memory, motion, seen.beyond, off=off)
+        return Prediction(mean, self.calibration.factor * prior.std, prior.mean, prior.std, self.ready,
+                          seen.sample, prior, seen.columns, seen.memory, motion, seen.beyond, (), off)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -355,6 +358,15 @@ class Estimator:
         sample, prior, recursion = prediction.sample, prediction.prior, self.model.recursion
         outputs = np.ascontiguousarray(sample.outputs, dtype=float)
         due = learn and self._is_due(prior)
+        if AVAILABLE and due and prediction.motion.is_news and self.wandering is not None:
+            self._window_left -= min(self._window_left, 1)
+            self.horizon.make_room()
+            eps = np.empty((2, len(outputs)))
+            recursion.has_learnt(_learn_and_follow(
+                *recursion.learning(prior), *self.horizon.advancing, outputs, prediction.model_mean,
+                prediction.model_std, self.wandering.table, self.calibration.table,
+                self._no_errors if errors is None else errors, eps))
+            return self.horizon.moved_on(sample.stamp, eps)
         innovations = recursion.learn(prior, outputs) if due else None
         if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
@@ -570,7 +582,7 @@ class Estimator:
         """Let the wandering offset and the bands follow what the model (n,) left of a sample (n,), in N and N m."""
         self._window_left -= min(self._window_left, learn)
         if AVAILABLE and learn and self.wandering is not None:
-            _follow(outputs, model_mean, model_std, *self.wandering.arrays, *self.calibration.arrays)
+            _follow(outputs, model_mean, model_std, self.wandering.table, self.calibration.table)
             return
         innovation = residual = outputs - model_mean
         std = self.calibration.factor * model_std
@@ -596,14 +608,32 @@ def are_finite(values: Array) -> bool:
     return bool(np.isfinite(values).all())
 
 
-@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, VECTOR, calls=(follow, calibrate))
-def _follow(outputs: Array, mean: Array, std: Array, offsets: Array, offset_weights: Array, parts: Array,
-            offset: Array, scales: Array, scale_weights: Array, factor: Array) -> None:
+@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, calls=(follow, calibrate))
+def _follow(outputs: Array, mean: Array, std: Array, wandering: Array, calibration: Array) -> None:
     """See :meth:`Estimator._follow`, of a sample that is learnt."""
     residual, innovation, width = np.empty_like(mean), np.empty_like(mean), np.empty_like(mean)
     for k in range(len(mean)):
         residual[k] = outputs[k] - mean[k]
-        innovation[k] = residual[k] - offset[k]
-        width[k] = factor[k] * std[k]
-    follow(residual, width, offsets, offset_weights, parts, offset)
-    calibrate(innovation, std, scales, scale_weights, factor)
+        innovation[k] = residual[k] - wandering[-1, k]
+        width[k] = calibration[-1, k] * std[k]
+    follow(residual, width, wandering)
+    calibrate(innovation, std, calibration)
+
+
+@compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
+          INTEGER, MATRIX, INTEGER, INTEGER, MATRIX, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX,
+          returns=INTEGER, calls=(learn, follow, calibrate, advance))
+def _learn_and_follow(
+        features: Array, s: float, columns: Array, regressed: Array, scale: Array, sigma: float, information: Array,
+        theta: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
+        placed: int, rows: Array, start: int, filled: int, decay: Array, outputs: Array, mean: Array, std: Array,
+        wandering: Array, calibration: Array, errors: Array, eps: Array) -> int:
+    """See :meth:`Estimator._take_in`, of a sample that is learnt and followed; what :func:`learn` gives."""
+    innovations = np.empty_like(regressed)
+    placed = learn(features, s, columns, regressed, scale, sigma, information, theta, left_changes, right_changes,
+                   waiting, inflation, places, placed, outputs, innovations)
+    _follow(outputs, mean, std, wandering, calibration)
+    paces = len(decay)
+    advance(rows, start, filled, decay, features, s, columns, regressed, outputs, theta, innovations,
+            wandering[2 * paces:3 * paces], errors, eps)
+    return placed

@@ -13,11 +13,12 @@ and T gains and innovations do the work of T models: T (D + n p) operations a sa
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, BLOCKS, INTEGER, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, VECTOR, compiled
 from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
@@ -44,20 +45,34 @@ class HorizonIndex:
 
     def __init__(self, length: int, n_outputs: int, n_features: int, n_columns: int,
                  decay: Array | None = None) -> None:
+        self._decay = np.zeros((0, 1)) if decay is None else decay
+        self._begin(length, n_outputs, (n_features,), (n_outputs, n_columns + 1), (n_columns,),
+                    (len(self._decay), n_outputs))
+
+    def _begin(self, length: int, n_outputs: int, *shapes: tuple[int, ...]) -> None:
+        """Lay out the rows: outputs, squared errors, and what is remembered of each model."""
         if length < 1:
             raise SemiparamError(f'horizon.length is {length}; expected at least one sample.')
-        self.length = length
-        rows = 2 * length
-        self._gains = np.zeros((rows, n_features))
-        self._innovations = np.zeros((rows, n_outputs, n_columns + 1))
-        self._theta = np.zeros((rows, n_columns))
-        self._squared_error = np.zeros((rows, n_outputs))
-        self._nothing, self._no_parts = np.zeros((0, 1)), np.zeros((0, n_outputs))
-        self._outputs = np.zeros((rows, n_outputs))
-        self._origins = np.zeros(rows, dtype=np.int64)
-        self._decay = np.zeros((0, 1)) if decay is None else decay
-        self._parts = np.zeros((rows, len(self._decay), n_outputs))
+        self.length, self._shapes = length, shapes
+        self._nothing = np.zeros((0, n_outputs))
+        self._ends = np.cumsum([n_outputs, n_outputs, *map(prod, self._shapes)]).tolist()
+        self._rows = np.zeros((2 * length, self._ends[-1]))
+        self._origins = np.zeros(2 * length, dtype=np.int64)
         self.clear()
+
+    @property
+    def _outputs(self) -> Array:
+        return self._rows[:, :self._ends[0]]
+
+    @property
+    def _squared_error(self) -> Array:
+        return self._rows[:, self._ends[0]:self._ends[1]]
+
+    def _remembered(self) -> list[Array]:
+        """Of each model: gains (2 T, D), innovations (2 T, n, p + 1), theta (2 T, p), parts of offsets (2 T, K, n)."""
+        ends = self._ends[1:]
+        return [self._rows[:, start:end].reshape(2 * self.length, *shape)
+                for start, end, shape in zip(ends[:-1], ends[1:], self._shapes, strict=True)]
 
     def clear(self) -> None:
         """Forget the pending horizons, as after a jump of the clock."""
@@ -67,8 +82,8 @@ class HorizonIndex:
     def state(self) -> dict[str, Array | Stamps]:
         """The pending horizons as arrays; :meth:`restore` takes them back bit for bit."""
         used = slice(self._start, self._start + self._filled)
-        return {'filled': np.array(self._filled), 'start': np.array(self._start),
-                **{name: rows[used].copy() for name, rows in self._rows().items()}}
+        return {'filled': np.array(self._filled), 'start': np.array(self._start), 'rows': self._rows[used].copy(),
+                'origins': self._origins[used].copy()}
 
     def restore(self, state: Mapping[str, Array | Stamps]) -> None:
         """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it is of another size."""
@@ -76,18 +91,13 @@ class HorizonIndex:
         if not 0 <= filled <= min(self.length, 2 * self.length - start) or start < 0:
             raise SemiparamError(f'the saved horizons are {filled} from row {start}; expected at most {self.length} in '
                                  f'{2 * self.length} rows.')
-        for name, rows in self._rows().items():
-            if state[name].shape != (filled, *rows.shape[1:]):
-                raise SemiparamError(f"the saved '{name}' of the horizons has shape {state[name].shape}; expected "
-                                     f'{(filled, *rows.shape[1:])}.')
+        expected = (filled, self._rows.shape[1]), (filled,)
+        if (state['rows'].shape, state['origins'].shape) != expected:
+            raise SemiparamError(f'the saved horizons have shapes {state["rows"].shape} and {state["origins"].shape}; '
+                                 f'expected {expected[0]} and {expected[1]}.')
         self._filled, self._start = filled, start
-        for name, rows in self._rows().items():
-            rows[start:start + filled] = state[name]
-
-    def _rows(self) -> dict[str, Array | Stamps]:
-        return {'gains': self._gains, 'innovations': self._innovations, 'theta': self._theta,
-                'squared_error': self._squared_error, 'outputs': self._outputs, 'origins': self._origins,
-                'offsets': self._parts}
+        used = slice(start, start + filled)
+        self._rows[used], self._origins[used] = state['rows'], state['origins']
 
     def advance(self, stamp: int, prior: Prior, outputs: Array, theta: Array, innovations: Array | None,
                 offsets: Array | None = None, errors: Array | None = None) -> HorizonErrors | None:
@@ -99,31 +109,36 @@ class HorizonIndex:
         :param errors: (T, n) takes the errors of the last k <= T models at this sample, newest first.
         :return: the errors of the oldest of them when its horizon is now complete.
         """
+        row = self.make_room()
         learnt = self._nothing if innovations is None else innovations
-        parts = self._no_parts if offsets is None else offsets
-        self._make_room()
-        row, oldest = self._start - 1, self._start + self.length - 1
+        offsets = self._nothing if offsets is None else offsets
         if AVAILABLE:
             eps = np.empty((2, len(outputs)))
-            _advance(self._start, self._filled, self._gains, self._innovations, self._theta, self._parts, self._decay,
-                     self._squared_error, self._outputs, outputs, prior.phi, prior.reach, prior.s, prior.regressed,
-                     prior.columns_left, theta, learnt, parts,
-                     self._no_parts if errors is None else errors, eps)
+            advance(*self.advancing, prior.features, prior.s, prior.columns, prior.regressed, outputs, theta, learnt,
+                    offsets, self._nothing if errors is None else errors, eps)
         else:
             self._outputs[row] = outputs
             if self._filled:
                 self._charge(prior, outputs, errors)
-            eps = self._complete() if self._filled == self.length else self._no_parts
-            self._theta[row], self._squared_error[row] = theta, 0.0
-            self._gains[row] = prior.reach / prior.s if len(learnt) else 0.0
-            self._innovations[row] = learnt if len(learnt) else 0.0
-            if len(parts):
-                self._parts[row] = parts
-        return self._moved_on(stamp, eps, oldest)
+            eps = self._complete() if self._filled == self.length else self._nothing
+            gains, added, thetas, parts = self._remembered()
+            thetas[row], self._squared_error[row] = theta, 0.0
+            gains[row] = prior.features[2] / prior.s if len(learnt) else 0.0
+            added[row] = learnt if len(learnt) else 0.0
+            if len(offsets):
+                parts[row] = offsets
+        return self.moved_on(stamp, eps)
 
-    def _moved_on(self, stamp: int, eps: Array, oldest: int) -> HorizonErrors | None:
-        """The newest model is that of ``stamp``; what a horizon gave, if it was complete, from the oldest one on."""
-        found = HorizonErrors(int(self._origins[oldest]), eps[0], eps[1]) if self._filled == self.length else None
+    @property
+    def advancing(self) -> tuple[Array, int, int, Array]:
+        """What :func:`advance` needs of the rows, after :meth:`make_room`; :meth:`moved_on` follows it."""
+        return self._rows, self._start, self._filled, self._decay
+
+    def moved_on(self, stamp: int, eps: Array) -> HorizonErrors | None:
+        """The newest model is that of ``stamp``; what a horizon gave, if it was complete."""
+        found = None
+        if self._filled == self.length:
+            found = HorizonErrors(int(self._origins[self._start + self.length - 1]), eps[0], eps[1])
         self._start -= 1
         self._filled = min(self._filled + 1, self.length)
         self._origins[self._start] = stamp
@@ -134,7 +149,7 @@ class HorizonIndex:
         models = slice(self._start, self._start + self._filled)
         error = outputs - self._predictions(prior, models)
         if len(self._decay):
-            offsets = self._parts[models]
+            offsets = self._remembered()[3][models]
             error -= offsets.sum(axis=1)
             offsets *= self._decay
         if errors is not None:
@@ -143,9 +158,10 @@ class HorizonIndex:
 
     def _predictions(self, prior: Prior, models: slice) -> Array:
         """(k, n) what k models of the past say of a sample."""
-        later = self._learnt_later(self._gains[models] @ prior.phi, self._innovations[models])
+        gains, innovations, thetas, _ = self._remembered()
+        later = self._learnt_later(gains[models] @ prior.features[0], innovations[models])
         left = prior.columns_left + later[:, :, :-1]
-        return np.asarray(prior.regressed[:, -1] - later[:, :, -1] + (left @ self._theta[models, :, None])[:, :, 0])
+        return np.asarray(prior.regressed[:, -1] - later[:, :, -1] + (left @ thetas[models, :, None])[:, :, 0])
 
     @staticmethod
     def _learnt_later(weights: Array, innovations: Array) -> Array:
@@ -162,78 +178,87 @@ class HorizonIndex:
         error = self._squared_error[self._start + self.length - 1]
         if AVAILABLE:
             eps = np.empty((2, len(error)))
-            _complete(y, error, eps)
+            _complete(self._rows, self._start - 1, self.length, eps)
             return eps
         centred = y - y.mean(axis=0)
         power = np.maximum([(values * values).sum(axis=0) for values in (y, centred)], LEAST_POWER * self.length)
         return np.asarray(error / power)
 
-    def _make_room(self) -> None:
-        """Move the rows back to the end when they have reached the front: once in T samples."""
-        if self._start:
-            return
-        end = 2 * self.length
-        for rows in self._rows().values():
-            rows[end - self._filled:] = rows[:self._filled]
-        self._start = end - self._filled
+    def make_room(self) -> int:
+        """The row of the newest model; all move back to the end when they have reached the front, once in T samples."""
+        if not self._start:
+            end = 2 * self.length
+            self._rows[end - self._filled:] = self._rows[:self._filled]
+            self._origins[end - self._filled:] = self._origins[:self._filled]
+            self._start = end - self._filled
+        return self._start - 1
 
 
-@compiled(MATRIX, VECTOR, MATRIX)
-def _complete(outputs: Array, error: Array, eps: Array) -> None:
-    length = len(outputs)
-    for k in range(len(error)):
+@compiled(MATRIX, INTEGER, INTEGER, MATRIX)
+def _complete(rows: Array, newest: int, length: int, eps: Array) -> None:
+    n = eps.shape[1]
+    for k in range(n):
         mean = power = spread = 0.0
-        for row in range(length):
-            mean += outputs[row, k] / length
-            power += outputs[row, k] * outputs[row, k]
-        for row in range(length):
-            spread += (outputs[row, k] - mean) ** 2
-        eps[0, k] = error[k] / max(power, LEAST_POWER * length)
-        eps[1, k] = error[k] / max(spread, LEAST_POWER * length)
+        for row in range(newest, newest + length):
+            mean += rows[row, k] / length
+            power += rows[row, k] * rows[row, k]
+        for row in range(newest, newest + length):
+            spread += (rows[row, k] - mean) ** 2
+        error = rows[newest + length, n + k]
+        eps[0, k] = error / max(power, LEAST_POWER * length)
+        eps[1, k] = error / max(spread, LEAST_POWER * length)
 
 
-@compiled(INTEGER, INTEGER, MATRIX, BLOCKS, MATRIX, BLOCKS, MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR,
-          NUMBER, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX)
-def _advance(start: int, filled: int, gains: Array, innovations: Array, thetas: Array, parts: Array, decay: Array,
-             squared_error: Array, measured: Array, outputs: Array, phi: Array, reach: Array, s: float,
-             regressed: Array, left: Array, theta: Array, learnt: Array, offsets: Array, errors: Array,
-             eps: Array) -> None:
-    n, p = left.shape
+@compiled(MATRIX, INTEGER, INTEGER, MATRIX, MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX,
+          MATRIX)
+def advance(rows: Array, start: int, filled: int, decay: Array, features: Array, s: float, columns: Array,
+            regressed: Array, outputs: Array, theta: Array, learnt: Array, offsets: Array, errors: Array,
+            eps: Array) -> None:
+    """See :meth:`HorizonIndex.advance`; empty for what is None there."""
+    n, p = columns.shape
+    size, length, newest = features.shape[1], len(rows) // 2, start - 1
+    gains = 2 * n  # where in a row each begins
+    innovations = gains + size
+    thetas = innovations + n * (p + 1)
+    parts = thetas + p
     running = regressed.copy()  # E_C, and the prediction of y without it, of each model in turn
-    running[:, :p] = left
-    for row in range(start, start + filled):
+    for k in range(n):
+        for c in range(p):
+            running[k, c] = columns[k, c] - regressed[k, c]
+    for model in range(filled):
+        row = rows[start + model]
+        squared, gain, learnt_then = row[n:gains], row[gains:innovations], row[innovations:thetas]
+        coefficients, offset = row[thetas:parts], row[parts:]
         for k in range(n):
             error = outputs[k] - running[k, p]
             for c in range(p):
-                error -= thetas[row, c] * running[k, c]
+                error -= coefficients[c] * running[k, c]
             for g in range(len(decay)):
-                error -= parts[row, g, k]
-                parts[row, g, k] *= decay[g, 0]
-            squared_error[row, k] += error * error
+                error -= offset[g * n + k]
+                offset[g * n + k] *= decay[g, 0]
+            squared[k] += error * error
             if len(errors):
-                errors[row - start, k] = error
+                errors[model, k] = error
         weight = 0.0
-        for d in range(len(phi)):
-            weight += gains[row, d] * phi[d]
+        for d in range(size):
+            weight += gain[d] * features[0, d]
         for k in range(n):
+            added = learnt_then[k * (p + 1):(k + 1) * (p + 1)]
             for c in range(p):
-                running[k, c] += weight * innovations[row, k, c]
-            running[k, p] -= weight * innovations[row, k, p]
-    newest, length = start - 1, len(gains) // 2
-    measured[newest] = outputs
+                running[k, c] += weight * added[c]
+            running[k, p] -= weight * added[p]
+    rows[newest, :n] = outputs
     if filled == length:
-        _complete(measured[newest:newest + length], squared_error[newest + length], eps)
-    squared_error[newest] = 0.0
-    thetas[newest] = theta
-    if len(learnt):
-        innovations[newest] = learnt
-        for d in range(len(phi)):
-            gains[newest, d] = reach[d] / s
-    else:
-        innovations[newest] = 0.0
-        gains[newest] = 0.0
-    if len(offsets):
-        parts[newest] = offsets
+        _complete(rows, newest, length, eps)
+    row = rows[newest]
+    row[n:] = 0.0
+    row[thetas:parts] = theta
+    for k in range(len(learnt)):
+        row[innovations + k * (p + 1):innovations + (k + 1) * (p + 1)] = learnt[k]
+    for d in range(size if len(learnt) else 0):
+        row[gains + d] = features[2, d] / s
+    for g in range(len(offsets)):
+        row[parts + g * n:parts + (g + 1) * n] = offsets[g]
 
 
 class AveragedHorizons(HorizonIndex):
@@ -243,27 +268,21 @@ class AveragedHorizons(HorizonIndex):
     """
 
     def __init__(self, length: int, n_outputs: int, n_models: int) -> None:
-        self._shares = np.zeros((2 * length, n_models, n_outputs))
-        super().__init__(length, n_outputs, 0, 0)
-
-    def _rows(self) -> dict[str, Array | Stamps]:
-        return {'weights': self._shares, 'squared_error': self._squared_error, 'outputs': self._outputs,
-                'origins': self._origins}
+        self._begin(length, n_outputs, (n_models, n_outputs))
 
     def advance_average(self, stamp: int, errors: Array, outputs: Array, weights: Array) -> HorizonErrors | None:
         """Charge one sample, from the errors (K, T, n) that each model's own index charged it with, and keep the
         weights (K, n) as they stand after it; see :meth:`advance`."""
-        self._make_room()
-        row, oldest = self._start - 1, self._start + self.length - 1
+        row = self.make_room()
         self._outputs[row] = outputs
-        models = slice(self._start, self._start + self._filled)
+        models, (shares,) = slice(self._start, self._start + self._filled), self._remembered()
         average = np.zeros((self._filled, len(outputs)))
         for index, each in enumerate(errors):
-            average += self._shares[models, index] * each[:self._filled]
+            average += shares[models, index] * each[:self._filled]
         self._squared_error[models] += average * average
-        eps = self._complete() if self._filled == self.length else self._no_parts
-        self._shares[row], self._squared_error[row] = weights, 0.0
-        return self._moved_on(stamp, eps, oldest)
+        eps = self._complete() if self._filled == self.length else self._nothing
+        shares[row], self._squared_error[row] = weights, 0.0
+        return self.moved_on(stamp, eps)
 
 
 def force_and_torque(eps: Array) -> tuple[float, float]:

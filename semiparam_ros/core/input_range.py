@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, STRIDED, VECTOR, compiled
 from semiparam_ros.core.random_features import LEAST_SHARE
+from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 
 LEAST_RANGE = 1e-9
@@ -22,17 +23,23 @@ def widened(known: Array, x: Array) -> Array:
     return found
 
 
-def beyond(known: Array, x: Array, n_joints: int) -> float:
-    """How far the farthest input of x (m,) lies outside, as a share of its range; 0 within.
+def beyond(known: Array, sample: Sample) -> tuple[Array, float]:
+    """The inputs x (m,) of a sample, and how far the farthest lies outside, as a share of its range; 0 within, and NaN
+    when one is not finite.
 
     A range counts as at least a fifth of the largest of its kind.
     """
-    if not len(known):
-        return 0.0
-    return float((_beyond if AVAILABLE else _beyond_readable)(known, x, n_joints))
+    if not AVAILABLE:
+        return sample.inputs, _beyond_readable(known, sample.inputs, len(sample.position))
+    x = np.empty(3 * len(sample.position))
+    return x, _beyond(known, sample.position, sample.velocity, sample.acceleration, x)
 
 
 def _beyond_readable(known: Array, x: Array, n_joints: int) -> float:
+    if not np.isfinite(x).all():
+        return np.nan
+    if not len(known):
+        return 0.0
     outside = np.maximum(known[0] - x, x - known[1])
     ranges = (known[1] - known[0]).reshape(-1, n_joints)
     ranges = np.maximum(ranges, LEAST_SHARE * ranges.max(axis=1, keepdims=True)).ravel()
@@ -46,10 +53,15 @@ def _widen(known: Array, x: Array) -> None:
         known[1, i] = max(known[1, i], x[i])
 
 
-@compiled(MATRIX, VECTOR, INTEGER, returns=NUMBER)
-def _beyond(known: Array, x: Array, n_joints: int) -> float:
+@compiled(MATRIX, STRIDED, STRIDED, STRIDED, VECTOR, returns=NUMBER)
+def _beyond(known: Array, position: Array, velocity: Array, acceleration: Array, x: Array) -> float:
+    n_joints = len(position)
+    for i in range(n_joints):
+        x[i], x[n_joints + i], x[2 * n_joints + i] = position[i], velocity[i], acceleration[i]
+    if not np.isfinite(x).all():
+        return np.nan
     farthest = 0.0
-    for start in range(0, len(x), n_joints):
+    for start in range(0, len(x) if len(known) else 0, n_joints):
         largest = 0.0
         for i in range(start, start + n_joints):
             largest = max(largest, known[1, i] - known[0, i])

@@ -42,13 +42,16 @@ class Prior(NamedTuple):
     mean: Array  # (n,) predicted outputs
     covariance: Array  # (n, n) of the outputs, noise included
     std: Array  # (n,) of each output, noise included
-    phi: Array  # (D,)
-    f: Array  # (D,) S' phi
-    reach: Array  # (D,) S f
+    features: Array  # (3, D) phi, f = S' phi, and S f
     s: float  # sigma^2 + f'f
+    columns: Array  # (n, p) the coupled columns
     regressed: Array  # (n, p + 1) phi' Theta, y last with what is known of it
-    columns_left: Array  # (n, p) E_C, what the features leave of the coupled columns
     revision: int  # of the model that it was computed from
+
+    @property
+    def columns_left(self) -> Array:
+        """(n, p) E_C, what the features leave of the coupled columns."""
+        return np.asarray(self.columns - self.regressed[:, :-1])
 
 
 class SemiParametricRecursion:
@@ -86,15 +89,16 @@ class SemiParametricRecursion:
 
         :param known: (n,) part of the outputs that the model does not have to learn.
         """
-        n, n_features, p = self.n_outputs, self.n_features, self.n_columns
+        n = self.n_outputs
         known = self._nothing_known if known is None else known
+        columns = np.ascontiguousarray(columns)
         if not AVAILABLE:
             return self._predict(phi, columns, known)
-        f, reach, regressed, left = np.empty(n_features), np.empty(n_features), np.empty((n, p + 1)), np.empty((n, p))
+        features, regressed = np.empty((3, self.n_features)), np.empty((n, self.n_columns + 1))
         mean, covariance, std = np.empty(n), np.empty((n, n)), np.empty(n)
-        s = _predict(*self._weights.arrays, phi, np.ascontiguousarray(columns), known, self.scale, self.sigma,
-                     self._information, self.theta, f, reach, regressed, left, mean, covariance, std)
-        return Prior(mean, covariance, std, phi, f, reach, s, regressed, left, self.revision)
+        s = _predict(*self._weights.arrays, phi, columns, known, self.scale, self.sigma, self._information, self.theta,
+                     features, regressed, mean, covariance, std)
+        return Prior(mean, covariance, std, features, s, columns, regressed, self.revision)
 
     def _predict(self, phi: Array, columns: Array, known: Array) -> Prior:
         f, reach, said = np.zeros(0), np.zeros(0), np.zeros(self.n_outputs * (self.n_columns + 1))
@@ -109,7 +113,8 @@ class SemiParametricRecursion:
         if self.n_columns:
             half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
             covariance += half.T @ half
-        return Prior(mean, covariance, np.sqrt(covariance.diagonal()), phi, f, reach, s, regressed, left, self.revision)
+        features = np.array([phi, f, reach])
+        return Prior(mean, covariance, np.sqrt(covariance.diagonal()), features, s, columns, regressed, self.revision)
 
     def learn(self, prior: Prior, outputs: Array) -> Array:
         """Learn the outputs (n,) of the sample that ``prior`` was computed for; the innovations E (n, p + 1), y last.
@@ -117,23 +122,35 @@ class SemiParametricRecursion:
         Raises SemiparamError, with nothing changed, when the model has changed since.
         """
         self.require_current(prior)
-        self.revise()
         innovations = np.empty((self.n_outputs, self.n_columns + 1))
         if AVAILABLE:
-            self.theta = np.empty(self.n_columns)
-            placed = _learn(prior.regressed, prior.columns_left, outputs, self.scale, prior.f, prior.reach, prior.s,
-                            self.sigma, innovations, self._information, self.theta, *self._weights.changes)
-            if self.n_features:
-                self._weights.has_changed(placed)
-        else:
-            innovations[:, :-1] = prior.columns_left
-            innovations[:, -1] = outputs - prior.regressed[:, -1]
-            self._learn_columns(innovations / (np.sqrt(prior.s) * self.scale[:, None]))
-            if self.n_features:
-                self._weights.learn(Projection(prior.f, prior.reach, prior.regressed), self.sigma, innovations.ravel())
+            self.has_learnt(learn(*self.learning(prior), outputs, innovations))
+            return innovations
+        self.revise()
+        innovations[:, :-1] = prior.columns_left
+        innovations[:, -1] = outputs - prior.regressed[:, -1]
+        self._learn_columns(innovations / (np.sqrt(prior.s) * self.scale[:, None]))
+        if self.n_features:
+            _, f, reach = prior.features
+            self._weights.learn(Projection(f, reach, prior.regressed), self.sigma, innovations.ravel())
         if self.forgetting < 1.0:
             self._forget()
         return innovations
+
+    def learning(self, prior: Prior) -> tuple[Array, float, Array, Array, Array, float, Array, Array, Array, Array,
+                                              int, float, Indices, int]:
+        """What :func:`learn` needs beside a sample's outputs; :meth:`has_learnt` follows it."""
+        self.revise()
+        self.theta = np.empty(self.n_columns)
+        return (prior.features, prior.s, prior.columns, prior.regressed, self.scale, self.sigma, self._information,
+                self.theta, *self._weights.changes)
+
+    def has_learnt(self, placed: int) -> None:
+        """:func:`learn` has run; so many estimates have a place now."""
+        if self.n_features:
+            self._weights.has_changed(placed)
+        if self.forgetting < 1.0:
+            self._forget()
 
     def revise(self) -> None:
         """Make every prior computed so far stale; each change of the model does."""
@@ -225,14 +242,15 @@ class SemiParametricRecursion:
 
 
 @compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS, VECTOR, MATRIX, VECTOR, VECTOR, NUMBER, MATRIX, VECTOR,
-          VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, returns=NUMBER, calls=(project,))
+          MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, returns=NUMBER, calls=(project,))
 def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
              phi: Array, columns: Array, known: Array, scale: Array, sigma: float, information: Array, theta: Array,
-             f: Array, reach: Array, regressed: Array, left: Array, mean: Array, covariance: Array,
-             std: Array) -> float:
+             features: Array, regressed: Array, mean: Array, covariance: Array, std: Array) -> float:
     """s; and all else of a :class:`Prior`, from R as ``information``."""
     n, p = columns.shape
-    project(array, left_changes, right_changes, waiting, inflation, places, phi, f, reach,
+    f = features[1]
+    features[0] = phi
+    project(array, left_changes, right_changes, waiting, inflation, places, phi, f, features[2],
             regressed.reshape(n * (p + 1)))
     s = sigma * sigma
     for i in range(len(f)):
@@ -244,9 +262,9 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
         mean[k] = regressed[k, p]
         covariance[k, k] = s * scale[k] * scale[k]
         for c in range(p):
-            left[k, c] = columns[k, c] - regressed[k, c]
-            mean[k] += left[k, c] * theta[c]
-            half[c, k] = left[k, c]
+            left = columns[k, c] - regressed[k, c]
+            mean[k] += left * theta[c]
+            half[c, k] = left
     for c in range(p):
         for k in range(n):
             half[c, k] /= information[c, c]
@@ -261,46 +279,49 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
     return s
 
 
-@compiled(MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX,
-          INTEGER, NUMBER, INTEGERS, INTEGER, returns=INTEGER, calls=(wait,))
-def _learn(regressed: Array, left: Array, outputs: Array, scale: Array, f: Array, reach: Array, s: float, sigma: float,
-           innovations: Array, information: Array, theta: Array, left_changes: Array, right_changes: Array,
-           waiting: int, inflation: float, places: Indices, placed: int) -> int:
+@compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
+          INTEGER, VECTOR, MATRIX, returns=INTEGER, calls=(wait,))
+def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Array, sigma: float, information: Array,
+          theta: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
+          placed: int, outputs: Array, innovations: Array) -> int:
     """E, theta and the change of [S | Theta], and R as ``information`` with further rows: reflections make it
     triangular again (Householder). How many estimates have a place now."""
     n, size = innovations.shape
     for k in range(n):
         for c in range(size - 1):
-            innovations[k, c] = left[k, c]
+            innovations[k, c] = columns[k, c] - regressed[k, c]
         innovations[k, size - 1] = outputs[k] - regressed[k, size - 1]
-    placed = wait(left_changes, right_changes, waiting, f, reach, innovations.reshape(n * size), sigma, inflation,
-                  places, placed)
+    placed = wait(left_changes, right_changes, waiting, features[1], features[2], innovations.reshape(n * size), sigma,
+                  s, inflation, places, placed)
     if size == 1:
         return placed
-    rows = np.empty((size, n))
-    for c in range(size):
-        for k in range(n):
-            rows[c, k] = innovations[k, c] / (np.sqrt(s) * scale[k])
+    rows, along = np.empty((n, size)), np.empty(size)
+    for k in range(n):
+        weight = 1.0 / (np.sqrt(s) * scale[k])
+        for c in range(size):
+            rows[k, c] = weight * innovations[k, c]
     for c in range(size):
         below = 0.0
         for k in range(n):
-            below += rows[c, k] * rows[c, k]
+            below += rows[k, c] * rows[k, c]
         if below == 0.0:
             continue
         corner = information[c, c]
         radius = -np.copysign(np.sqrt(corner * corner + below), corner)
         share = (radius - corner) / radius
         information[c, c] = radius
-        for k in range(n):
-            rows[c, k] /= corner - radius
         for j in range(c + 1, size):
-            along = information[c, j]
-            for k in range(n):
-                along += rows[c, k] * rows[j, k]
-            along *= share
-            information[c, j] -= along
-            for k in range(n):
-                rows[j, k] -= along * rows[c, k]
+            along[j] = information[c, j]
+        for k in range(n):
+            rows[k, c] /= corner - radius
+            for j in range(c + 1, size):
+                along[j] += rows[k, c] * rows[k, j]
+        for j in range(c + 1, size):
+            along[j] *= share
+            information[c, j] -= along[j]
+        for k in range(n):
+            for j in range(c + 1, size):
+                rows[k, j] -= along[j] * rows[k, c]
     for c in range(size - 2, -1, -1):
         value = information[c, size - 1]
         for j in range(c + 1, size - 1):

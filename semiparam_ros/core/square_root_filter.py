@@ -40,15 +40,18 @@ class Projection(NamedTuple):
 
 
 class SquareRootFilter:
-    """[inflation S | Theta] = M + U V', S starting from ``deviation`` times the identity and Theta from zero."""
+    """[inflation S | Theta] = M + U V', S starting from ``deviation`` times the identity and Theta from zero.
+
+    M', U' and V' lie in memory by rows.
+    """
 
     def __init__(self, size: int, deviation: float, n_estimates: int = 0) -> None:
         self.size = size
-        self._array = np.zeros((size, size + n_estimates), order='F')
-        self._array[:, :size] = deviation * np.eye(size)
+        self._array = np.zeros((size + n_estimates, size))
+        self._array[:size] = deviation * np.eye(size)
         self._inflation = 1.0  # apart from M, so that growing costs no pass over it
-        self._left = np.zeros((size, MOST_WAITING), order='F')
-        self._right = np.zeros((size + n_estimates, MOST_WAITING), order='F')
+        self._left = np.zeros((MOST_WAITING, size))
+        self._right = np.zeros((MOST_WAITING, size + n_estimates))
         self._waiting = 0  # columns of U and V in use
         self._places = np.full(n_estimates, -1)  # of each estimate among the columns after S; -1 while it is zero
         self._placed = 0
@@ -56,12 +59,12 @@ class SquareRootFilter:
     @property
     def arrays(self) -> tuple[Array, Array, Array, int, float, Indices]:
         """M', U' and V', how many changes wait, the inflation and the places: what :func:`project` needs."""
-        return self._array.T, self._left.T, self._right.T, self._waiting, self._inflation, self._places
+        return self._array, self._left, self._right, self._waiting, self._inflation, self._places
 
     @property
     def changes(self) -> tuple[Array, Array, int, float, Indices, int]:
         """What :func:`wait` needs of them; :meth:`has_changed` follows it."""
-        return self._left.T, self._right.T, self._waiting, self._inflation, self._places, self._placed
+        return self._left, self._right, self._waiting, self._inflation, self._places, self._placed
 
     def project(self, phi: Array) -> Projection:
         """What a prediction at phi (D,) needs; nothing changes."""
@@ -77,19 +80,19 @@ class SquareRootFilter:
         return self.size + self._placed
 
     def _project(self, phi: Array) -> Projection:
-        size, inflation = self.size, self._inflation
-        left, right = self._left[:, :self._waiting], self._right[:self._width, :self._waiting]
+        size, inflation, array = self.size, self._inflation, self._array.T
+        left, right = self._left[:self._waiting].T, self._right[:self._waiting, :self._width].T
         products = right @ (phi @ left)
         f, reach = products[:size], np.zeros(size)
         width = max(1, BLOCK_ELEMENTS // size)
         for start in range(0, size, width):
-            columns, part = self._array[:, start:min(start + width, size)], f[start:start + width]
+            columns, part = array[:, start:min(start + width, size)], f[start:start + width]
             dgemv(1.0, columns, phi, beta=1.0, y=part, overwrite_y=1, trans=1)
             dgemv(1.0, columns, part, beta=1.0, y=reach, overwrite_y=1)
         if self._waiting:
             dgemv(1.0, left, f @ right[:size], beta=1.0, y=reach, overwrite_y=1)
         regressed, used = np.zeros(len(self._places)), self._places >= 0
-        regressed[used] = (products[size:] + phi @ self._array[:, size:self._width])[self._places[used]]
+        regressed[used] = (products[size:] + phi @ array[:, size:self._width])[self._places[used]]
         return Projection(inflation * f, inflation**2 * reach, regressed)
 
     def learn(self, projection: Projection, sigma: float, innovations: Array | None = None) -> None:
@@ -100,7 +103,8 @@ class SquareRootFilter:
         if AVAILABLE:
             e = np.zeros(len(self._places)) if innovations is None else innovations
             left, right, waiting, inflation, places, placed = self.changes
-            placed = wait(left, right, waiting, projection.f, projection.reach, e, sigma, inflation, places, placed)
+            s = sigma**2 + float(projection.f @ projection.f)
+            placed = wait(left, right, waiting, projection.f, projection.reach, e, sigma, s, inflation, places, placed)
         else:
             placed = self._wait(projection, sigma, innovations)
         self.has_changed(placed)
@@ -115,8 +119,8 @@ class SquareRootFilter:
     def _wait(self, projection: Projection, sigma: float, innovations: Array | None) -> int:
         f, placed = projection.f, self._placed
         s = sigma**2 + float(f @ f)
-        column = self._right[:, self._waiting]
-        self._left[:, self._waiting] = projection.reach
+        column = self._right[self._waiting]
+        self._left[self._waiting] = projection.reach
         np.multiply(f, -1.0 / (self._inflation * (s + sigma * np.sqrt(s))), out=column[:self.size])
         column[self.size:] = 0.0
         if innovations is not None:
@@ -132,21 +136,21 @@ class SquareRootFilter:
         self._inflation *= factor
         if self._inflation > RENORMALISE_ABOVE:
             self._settle()
-            self._array[:, :self.size] *= self._inflation
+            self._array[:self.size] *= self._inflation
             self._inflation = 1.0
 
     def estimates(self) -> Array:
         """Theta' (q, D)."""
         size, waiting, used = self.size, self._waiting, self._places >= 0
-        placed = self._array[:, size:].T + self._right[size:, :waiting] @ self._left[:, :waiting].T
+        placed = self._array[size:] + self._right[:waiting, size:].T @ self._left[:waiting]
         found = np.zeros((len(self._places), size))
         found[used] = placed[self._places[used]]
         return found
 
     def state(self) -> dict[str, Array | Indices]:
-        """M, U, V, the places and the inflation; :meth:`restore` takes them back bit for bit."""
-        return {'array': self._array.copy(order='F'), 'left': self._left.copy(order='F'),
-                'right': self._right.copy(order='F'), 'waiting': np.array(self._waiting), 'places': self._places.copy(),
+        """M', U', V', the places and the inflation; :meth:`restore` takes them back bit for bit."""
+        return {'array': self._array.copy(), 'left': self._left.copy(), 'right': self._right.copy(),
+                'waiting': np.array(self._waiting), 'places': self._places.copy(),
                 'inflation': np.array(self._inflation)}
 
     def restore(self, state: Mapping[str, Array | Indices]) -> None:
@@ -163,17 +167,17 @@ class SquareRootFilter:
             raise SemiparamError(f"the saved 'places' of the estimates are {places.tolist()}; expected different ones "
                                  'from 0 on, and -1.')
         self._places, self._placed = places, len(used)
-        self._array, self._left, self._right = (np.array(state[name], dtype=float, order='F')
+        self._array, self._left, self._right = (np.array(state[name], dtype=float, order='C')
                                                 for name in ('array', 'left', 'right'))
         self._waiting, self._inflation = int(state['waiting']), float(state['inflation'])
 
     def _settle(self) -> None:
         """M takes in the changes that wait."""
-        left, right = self._left[:, :self._waiting], self._right[:, :self._waiting]
+        array, left, right = self._array.T, self._left[:self._waiting].T, self._right[:self._waiting].T
         width = max(1, BLOCK_ELEMENTS // self.size)
         for start in range(0, self._width, width):
             block = slice(start, min(start + width, self._width))
-            dgemm(1.0, left, right[block], beta=1.0, c=self._array[:, block], trans_b=1, overwrite_c=1)
+            dgemm(1.0, left, right[block], beta=1.0, c=array[:, block], trans_b=1, overwrite_c=1)
         self._waiting = 0
 
 
@@ -232,16 +236,13 @@ def project(array: Array, left: Array, right: Array, waiting: int, inflation: fl
         regressed[e] = products[size + places[e]] if places[e] >= 0 else 0.0
 
 
-@compiled(MATRIX, MATRIX, INTEGER, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, INTEGERS, INTEGER, returns=INTEGER)
-def wait(left: Array, right: Array, waiting: int, f: Array, reach: Array, innovations: Array, sigma: float,
+@compiled(MATRIX, MATRIX, INTEGER, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, NUMBER, INTEGERS, INTEGER, returns=INTEGER)
+def wait(left: Array, right: Array, waiting: int, f: Array, reach: Array, innovations: Array, sigma: float, s: float,
          inflation: float, places: Indices, placed: int) -> int:
     """One more change, a row of U' and one of V'; how many estimates have a place now."""
     size = len(f)
     if size == 0:
         return placed
-    s = sigma * sigma
-    for i in range(size):
-        s += f[i] * f[i]
     share = -1.0 / (inflation * (s + sigma * np.sqrt(s)))
     for i in range(size):
         left[waiting, i] = reach[i]

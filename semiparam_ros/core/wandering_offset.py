@@ -43,12 +43,27 @@ class WanderingOffset:
     def __init__(self, n_outputs: int) -> None:
         shares = np.full((len(PACES), 1), (1.0 - SHARE_OF_NONE) / (len(PACES) - 1))
         shares[0] = SHARE_OF_NONE
-        self._offsets = np.zeros((len(PACES), n_outputs))
-        self._log_weights = np.log(shares) + self._offsets
-        self.parts: Array = np.zeros_like(self._offsets)
+        self.table: Array = np.zeros((3 * len(PACES) + 1, n_outputs))
+        """All of it, one below the other: offsets, log weights, :attr:`parts` and :attr:`offset`."""
+        self._log_weights[:] = np.log(shares)
+
+    @property
+    def parts(self) -> Array:
         """(K, n) what each pace adds to the next prediction."""
-        self.offset: Array = np.zeros(n_outputs)
+        return self.table[2 * len(PACES):-1]
+
+    @property
+    def offset(self) -> Array:
         """(n,) all of them together."""
+        return np.asarray(self.table[-1])
+
+    @property
+    def _offsets(self) -> Array:
+        return self.table[:len(PACES)]
+
+    @property
+    def _log_weights(self) -> Array:
+        return self.table[len(PACES):2 * len(PACES)]
 
     def pace(self) -> Array:
         """(n,) the mean pace of each output; its inverse is the memory [samples]."""
@@ -58,49 +73,44 @@ class WanderingOffset:
     def learn(self, residual: Array, std: Array) -> None:
         """Follow what the model left of a sample, (n,), whose predictive standard deviation was ``std`` (n,)."""
         if AVAILABLE:
-            follow(residual, std, *self.arrays)
+            follow(residual, std, self.table)
         else:
             self._learn(residual, std)
-
-    @property
-    def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """What :func:`follow` changes."""
-        return self._offsets, self._log_weights, self.parts, self.offset
 
     def _learn(self, residual: Array, std: Array) -> None:
         standardised = (residual - self._offsets) / std
         log_weights = _KEEP * self._log_weights
         log_weights -= 0.5 * (DEGREES + 1.0) * np.log1p(standardised * standardised / DEGREES)
         log_weights -= log_weights.max(axis=0)
-        self._log_weights = np.maximum(log_weights, LEAST_LOG_WEIGHT)
+        self._log_weights[:] = np.maximum(log_weights, LEAST_LOG_WEIGHT)
         step = std * np.minimum(np.maximum(standardised, -LARGEST_STEP), LARGEST_STEP)
-        self._offsets = DECAY * (self._offsets + PACES * step)
+        self._offsets[:] = DECAY * (self._offsets + PACES * step)
         self._mix()
 
     def rest(self) -> None:
         """A sample went by that is not learnt."""
-        self._offsets = DECAY * self._offsets
+        self._offsets[:] *= DECAY
         self._mix()
 
     def state(self) -> dict[str, Array]:
-        """Copies; :meth:`restore` takes them back bit for bit."""
-        return {'offsets': self._offsets.copy(), 'log_weights': self._log_weights.copy(), 'parts': self.parts.copy(),
-                'offset': self.offset.copy()}
+        """A copy; :meth:`restore` takes it back bit for bit."""
+        return {'table': self.table.copy()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
-        found = [_like(mine, state, name) for name, mine in self.state().items()]
-        self._offsets, self._log_weights, self.parts, self.offset = found
+        self.table[:] = like(self.table, state.get('table'), 'the wandering offset')
 
     def _mix(self) -> None:
         weights = np.exp(self._log_weights)
-        self.parts = weights / weights.sum(axis=0) * self._offsets
-        self.offset = self.parts.sum(axis=0)
+        self.parts[:] = weights / weights.sum(axis=0) * self._offsets
+        self.offset[:] = self.parts.sum(axis=0)
 
 
-@compiled(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR)
-def follow(residual: Array, std: Array, offsets: Array, log_weights: Array, parts: Array, offset: Array) -> None:
+@compiled(VECTOR, VECTOR, MATRIX)
+def follow(residual: Array, std: Array, table: Array) -> None:
     """See :meth:`WanderingOffset.learn`."""
+    paces = len(PACES)
+    offsets, log_weights, parts, offset = table[:paces], table[paces:2 * paces], table[2 * paces:3 * paces], table[-1]
     for k in range(len(residual)):
         for g in range(len(offsets)):
             standardised = (residual[k] - offsets[g, k]) / std[k]
@@ -120,9 +130,10 @@ def follow(residual: Array, std: Array, offsets: Array, log_weights: Array, part
             offset[k] += parts[g, k]
 
 
-def _like(mine: Array, state: Mapping[str, Array], name: str) -> Array:
-    values = np.array(state.get(name, np.nan), dtype=float)
+def like(mine: Array, saved: Array | None, what: str) -> Array:
+    """Saved values of the size of mine; raises SemiparamError for another size or values that are not finite."""
+    values = np.array(np.nan if saved is None else saved, dtype=float)
     if values.shape != mine.shape or not np.isfinite(values).all():
-        raise SemiparamError(f"the saved '{name}' of the wandering offset has shape {values.shape}; expected finite "
-                             f'values of shape {mine.shape}.')
+        raise SemiparamError(f'the saved values of {what} have shape {values.shape}; expected finite ones of shape '
+                             f'{mine.shape}.')
     return values

@@ -22,10 +22,13 @@ from semiparam_ros.core.horizon_error import HorizonIndex
 from semiparam_ros.core.hyperparameters import noise_covariance
 from semiparam_ros.core.random_features import RandomFeatures
 from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.signals import smoothing
 from semiparam_ros.core.square_root_filter import SquareRootFilter
 from semiparam_ros.core.wandering_offset import DECAY
 from semiparam_ros.effects import hysteresis
+from semiparam_ros.experiments import benchmark
+from support.node_helpers import BODY, motion
 
 pytestmark = pytest.mark.skipif(not compiled.AVAILABLE, reason='numba is not installed')
 N, TOLERANCE = 6, {'rtol': 1e-12, 'atol': 1e-12}
@@ -140,15 +143,15 @@ def test_the_range_of_the_inputs():
     for size in [*np.full(20, 0.1), *np.full(20, 1.0), 0.0, 0.1]:
         x = size * rng.standard_normal(9)
         x[2::3] *= 0.01  # a joint that hardly moves
-        lies = input_range.beyond(known, x, joints)
-        if len(known):
-            assert lies == pytest.approx(input_range._beyond_readable(known, x, joints), rel=1e-12)
-        else:
-            assert lies == 0.0
+        sample = Sample(0, *x.reshape(3, joints), np.zeros(N))
+        collected, lies = input_range.beyond(known, sample)
+        np.testing.assert_array_equal(collected, x)
+        assert lies == pytest.approx(input_range._beyond_readable(known, x, joints), rel=1e-12)
+        assert np.isnan(input_range.beyond(known, sample._replace(velocity=np.array([0.0, np.inf, 0.0])))[1])
         wider = input_range.widened(known, x)
         np.testing.assert_array_equal(wider, np.array([np.vstack([known[:1], x]).min(axis=0),
                                                        np.vstack([known[1:], x]).max(axis=0)]))
-        assert input_range.beyond(wider, x, joints) == 0.0
+        assert input_range.beyond(wider, sample)[1] == 0.0
         known = wider
     assert lies == 0.0
 
@@ -186,6 +189,23 @@ def test_the_columns(monkeypatch, columns):
         for name in ('mean', 'covariance', 'std', 'regressed', 'columns_left'):
             np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-11)
         np.testing.assert_allclose(fast.theta, readable.theta, rtol=1e-10, atol=1e-11)
+
+
+def test_a_sample_learnt_in_one_call_is_one_learnt_in_several(monkeypatch):
+    at_once, apart = (benchmark.estimator(BODY, 20) for _ in range(2))
+    for sample in motion(120):
+        found = at_once.step(sample)
+        with monkeypatch.context() as without:
+            without.setattr(estimator, 'AVAILABLE', False)
+            expected = apart.step(sample)
+        np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(found.std, expected.std, rtol=1e-11)
+        assert (found.horizon is None) == (expected.horizon is None)
+        if found.horizon is not None:
+            assert found.horizon.origin == expected.horizon.origin
+            np.testing.assert_allclose(found.horizon.eps, expected.horizon.eps, rtol=1e-10)
+            np.testing.assert_allclose(found.horizon.eps_centred, expected.horizon.eps_centred, rtol=1e-10)
+    assert found.horizon is not None and found.motion.is_news
 
 
 @pytest.mark.parametrize('follow', [

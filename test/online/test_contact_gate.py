@@ -34,7 +34,7 @@ class Stand:
         self.stamp += 10**9 // RATE_HZ
         velocity = speed if np.ndim(speed) else np.array([0.0, -speed, 0.0])
         sample = Sample(self.stamp, np.zeros(3), velocity, np.zeros(3), innovation)
-        prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, ready, None, sample, NO_PRIOR,
+        prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, ready, sample, NO_PRIOR,
                                 np.zeros((3, 0)), None, at_start(self.stamp, sample.position, innovation), beyond,
                                 off=off)
         return self.gate.judge(prediction, self.settings)

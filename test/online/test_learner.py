@@ -361,7 +361,7 @@ def test_a_broken_model_is_replaced_by_the_last_checkpoint():
 def test_a_sample_that_cannot_be_learnt_ends_nothing(monkeypatch):
     samples, stage = motion(200), Stage(background=InlineBackground())
     stage.offer(samples[:100])
-    monkeypatch.setattr(stage.learner.estimator.horizon, 'advance', lambda *_: 1 / 0)
+    monkeypatch.setattr(stage.learner.estimator.horizon, 'moved_on', lambda *_: 1 / 0)
     stage.offer(samples[100:])
     assert len(stage.answers) == 200 and stage.learner.built.variant == 'P'
     assert stage.failures[0][0] == 'learning'

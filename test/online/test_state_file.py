@@ -92,16 +92,15 @@ def same(one, other):
 
 SCRATCH = {
     'body',  # built from the description, not from the file; with pinocchio's own work space
-    '_left', '_right',  # columns of changes that wait no longer
-    '_gains', '_innovations', '_theta', '_squared_error', '_outputs', '_origins',  # rows of horizons that are over
-    '_parts', '_shares',  # rows of horizons that are over
+    '_left', '_right',  # changes that wait no longer
+    '_rows', '_origins',  # of horizons that are over
     'revision',  # another one with every change, so that predictions made before are refused
     'options', 'hyperparameters',  # estimated the first time, given the second
 }
 
 
 LAYOUT = {
-    12: {
+    13: {
         'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns within',
@@ -112,16 +111,12 @@ LAYOUT = {
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
         'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'b1 (70,)',
         'history.origin': 'i8 ()',
-        'recursion.array': 'f8 (40, 178)', 'recursion.left': 'f8 (40, 8)', 'recursion.right': 'f8 (178, 8)',
+        'recursion.array': 'f8 (178, 40)', 'recursion.left': 'f8 (8, 40)', 'recursion.right': 'f8 (8, 178)',
         'recursion.places': 'i8 (138,)', 'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()',
         'recursion.renewed': 'i8 ()',
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
-        'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.gains': 'f8 (5, 40)',
-        'horizon.innovations': 'f8 (5, 6, 23)', 'horizon.theta': 'f8 (5, 22)', 'horizon.squared_error': 'f8 (5, 6)',
-        'horizon.outputs': 'f8 (5, 6)', 'horizon.origins': 'i8 (5,)', 'horizon.offsets': 'f8 (5, 5, 6)',
-        'calibration.scales': 'f8 (5, 6)', 'calibration.log_weights': 'f8 (5, 6)', 'calibration.factor': 'f8 (6,)',
-        'wandering.offsets': 'f8 (5, 6)', 'wandering.log_weights': 'f8 (5, 6)', 'wandering.parts': 'f8 (5, 6)',
-        'wandering.offset': 'f8 (6,)',
+        'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
+        'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (6,)',  # level, mean, ratio of a closure
         'gate.3': 'f8 (0, 6)', 'gate.4': 'f8 (0, 6)',  # tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 2 else 'f8 (6,)' for number in range(5, 23)},  # six bands

@@ -1,8 +1,8 @@
 """The rigid-body regressor psi(x): outputs linear in the inertial parameters of the links.
 
-A wrench sensor sees the bodies that hang on it. They are a tree of their own whose root moves with the sensor, so the
-wrench is the first six rows of that tree's joint-torque regressor with a free-flying root (Atkeson et al. 1986).
-Joint efforts take the regressor of the whole arm. Columns are reduced to the identifiable combinations, an orthonormal
+A wrench sensor sees the bodies that hang on it. They hang on the arm by a free joint at the sensor, which stays at
+zero: its efforts are the wrench, its six rows of the joint-torque regressor are ours (Atkeson et al. 1986). Joint
+efforts take the regressor of the arm. Columns are reduced to the identifiable combinations, an orthonormal
 basis of the row space: a prior gamma^2 I on all inertial parameters stays gamma^2 I on the base parameters.
 
 A mimic joint is a joint like any other: it stays where ``locked`` puts it.
@@ -56,11 +56,16 @@ def check_locked(joints: Sequence[str], locked: Mapping[str, float]) -> None:
             raise SemiparamError(f"joint '{name}' is named both among the moving and the locked joints.")
 
 
-def with_gravity(model: pin.Model, gravity: Array) -> tuple[pin.Model, pin.Data]:
-    """A copy of the model under another gravity (3,) [m/s^2], and data for it."""
-    model = model.copy()
-    model.gravity.linear = gravity
-    return model, model.createData()
+def hung(arm: pin.Model, distal: pin.Model) -> pin.Model:
+    """The distal bodies on the arm, by a free joint where the sensor is; their joints follow those of the arm."""
+    hanging = distal.copy()
+    for frame in hanging.frames:
+        frame.name = f'distal {frame.name}'
+    for joint in range(1, hanging.njoints):
+        hanging.names[joint] = f'distal {hanging.names[joint]}'
+    model = pin.appendModel(arm, hanging, arm.getFrameId(SENSOR), pin.SE3.Identity())
+    model.gravity.linear = arm.gravity.linear
+    return model
 
 
 def _posture(model: pin.Model, locked: Mapping[str, float]) -> Array:
@@ -120,7 +125,7 @@ class RigidBody:
         if distal is not None:
             self.sensor_index = arm.getFrameId(SENSOR)
             shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
-            self._distal_from = np.array(shared, dtype=int)
+            self._distal_from = _as_slice(shared)
         self.basis = self._identifiable_basis()
         self._reduce_by(self.basis)
 
@@ -134,9 +139,15 @@ class RigidBody:
 
     def _make_data(self) -> None:
         self._arm_data = self.arm.createData()
-        self._distal_data = None if self.distal is None else self.distal.createData()
-        sizes = () if self.distal is None else (self.distal.nq, self.distal.nv, self.distal.nv)
-        self._motion_data = [np.zeros(size) for size in sizes]  # of the distal tree; its root comes first
+        if self.distal is None:
+            return
+        whole = self._whole()
+        self._whole_data = whole, whole.createData()
+        self._motion_data = pin.neutral(whole), np.zeros(whole.nv), np.zeros(whole.nv)
+
+    def _whole(self) -> pin.Model:
+        """A model whose efforts are the outputs."""
+        return self.arm.copy() if self.distal is None else hung(self.arm, self.distal)
 
     @classmethod
     def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
@@ -252,8 +263,8 @@ class RigidBody:
 
     def _efforts(self, samples: Samples, inertial: Array) -> Array:
         """(N, n) outputs of bodies with these inertial parameters (10 n_bodies,), before the sign."""
-        model, carried = self._carrier()
-        for joint, parameters in zip(carried, inertial.reshape(-1, 10), strict=True):
+        model, bodies = self._whole(), inertial.reshape(-1, 10)
+        for joint, parameters in enumerate(bodies, start=model.njoints - len(bodies)):
             model.inertias[joint] = pin.Inertia.FromDynamicParameters(parameters)
         motion = [self.arm_vector(values).T for values in (samples.position, samples.velocity, samples.acceleration)]
         if self.distal is not None:
@@ -265,23 +276,6 @@ class RigidBody:
         pin.rneaInParallel(1, pin.ModelPool(model, 1), *(np.asfortranarray(values) for values in motion), efforts)
         rows = self.arm_columns if self.distal is None else np.arange(self.arm.nv, self.arm.nv + 6)
         return np.asarray(efforts[rows].T)
-
-    def _carrier(self) -> tuple[pin.Model, range]:
-        """A model whose efforts are the outputs, and its joints that carry the bodies of :attr:`bodies`.
-
-        For a wrench the distal bodies hang on the arm by a free joint at the sensor, which stays at zero: its efforts
-        are the wrench.
-        """
-        if self.distal is None:
-            return self.arm.copy(), range(1, self.arm.njoints)
-        hanging = self.distal.copy()
-        for frame in hanging.frames:
-            frame.name = f'distal {frame.name}'
-        for joint in range(1, hanging.njoints):
-            hanging.names[joint] = f'distal {hanging.names[joint]}'
-        model = pin.appendModel(self.arm, hanging, self.sensor_index, pin.SE3.Identity())
-        model.gravity.linear = self.arm.gravity.linear
-        return model, range(self.arm.njoints, model.njoints)
 
     def full_regressors(self, samples: Samples) -> Array:
         """(N, n, 10 n_bodies) before the reduction to base parameters; the latest one is remembered."""
@@ -308,16 +302,13 @@ class RigidBody:
         return full if self._in_order else np.asarray(full[self.arm_columns])
 
     def _sensor_rows(self, q: Array, dq: Array, ddq: Array) -> Array:
-        data, frame, take = self._arm_data, self.sensor_index, self._distal_from
-        pin.forwardKinematics(self.arm, data, q, dq, ddq)
-        placement = pin.SE3ToXYZQUAT(pin.updateFramePlacement(self.arm, data, frame))
-        twist = pin.getFrameVelocity(self.arm, data, frame, pin.LOCAL).vector
-        change = pin.getFrameAcceleration(self.arm, data, frame, pin.LOCAL).vector
-        moved, turning, gaining = self._motion_data
-        moved[:7], turning[:6], gaining[:6] = placement, twist, change
-        moved[7:], turning[6:], gaining[6:] = q[take], dq[take], ddq[take]
-        full = pin.computeJointTorqueRegressor(self.distal, self._distal_data, moved, turning, gaining)
-        return np.asarray(full[:6])
+        (whole, data), joints, take = self._whole_data, self.arm.nv, self._distal_from
+        place, speed, gain = self._motion_data
+        place[:joints], place[joints + 7:] = q, q[take]
+        speed[:joints], speed[joints + 6:] = dq, dq[take]
+        gain[:joints], gain[joints + 6:] = ddq, ddq[take]
+        full = pin.computeJointTorqueRegressor(whole, data, place, speed, gain)
+        return np.asarray(full[joints:joints + 6, 10 * (self.arm.njoints - 1):])
 
     def with_gravity(self, gravity: Array) -> RigidBody:
         """The same body and base parameters under another gravity (3,) [m/s^2], in the base's axes.
@@ -329,9 +320,9 @@ class RigidBody:
         described = self.base_parameters
         hidden = self.inertial_parameters - self.basis @ described
         other._reduce_by(self.basis + np.outer(hidden, described) / max(float(described @ described), 1e-12))
-        other.arm, other._arm_data = with_gravity(self.arm, gravity)
-        if self.distal is not None:
-            other.distal, other._distal_data = with_gravity(self.distal, gravity)
+        other.arm = self.arm.copy()
+        other.arm.gravity.linear = gravity
+        other._make_data()
         return other
 
     def arm_vector(self, values: Array) -> Array:
@@ -347,6 +338,13 @@ class RigidBody:
         _, singular, directions = np.linalg.svd(stacked * scale, full_matrices=False)
         rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
         return _canonical(directions[:rank].T)
+
+
+def _as_slice(indices: Sequence[int]) -> slice | Indices:
+    """The same elements of an array, without a copy where they follow one another."""
+    first = indices[0] if len(indices) else 0
+    consecutive = list(indices) == list(range(first, first + len(indices)))
+    return slice(first, first + len(indices)) if consecutive else np.array(indices)
 
 
 def _canonical(basis: Array) -> Array:
