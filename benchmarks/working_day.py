@@ -24,7 +24,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,6 +45,7 @@ from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.renewal import LaterWindow
 from semiparam_ros.online.worker import Done, InlineBackground, Job, Result, absorb
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
@@ -200,19 +201,21 @@ def live(day: Day, folder: Path, rate: float) -> Path:
 
 
 class LateBackground(InlineBackground):
-    """Hands what it builds over ``after`` samples later, as where the day runs faster than the background; what then
-    learns the samples that came meanwhile is done at once."""
+    """Hands drafts, and what else it builds, over so many samples later, as where the day runs faster than the
+    background; what then learns the samples that came meanwhile is done at once."""
 
-    def __init__(self, after: int) -> None:
-        self._after = after
+    def __init__(self, draft_after: int, after: int) -> None:
+        self._draft_after, self._after = draft_after, after
         self._waiting: list[tuple[int, Callable[[], object]]] = []
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
         if function is absorb:
             return super().submit(function, *arguments, done=done)
+        draft = any(given is True or (isinstance(given, LaterWindow) and given.draft) for given in arguments)
+        after = self._draft_after if draft else self._after
         return super().submit(function, *arguments, done=lambda *given: self._waiting.append(
-            (self._after, partial(done, *given))))
+            (after, partial(done, *given))))
 
     def sample_offered(self, count: int = 1) -> None:
         """So many samples came."""
@@ -224,16 +227,16 @@ class LateBackground(InlineBackground):
                 self._waiting.append((left - count, hand_over))
 
 
-def offline(day: Day, folder: Path, takeover_after: int = 0) -> Answers:
+def offline(day: Day, folder: Path, takeover_after: Sequence[int]) -> Answers:
     """The same learner in this process; the new start in the middle goes on with its state.
 
-    :param takeover_after: samples that pass while the background works.
+    :param takeover_after: samples that pass while the background makes a draft, and while it does anything else.
     """
     write_bag(folder / 'day.mcap', day.recording)
     row = {int(stamp): index for index, stamp in enumerate(day.recording.stamps)}
     shapes = len(day.times), day.recording.outputs.shape, day.recording.outputs.shape
     listener = Listener(row, *(np.full(shape, np.nan) for shape in shapes))
-    body, background = build_rigid_body(day.settings), LateBackground(takeover_after)
+    body, background = build_rigid_body(day.settings), LateBackground(takeover_after[0], takeover_after[-1])
     learner = Learner(day.settings, body, background, listener)
     restarted = False
     for sample in load_samples(folder / 'day.mcap', day.settings).samples:
@@ -392,8 +395,8 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=0, help='of the first day')
     parser.add_argument('--seeds', type=int, default=1, help='days')
     parser.add_argument('--offline', action='store_true', help='without DDS, in this process')
-    parser.add_argument('--takeover-after', type=int, default=0, metavar='N',
-                        help='with --offline: what the background builds takes over N samples later')
+    parser.add_argument('--takeover-after', type=int, nargs='+', default=[0], metavar='N',
+                        help='with --offline: what the background builds takes over N samples later; two: drafts first')
     parser.add_argument('--folder', type=Path, default=Path('output/working_day'))
     parser.add_argument('--json', type=Path)
     given = parser.parse_args()

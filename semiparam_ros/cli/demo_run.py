@@ -165,7 +165,7 @@ def play(args: argparse.Namespace, environment: dict[str, str], seam: float) -> 
         recorder.wait_for(lambda: recorder.said('recording'), 'the estimator was found', START_S)
         with Program([*replay, folder / 'window.json', '--until', seam], environment) as player:
             player.finish(PLAY_S, beside=(estimator, recorder))
-        estimator.wait_for(lambda: estimator.said('takes over from the provisional model'),
+        estimator.wait_for(lambda: estimator.said('has its hyperparameters and takes over'),
                            'its hyperparameters were estimated', PLAY_S)
         with Program([*replay, folder / 'replay.json', '--start-offset', seam], environment) as player:
             player.finish(PLAY_S, beside=(estimator, recorder))

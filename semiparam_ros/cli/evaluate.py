@@ -78,9 +78,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='learn this recording first, without scoring it; may be repeated')
     parser.add_argument('--frozen', action='store_true', help='predict without learning (needs --train)')
     parser.add_argument('--takeover-after', metavar='N[,N...]', default='0',
-                        help='samples from the end of each window until the model of it takes over, as in the node '
-                             'while it estimates hyperparameters, whose diagnostics tell them; the last N holds for '
-                             'all that follow (default 0: at once)')
+                        help='samples from the end of each window until the draft and then the model of it take over, '
+                             'as in the node while it estimates hyperparameters, whose diagnostics tell them; the last '
+                             'N holds for all that follow (default 0: at once)')
     add_json_option(parser)
     parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
     parser.add_argument('--plot', metavar='FILE', type=Path, help='plot both indices over time (.png, .svg or .pdf)')

@@ -97,15 +97,15 @@ class AveragedEstimator(Estimator):
             return own
         return self._averaged((own, *(other._answer(seen) for other in self._others)))
 
-    def finish_window(self) -> None:
+    def finish_window(self, draft: bool = False) -> None:
         """See :meth:`Estimator.finish_window`; every member has its own hyperparameters of the same window."""
         others = []
         for name in MEMBERS[1:]:
             other = Estimator(self.body, replace(self.options, variant=name), self.columns.effects)
             other.window = self.window
-            other._begin_variant()
+            other._begin_variant(draft)
             others.append(other)
-        self._begin_variant()
+        self._begin_variant(draft)
         self._others = tuple(others)
         self._begin_averaging()
         for remembered in self.window:

@@ -413,23 +413,26 @@ class Estimator:
         twin._begin_following()
         return twin
 
-    def finish_window(self) -> None:
+    def finish_window(self, draft: bool = False) -> None:
         """End the initial window now: estimate hyperparameters from it, learn it, and let the variant take over.
+
+        :param draft: by a search of a fraction of a second, see :func:`~semiparam_ros.core.hyperparameters.maximisation
+            .draft_maximum`.
 
         Raises SemiparamError, with nothing changed, when the window holds too little to estimate from.
         """
-        self._begin_variant()
+        self._begin_variant(draft)
         for remembered in self.window:
             self._learn_again(remembered)
         self._leave_window()
 
-    def _begin_variant(self) -> None:
+    def _begin_variant(self, draft: bool) -> None:
         """Estimate the hyperparameters from the window, and begin the variant that has them."""
         window = self.window
         if not len(window):
             raise SemiparamError('the initial window holds no samples yet: none were learnt while the robot moved.')
         scaling = input_scaling(window.inputs)
-        hyperparameters = self._estimate(window, scaling)
+        hyperparameters = self._estimate(window, scaling, draft)
         self.input_scaling = scaling
         self.model = self._build(hyperparameters)
         self._begin_following()
@@ -523,7 +526,7 @@ class Estimator:
             return self.origin
         return stamp - LONGEST_PAUSE_NS if self._newest is None else self.origin + since
 
-    def _estimate(self, window: InitialWindow, scaling: tuple[Array, Array]) -> Hyperparameters:
+    def _estimate(self, window: InitialWindow, scaling: tuple[Array, Array], draft: bool) -> Hyperparameters:
         options, inputs = self.options, (window.inputs - scaling[0]) / scaling[1]
         omega = spectrum(inputs.shape[1], options.most_features, options.features_seed)
         columns = window.columns
@@ -531,7 +534,7 @@ class Estimator:
         return estimate(options.variant, window.outputs - known, columns, inputs, omega,
                         length_scales=options.length_scales, noise=options.noise,
                         prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects,
-                        fewest=options.features_count == AUTO)
+                        fewest=options.features_count == AUTO, draft=draft)
 
     def _given(self, hyperparameters: Hyperparameters) -> Model:
         options, size = self.options, 3 * self.body.n_joints

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -18,7 +19,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.model_switcher import sentence_of
-from semiparam_ros.online.renewal import Renewal
+from semiparam_ros.online.renewal import LaterWindow, Renewal, has_draft
 from semiparam_ros.online.worker import absorb, finish_window, renew
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator
@@ -136,7 +137,7 @@ class OfflineLearner:
     :param tick: called after each sample.
     :param takeovers: samples from the end of each window until the model of it takes over, or cannot be; the last one
         for all that follow. The node estimates hyperparameters meanwhile, and the model that it has answers; here it
-        need not.
+        need not. The initial window has two: that of a draft comes first.
     """
 
     def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None],
@@ -151,7 +152,9 @@ class OfflineLearner:
         self.history = History(settings.initial_samples, settings.retained_samples, body.n_joints)
         self.renewals = 0
         self._renewal = Renewal(settings.initial_samples, body.n_outputs)
+        self._later: LaterWindow | None = None
         self._successor: Callable[[], Estimator] | None = None
+        self._draft: Callable[[], Estimator] | None = None
         self._waiting: list[tuple[Sample, bool]] = []
 
     def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
@@ -186,21 +189,40 @@ class OfflineLearner:
         if self._successor is not None:
             self._waiting.append((sample, learn))
         elif self.estimator.window_full:
+            self._later = None
+            if has_draft(self.settings.initial_samples):
+                self._draft = partial(finish_window, self.estimator.with_window_alone(), True)
             self._successor = partial(finish_window, self.estimator.with_window_alone())
         elif due:
+            self._later = self._renewal.begin()
             self._successor = partial(renew, self.settings, self.estimator.body, self.history.batch(),
-                                      self.history.origin, self._renewal.begin())
-        if self._successor is not None and len(self._waiting) == self._takeovers[0]:
+                                      self.history.origin, self._later)
+        if self._draft is not None and len(self._waiting) == self._takeovers[0]:
+            self._draft_takes_over(self._draft)
+        if self._successor is not None and self._draft is None and len(self._waiting) == self._takeovers[0]:
             self._take_over()
         return prediction._replace(horizon=errors)
+
+    def _draft_takes_over(self, draft: Callable[[], Estimator]) -> None:
+        """It has learnt what came since the end of the initial window; the hyperparameters are estimated yet."""
+        self._draft = None
+        self._next_takeover()
+        if len(self._waiting) == self._takeovers[0]:
+            return  # the successor takes over at once
+        with suppress(SemiparamError):
+            self.estimator = absorb(draft(), batch_of(self._waiting))
+            self._renewal.go_on_with_draft()
+
+    def _next_takeover(self) -> None:
+        if len(self._takeovers) > 1:
+            self._takeovers.popleft()
 
     def _take_over(self) -> None:
         """The variant has its hyperparameters, and has learnt what came since."""
         assert self._successor is not None
         successor, batch = self._successor, batch_of(self._waiting)
-        self._successor, self._waiting = None, []
-        if len(self._takeovers) > 1:
-            self._takeovers.popleft()
+        self._successor, self._draft, self._waiting = None, None, []
+        self._next_takeover()
         before = self.estimator
         try:
             self.estimator = absorb(successor(), batch)
@@ -209,9 +231,16 @@ class OfflineLearner:
                 self.failed_windows.append(sentence_of(error))
                 before.discard_window()
                 self.history.discard()
+            elif self._later is None:
+                self._renewal.clear()
             return
-        if before.ready:
-            self.estimator.origin = before.origin
+        if self._later is None:
+            self._renewal.clear()
+            return
+        self.estimator.origin = before.origin
+        if self._later.draft:
+            self._renewal.go_on_with_draft()
+        else:
             self.renewals += 1
 
     def finish(self, training: Sequence[LoadedBag], frozen: bool) -> None:

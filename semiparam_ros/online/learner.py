@@ -30,7 +30,7 @@ from semiparam_ros.online.model_switcher import (
     same_model,
     sentence_of,
 )
-from semiparam_ros.online.renewal import Renewal
+from semiparam_ros.online.renewal import LaterWindow, Renewal, has_draft
 from semiparam_ros.online.state_file import SavedState
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import Background
@@ -111,6 +111,9 @@ class Learner:
         self._seen = len(self.history)
         self._failures = 0
         self._asked: int | None = None
+        self._later: LaterWindow | None = None
+        """That hyperparameters are estimated from; None: the initial window."""
+        self._awaits_draft = False
         self.takeovers: list[int] = []
         self.switcher.remember(settings, estimator)
         self._follow_settings(retry=True)
@@ -199,36 +202,61 @@ class Learner:
 
     def _end_window(self) -> None:
         """Let the background estimate hyperparameters, unless the settings want another model than this."""
-        self._asked = self.answered
+        self._asked, self._later = self.answered, None
+        self._awaits_draft = has_draft(self.built.initial_samples)
         if self.switcher.successor is None:
             self._listener.told(f'the initial window holds {len(self.estimator.window)} samples of motion: the '
                                 f'hyperparameters of {self.built.variant} are estimated; the rigid body answers on.')
             self.switcher.finish_window(self.built, self.estimator)
 
+    def draft_live(self, estimator: Estimator | None) -> None:
+        """It takes over from the provisional model, between two samples; the hyperparameters are estimated yet."""
+        waited, self._awaits_draft = self._waited(), False
+        self.takeovers.append(waited)
+        if estimator is not None:
+            self.estimator = estimator
+            self._renewal.go_on_with_draft()
+            self._listener.told(f'{self.built.variant} takes over with a draft of its hyperparameters, {waited} '
+                                'samples after the end of the initial window.')
+
     def _window_live(self, estimator: Estimator) -> None:
-        """The model whose window is over takes over from the provisional one, between two samples."""
+        """The model whose window is over takes over from the provisional one or its draft, between two samples."""
         self.estimator = estimator
-        self._listener.told(f'{self.built.variant} has its hyperparameters and takes over from the provisional model, '
+        self._renewal.clear()
+        self._listener.told(f'{self.built.variant} has its hyperparameters and takes over, '
                             f'{self._taken_over()} samples after the end of the initial window.')
 
     def _taken_over(self) -> int:
         """What was asked of a window is there, or cannot be: how many samples were answered since."""
-        waited, self._asked = self.answered - (self.answered if self._asked is None else self._asked), None
-        self.takeovers.append(waited)
+        waited, self._asked = self._waited(), None
+        self.takeovers.extend([waited] * (1 + self._awaits_draft))  # it was built without
+        self._awaits_draft = False
         return waited
+
+    def _waited(self) -> int:
+        return 0 if self._asked is None else self.answered - self._asked
 
     def _perhaps_renew(self, prediction: Prediction) -> None:
         """Estimate the hyperparameters again where motion has left what they are from, and no successor is built."""
         if self._renewal.see(self.estimator, prediction) and self.switcher.successor is None:
-            self._listener.told('the robot moves otherwise than in the window that the hyperparameters of '
+            self._later = self._renewal.begin()
+            after_draft = has_draft(self.built.initial_samples) and not self._later.draft
+            self._listener.told(f'the hyperparameters of {self.built.variant} are estimated from the latest '
+                                f'{self._later.samples} samples; it answers on.' if after_draft else
+                                'the robot moves otherwise than in the window that the hyperparameters of '
                                 f'{self.built.variant} are from: they are estimated again; it answers on.')
             self._asked = self.answered
-            self.switcher.renew(self.built, self.history, self._renewal.begin())
+            self.switcher.renew(self.built, self.history, self._later)
 
-    def _renewed(self, estimator: Estimator) -> None:
+    def _renewed(self, estimator: Estimator, later: LaterWindow) -> None:
         """The model with hyperparameters of a later window takes over, between two samples."""
         self.estimator, self._renewal.done = estimator, True
-        self.switcher.follow_renewed(self.settings, estimator, self.history)
+        self.switcher.follow_renewed(self.settings, estimator, None if later.draft else self.history)
+        if later.draft:
+            self._renewal.go_on_with_draft()
+            self._listener.told(f'{self.built.variant} goes on with a draft of them, from {later.samples} '
+                                f'samples, the last of which {self._taken_over()} samples ago.')
+            return
         self._listener.told(f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
                             f'{self._taken_over()} of them since the end of the window.')
 
@@ -318,14 +346,15 @@ class Learner:
         """It takes over, between two samples."""
         self._failures = 0
         if same_model(settings, self.built):
-            if self.estimator.ready:
-                self._renewed(estimator)
+            if self._later is not None:
+                self._renewed(estimator, self._later)
             else:
                 self._window_live(estimator)
             return
         if not self.estimator.ready and self._asked is not None:
             self._taken_over()
         before, self.built, self.estimator, self._asked = self.built, settings, estimator, None
+        self._renewal.clear()
         changed = f' from {before.variant}' if before.variant != settings.variant else ', changed,'
         self._listener.model_switched(True, f'{settings.variant} takes over{changed} after {self._seen} samples.')
         self._follow_settings()
@@ -335,7 +364,9 @@ class Learner:
         if same_model(settings, self.built):
             if self.estimator.ready:
                 self._taken_over()
-                self._listener.told(f'the later window gives no hyperparameters ({sentence}); {settings.variant} goes '
+                if self._later is None:
+                    self._renewal.clear()
+                self._listener.told(f'the window gives no hyperparameters ({sentence}); {settings.variant} goes '
                                     'on with those it has.')
             else:
                 self._discard_window(sentence)
@@ -363,7 +394,7 @@ class Learner:
     def _follow_settings(self, retry: bool = False) -> None:
         """Build what the settings ask for and is not there."""
         if same_model(self.settings, self.built):
-            if self.estimator.window_full and self.switcher.successor is None:
+            if (self.estimator.window_full or self._renewal.refines) and self.switcher.successor is None:
                 self._asked = self.answered if self._asked is None else self._asked
                 self.switcher.appoint(self.settings, self.history)
             self.switcher.set_shadows(self.settings, self.history, retry)

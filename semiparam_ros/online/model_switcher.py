@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 from enum import Enum
-from math import inf
 from typing import Protocol
 
 from semiparam_ros.core.estimator import Estimator
@@ -24,6 +23,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
 from semiparam_ros.online.history import History, SampleLog
+from semiparam_ros.online.renewal import LaterWindow, has_draft
 from semiparam_ros.online.worker import Background, Job
 from semiparam_ros.settings.snapshot import Settings
 
@@ -51,6 +51,9 @@ class State(Enum):
 
 class SwitcherListener(Protocol):
     """The owner of the active model."""
+
+    def draft_live(self, estimator: Estimator | None) -> None:
+        """The successor's draft from the initial window has seen every sample and takes over now; None: it failed."""
 
     def successor_live(self, settings: Settings, estimator: Estimator) -> None:
         """The successor has seen every sample and takes over now."""
@@ -91,13 +94,19 @@ class StandbyModel:
         """Begin to build it."""
         self._submit(worker.build, self.settings, self.body, history.batch(), known, history.origin)
 
-    def start_renewed(self, history: History, to_beat: float = inf) -> None:
+    def start_renewed(self, history: History, window: LaterWindow | None = None) -> None:
         """Begin to build it with hyperparameters from a later window."""
-        self._submit(worker.renew, self.settings, self.body, history.batch(), history.origin, to_beat)
+        self._submit(worker.renew, self.settings, self.body, history.batch(), history.origin, window)
 
-    def start_with(self, estimator: Estimator) -> None:
-        """Begin with an estimator whose initial window is full: its hyperparameters are estimated."""
-        self._submit(worker.finish_window, estimator.with_window_alone())
+    def wait_with(self, estimator: Estimator) -> None:
+        """Have an estimator whose initial window is full; :meth:`finish_window` then estimates its hyperparameters."""
+        self.estimator, self._in_background = estimator.with_window_alone(), True
+
+    def finish_window(self, draft: bool = False) -> None:
+        """See :meth:`wait_with`."""
+        estimator, self.estimator = self.estimator, None
+        assert estimator is not None
+        self._submit(worker.finish_window, estimator, draft)
 
     def offer(self, sample: Sample, learnt: bool) -> None:
         """Let it see the sample that the active model has just answered."""
@@ -180,6 +189,8 @@ class ModelSwitcher:
 
     def __init__(self, body: RigidBody, background: Background, listener: SwitcherListener) -> None:
         self.successor: StandbyModel | None = None
+        self.draft: StandbyModel | None = None
+        """Of the successor whose hyperparameters are estimated from the initial window; it takes over before that."""
         self.shadows: dict[str, StandbyModel] = {}
         self._failed_shadows: set[str] = set()
         self._known: dict[tuple[object, ...], worker.Known] = {}
@@ -189,8 +200,8 @@ class ModelSwitcher:
 
     @property
     def models(self) -> list[StandbyModel]:
-        """Shadows and successor."""
-        return [*self.shadows.values(), *([self.successor] if self.successor else [])]
+        """Shadows, draft and successor."""
+        return [*self.shadows.values(), *(model for model in (self.draft, self.successor) if model)]
 
     def offer(self, sample: Sample, learnt: bool) -> None:
         """Let all of them see a sample."""
@@ -209,23 +220,33 @@ class ModelSwitcher:
             self._known[_key(settings)] = known
 
     def finish_window(self, settings: Settings, estimator: Estimator) -> None:
-        """Build the successor of a provisional model whose initial window is full."""
+        """Build the successor of a provisional model whose initial window is full: its draft first."""
         self.successor = StandbyModel(settings, self._body, self._background, self)
-        self.successor.start_with(estimator)
+        self.successor.wait_with(estimator)
+        if not has_draft(settings.initial_samples):
+            self.successor.finish_window()
+            return
+        self.draft = StandbyModel(settings, self._body, self._background, self)
+        self.draft.wait_with(estimator)
+        self.draft.finish_window(draft=True)
 
-    def renew(self, settings: Settings, history: History, to_beat: float) -> None:
+    def renew(self, settings: Settings, history: History, window: LaterWindow) -> None:
         """Build a successor of the same settings with hyperparameters from a later window."""
         self.successor = StandbyModel(settings, self._body, self._background, self)
-        self.successor.start_renewed(history, to_beat)
+        self.successor.start_renewed(history, window)
 
-    def follow_renewed(self, settings: Settings, estimator: Estimator, history: History) -> None:
-        """It has taken over: nothing else is to be built from the initial window."""
+    def follow_renewed(self, settings: Settings, estimator: Estimator, history: History | None) -> None:
+        """It has taken over: nothing else is to be built from the initial window; the shadows follow.
+
+        :param history: None for a draft, which the shadows need not follow.
+        """
         self.renewed = True
         self._known.clear()
         self.remember(settings, estimator)
-        for name in list(self.shadows):
-            self.shadows.pop(name).retire()
-        self.set_shadows(settings, history)
+        if history is not None:
+            for name in list(self.shadows):
+                self.shadows.pop(name).retire()
+            self.set_shadows(settings, history)
 
     def appoint(self, settings: Settings, history: History) -> bool:
         """Let a shadow that learns this very model succeed, or build a successor; True when it took over at once."""
@@ -258,12 +279,15 @@ class ModelSwitcher:
         if self.successor is not None:
             self.successor.retire()
             self.successor = None
+        if self.draft is not None:
+            self.draft.retire()
+            self.draft = None
 
     def retire_all(self, forget_hyperparameters: bool = False) -> None:
         """End them all."""
         for model in self.models:
             model.retire()
-        self.successor = None
+        self.successor = self.draft = None
         self.shadows.clear()
         if forget_hyperparameters:
             self._known.clear()
@@ -272,6 +296,9 @@ class ModelSwitcher:
     def on_live(self, model: StandbyModel) -> None:
         """A model has seen every sample."""
         assert model.estimator is not None
+        if model is self.draft:
+            self._end_draft(model.estimator)
+            return
         self.remember(model.settings, model.estimator)
         if model is self.successor:
             self.successor = None
@@ -280,6 +307,9 @@ class ModelSwitcher:
     def on_failed(self, model: StandbyModel, error: BaseException | None) -> None:
         """A model could not be built, or broke: it retires."""
         model.retire()
+        if model is self.draft:  # what is wrong with the window the successor will tell
+            self._end_draft(None)
+            return
         sentence = sentence_of(error)
         if error is not None and not isinstance(error, SemiparamError):
             self._listener.failed(f'the model {model.settings.variant} beside the active one', error)
@@ -291,9 +321,15 @@ class ModelSwitcher:
             self._failed_shadows.add(model.settings.variant)
             self._listener.shadow_failed(model.settings, sentence)
 
+    def _end_draft(self, estimator: Estimator | None) -> None:
+        self.draft = None
+        self._listener.draft_live(estimator)
+        if self.successor is not None:
+            self.successor.finish_window()
+
     def on_horizon(self, model: StandbyModel, errors: HorizonErrors) -> None:
         """A model completed horizon errors; those of a successor are of no interest yet."""
-        if model is not self.successor:
+        if model is not self.successor and model is not self.draft:
             self._listener.shadow_horizon(model.settings.variant, errors)
 
     def _start(self, model: StandbyModel, history: History) -> None:

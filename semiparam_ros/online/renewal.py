@@ -2,9 +2,14 @@
 
 The features see inputs scaled by the window's spread. A window of slow motion, or one in which a joint stood still,
 scales later motion so large that any two of its samples look unlike, and the model learns each of them anew.
+
+A draft of the new ones, from less than half a window and by a search of a fraction of a second, takes over first.
 """
 
 from __future__ import annotations
+
+from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,10 +26,24 @@ SURE = 0.1
 LEAD = 0.3
 """So large a share more is gathered first, while motion sets out and the model in force learns it. The first time, as
 after a slow start, there is no time for it: the hyperparameters are far off."""
+DRAFT_SHARE = 0.4
+"""So large a share of a window gives a draft."""
+LEAST_DRAFT = 200
+"""[samples] A draft is not from fewer: so small a window gives hyperparameters as fast without one."""
 MOST_WORSE = 1.1
 """A model takes over unless its errors over the window are so many times those of the model in force."""
 MOST_ATTEMPTS = 60
 """More than a life is long enough for."""
+
+
+class LaterWindow(NamedTuple):
+    """The latest samples that were learnt, to estimate hyperparameters from."""
+
+    samples: int
+    to_beat: float = inf
+    """Root mean square over its end (:func:`judged`), and over the outputs in their own scale, of the errors of the
+    model in force."""
+    draft: bool = False
 
 
 class Errors:
@@ -61,10 +80,12 @@ class Renewal:
         self.done = False
         """Whether any hyperparameters are from a later window than the initial one."""
         self._attempts, self._learnt = 0, 0
-        self._clear()
+        self.clear()
 
-    def _clear(self) -> None:
+    def clear(self) -> None:
+        """Watch anew, from the next sample on."""
         self._gathered, self._outside, self._errors = 0, 0, Errors(self._n_outputs)
+        self._drafted = self._draft_rules = False
 
     @property
     def unsettled(self) -> bool:
@@ -72,7 +93,7 @@ class Renewal:
         return self._gathered >= SURE * self._wanted or (self._attempts > 0 and self._learnt < self._wanted)
 
     def see(self, estimator: Estimator, prediction: Prediction) -> bool:
-        """Take note of a sample that was just learnt; True when the latest ones are another window."""
+        """Take note of a sample that was just learnt; True when the latest ones are enough of another window."""
         if estimator.input_scaling is None or not estimator.ready:
             return False
         self._learnt += 1
@@ -83,24 +104,52 @@ class Renewal:
             return False
         self._gathered += 1
         self._outside += outside
-        enough = self._wanted * (1.0 + LEAD) if self._attempts else self._wanted
-        if self._gathered > enough - judged(self._wanted):
+        if self._gathered > self._enough - judged(self._window):
             self._errors.add(prediction)
-        if self._gathered >= SURE * self._wanted and self._outside < SHARE * self._gathered:
-            self._clear()
-        return self._gathered >= enough
+        few = self._gathered >= SURE * self._wanted and self._outside < SHARE * self._gathered
+        if few and not self._drafted:  # a draft's window is wider
+            self.clear()
+        return self._gathered >= self._enough
 
-    def begin(self) -> float:
-        """Watch anew, for hyperparameters are being estimated; the size of the errors over the end of the window."""
-        size = self._errors.size
-        self._attempts, self._learnt = self._attempts + 1, 0
-        self._clear()
-        return size
+    @property
+    def _window(self) -> int:
+        """Samples of the window that comes next."""
+        return drafted(self._wanted) if self._drafts else self._wanted
+
+    @property
+    def _drafts(self) -> bool:
+        """Whether a draft comes next."""
+        return has_draft(self._wanted) and not self._drafted
+
+    @property
+    def _enough(self) -> float:
+        """Samples to gather for it."""
+        return self._window * (1.0 + LEAD) if self._attempts else self._window
+
+    def begin(self) -> LaterWindow:
+        """Hyperparameters are being estimated from this window: watch anew, or go on after a draft."""
+        window = LaterWindow(self._window, inf if self._draft_rules else self._errors.size, self._drafts)
+        if window.draft:
+            self._drafted, self._errors = True, Errors(self._n_outputs)
+        else:
+            self._attempts, self._learnt = self._attempts + 1, 0
+            self.clear()
+        return window
+
+    def go_on_with_draft(self) -> None:
+        """One has taken over, from this or from the initial window. What follows knows more, and need not beat it."""
+        self._draft_rules = True
+
+    @property
+    def refines(self) -> bool:
+        """Whether a draft from the initial window is in force."""
+        return self._draft_rules and not self._drafted
 
     def state(self) -> Memory:
         """For a file; :meth:`restore` takes it back."""
         return {'done': self.done, 'attempts': self._attempts, 'learnt': self._learnt, 'gathered': self._gathered,
-                'outside': self._outside, 'errors': self._errors.sums.copy()}
+                'outside': self._outside, 'drafted': self._drafted,
+                'draft_rules': self._draft_rules, 'errors': self._errors.sums.copy()}
 
     def restore(self, state: Memory) -> None:
         """Go on from a state; raises LookupError, TypeError or ValueError for what is none."""
@@ -108,9 +157,20 @@ class Renewal:
             raise TypeError('the state of the renewal is no mapping')
         self.done, self._gathered, self._outside = bool(state['done']), int(state['gathered']), int(state['outside'])
         self._attempts, self._learnt = int(state['attempts']), int(state['learnt'])
+        self._drafted, self._draft_rules = bool(state.get('drafted')), bool(state.get('draft_rules'))
         if not 0 <= self._attempts <= MOST_ATTEMPTS:
             raise ValueError(f'the hyperparameters were estimated {self._attempts} times')
         self._errors.sums = np.array(state['errors'], dtype=float).reshape(4, self._n_outputs)
+
+
+def drafted(wanted: int) -> int:
+    """Samples that a draft is from."""
+    return round(DRAFT_SHARE * wanted)
+
+
+def has_draft(wanted: int) -> bool:
+    """Whether hyperparameters of so many samples are preceded by a draft."""
+    return drafted(wanted) >= LEAST_DRAFT
 
 
 def judged(wanted: int) -> int:

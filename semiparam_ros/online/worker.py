@@ -22,15 +22,13 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
-import numpy as np
-
 from semiparam_ros.core.averaged_estimator import estimator_of
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
-from semiparam_ros.online.renewal import MOST_WORSE, Errors, judged, later_window
+from semiparam_ros.online.renewal import MOST_WORSE, Errors, LaterWindow, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
 
@@ -276,9 +274,9 @@ class Known(NamedTuple):
     others: tuple[Hyperparameters, ...] = ()  # of the variants averaged with it
 
 
-def finish_window(estimator: Estimator) -> Estimator:
+def finish_window(estimator: Estimator, draft: bool = False) -> Estimator:
     """The estimator whose initial window is full, with its hyperparameters estimated and the window learnt."""
-    estimator.finish_window()
+    estimator.finish_window(draft)
     return estimator
 
 
@@ -289,30 +287,29 @@ def build(settings: Settings, body: RigidBody, batch: SampleBatch, known: Known 
 
 
 def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int | None,
-          to_beat: float = np.inf) -> Estimator:
+          later: LaterWindow | None = None) -> Estimator:
     """The same with hyperparameters from a later window, see :mod:`semiparam_ros.online.renewal`.
 
-    :param to_beat: root mean square over the end of that window, and over the outputs in their own scale, of the errors
-        of the model in force.
-
-    Raises SemiparamError when the window holds too little to estimate from, or the model predicts it worse than that.
+    Raises SemiparamError when the window holds too little to estimate from, or the model predicts it worse than the one
+    that it is to beat.
     """
+    later = later or LaterWindow(settings.initial_samples)
     gathering = new_estimator(settings, body, origin=origin)
-    window = later_window(batch.learnt, settings.initial_samples)
+    window = later_window(batch.learnt, later.samples)
     start = 0 if settings.effects else int(window.argmax())  # effects may remember all that was before
     for (sample, _), chosen in zip(batch.part(start).pairs(), window[start:].tolist(), strict=True):
         gathering.observe(gathering.predict(sample), chosen, finish=False)
-    gathering.finish_window()
+    gathering.finish_window(later.draft)
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
-    compared = later_window(batch.learnt, judged(settings.initial_samples))
+    compared = later_window(batch.learnt, judged(later.samples))
     for (sample, learns), chosen in zip(batch.pairs(), compared.tolist(), strict=True):
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)
         estimator.observe(prediction, learns)
-    if errors.size > MOST_WORSE * to_beat:
+    if errors.size > MOST_WORSE * later.to_beat:
         raise SemiparamError(f'the model that follows has errors of {errors.size:.3g} over that window where the model '
-                             f'in force has {to_beat:.3g}.')
+                             f'in force has {later.to_beat:.3g}.')
     return estimator
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from unittest.mock import patch
 
 import hypothesis
 import numpy as np
@@ -252,6 +253,7 @@ Lives.TestCase.settings = hypothesis.settings(max_examples=hypothesis.settings.d
                                               stateful_step_count=40, deadline=None,
                                               phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
                                               suppress_health_check=list(hypothesis.HealthCheck))
+Lives.TestCase.runTest = patch('semiparam_ros.online.renewal.LEAST_DRAFT', 1)(Lives.TestCase.runTest)
 TestLives = pytest.mark.timeout(3600)(Lives.TestCase)  # the full form takes minutes
 
 
@@ -277,8 +279,11 @@ def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
 
 def test_a_life_in_which_the_hyperparameters_are_estimated_again(tmp_path, monkeypatch):
     monkeypatch.setattr('semiparam_ros.online.worker.MOST_WORSE', np.inf)
+    monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
     life = with_a_window()
     life.moves_fast(45)
+    life.background.run()  # so few samples give no draft
+    life.moves_fast(1)
     life.shadows(['NP-ML'])
     assert not life.learner.switcher.renewed and life.learner.switcher.successor is not None
     life.moves(10)

@@ -25,7 +25,8 @@ def renewals(stage):
 
 
 @pytest.mark.parametrize('variant', ['SPK-ML', 'NP-ML', 'SP2-ML'])
-def test_once_where_motion_becomes_faster_and_live_as_offline(variant):
+def test_once_where_motion_becomes_faster_and_live_as_offline(variant, monkeypatch):
+    monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
     settings = replace(SLOWER, variant=variant)
     stage, waited, scales = Stage(settings), 0, []
     for sample in DAY:
@@ -33,13 +34,15 @@ def test_once_where_motion_becomes_faster_and_live_as_offline(variant):
         if stage.background.jobs:
             waited += 1
             if waited > TAKEOVER_AFTER:
-                stage.background.run()
+                stage.background.run(1)
                 waited = 0
         if stage.learner.estimator.ready:
             scales.append(stage.learner.estimator.input_scaling[1])
     assert renewals(stage) == 1 and 'has new hyperparameters and takes over' in stage.news[-1]
     assert (scales[-1] > 3.0 * scales[0])[2:].all()
-    assert len(stage.learner.takeovers) == 2 and min(stage.learner.takeovers) > 0
+    assert 'a draft of its hyperparameters' in stage.news[1]
+    drafted, first, *later = stage.learner.takeovers
+    assert 0 < drafted < first and len(later) == 2 and min(later) > 0
     offline = OfflineLearner(settings, [], lambda: None, stage.learner.takeovers)
     steps = [offline.step(sample, True) for sample in DAY]
     assert offline.renewals == 1

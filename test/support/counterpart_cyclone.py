@@ -297,8 +297,8 @@ def main(bag, params, out):
     finally:
         node.send_signal(signal.SIGINT)
         code = node.wait(PATIENCE_S)
-    told = re.search(r'(\d+) samples after the end of the initial window', Path(log.name).read_text())
-    takeovers = [int(told[1])] if told else [len(result['answers'])]
+    told = re.findall(r'(\d+) samples after the end of the initial window', Path(log.name).read_text())
+    takeovers = [int(count) for count in told] or [len(result['answers'])]
     Path(out).write_text(json.dumps({**result, 'exit': code, 'takeovers': takeovers}))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.hyperparameters.feature_count import fewest_features
 from semiparam_ros.core.hyperparameters.marginal_likelihood import Window
-from semiparam_ros.core.hyperparameters.maximisation import EvidenceMaximum, maximise_evidence
+from semiparam_ros.core.hyperparameters.maximisation import EvidenceMaximum, draft_maximum, maximise_evidence
 from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
 from semiparam_ros.core.hyperparameters.window import (
     LengthScales,
@@ -54,12 +54,12 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
              length_scales: LengthScales = 'one', noise: Noise = 'one', drifting: bool = True,
              method: str = 'quasi-newton', prior_scale: Array | None = None, starts: int = 4, jobs: int = 1,
              grid: Grid | None = None, progress: Callable[[int, int], None] | None = None,
-             n_effects: int = 0, fewest: bool = False) -> Hyperparameters:
+             n_effects: int = 0, fewest: bool = False, draft: bool = False) -> Hyperparameters:
     """Estimate the hyperparameters of a variant, or of the first of those averaged, from its initial window.
 
     :param outputs: Y (t, n). :param coupled: C (t, n, p), offset columns included. NP has the effects' columns alone.
     :param inputs: scaled inputs (t, m). :param spectrum: omega (d, m) of the random features; ignored by P.
-    :param fewest: take as few features as are enough (see ``feature_count``), from the first on.
+    :param fewest: take as few features as are enough (see ``feature_count``), from the first on; a draft takes all.
     :param length_scales: one, one for each kind of input, or one for each input (VS then tries one for each kind).
     :param noise: one standard deviation, or one for each output.
     :param drifting: the evidence allows for slowly drifting noise; False: white noise, as in the paper.
@@ -67,6 +67,7 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
     :param prior_scale: (p,) prior standard deviations of theta in units of gamma; ones if left out.
     :param progress: called as progress(done, total) by the VS variants.
     :param n_effects: of the coupled columns, the last so many are effects', which every variant learns online.
+    :param draft: by a search of a fraction of a second, of the evidence for the VS variants too.
     :raises SemiparamError: unknown variant, too few samples, a constant or non-finite channel.
     """
     variant_named(variant)
@@ -77,14 +78,15 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
     groups = input_groups('kind' if selection == 'VS' and length_scales == 'input' else length_scales,
                           inputs.shape[1])
     window = Window(outputs, coupled, inputs, spectrum, groups, scale, n_effects=n_effects)
-    if selection == 'VS':
+    if selection == 'VS' and not draft:
         found = _by_validation(kind, window, noise, grid, progress, fewest)
         by_input = tuple(np.array(found.tau)[groups].tolist())
         return replace(found, tau=by_input) if length_scales == 'input' else found
     pi = _mean_first(window, noise) if kind == 'SP2' else None
     of_kind = _window_of_kind(kind, window, pi)
-    maximum = maximise_evidence(of_kind, noise, drifting, method, starts, jobs)
-    if fewest and len(of_kind.spectrum):
+    maximum = (draft_maximum(of_kind, noise, drifting, method) if draft else
+               maximise_evidence(of_kind, noise, drifting, method, starts, jobs))
+    if fewest and len(of_kind.spectrum) and not draft:
         of_kind, maximum = fewest_features(of_kind, maximum, noise, drifting, method)
     return _by_evidence(kind, maximum, maximum.theta[:_n_own(window)] if kind == 'SP' else pi,
                         2 * len(of_kind.spectrum))

@@ -101,6 +101,16 @@ def maximise_evidence(window: Window, noise: str, drifting: bool, method: str, s
     return _best(window, coordinates, chosen, box, method, jobs)
 
 
+def draft_maximum(window: Window, noise: str, drifting: bool, method: str) -> EvidenceMaximum:
+    """The best of two searches from the coarse scan and on as few samples as it: in a tenth of the time."""
+    guess = first_guess(window, noise, drifting)
+    coordinates, bounds = _coordinates(window, guess, noise), _bounds(window, guess)
+    begin = [coordinates.vector(at) for at in scan(window, guess, 2)]
+    thin = _Objective(window.thinned(*SCAN), coordinates)
+    end = maximise(thin, begin, bounds[coordinates.free], method, iterations=80, tolerance=1e-6)[0]
+    return _maximum(window, coordinates.point(end.point))
+
+
 def maximise_from(window: Window, start: Point, noise: str, drifting: bool, method: str) -> EvidenceMaximum:
     """The maximum that a single search finds from a start, such as the maximum of a window much like this one."""
     guess = first_guess(window, noise, drifting)
@@ -112,7 +122,10 @@ def maximise_from(window: Window, start: Point, noise: str, drifting: bool, meth
 def _best(window: Window, coordinates: Coordinates, starts: Sequence[Array], box: Array, method: str,
           jobs: int = 1) -> EvidenceMaximum:
     best = maximise(_Objective(window, coordinates), starts, box, method, jobs=jobs)[0]
-    at = coordinates.point(best.point)
+    return _maximum(window, coordinates.point(best.point))
+
+
+def _maximum(window: Window, at: Point) -> EvidenceMaximum:
     result = evidence(window, at, gradient=False)
     present = at._replace(gamma=at.gamma * _has_prior(window), rho=at.rho * (len(window.spectrum) > 0))
     return EvidenceMaximum(present, result.theta, result.value)
