@@ -295,33 +295,31 @@ def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Ar
                   s, inflation, places, placed)
     if size == 1:
         return placed
-    rows, along = np.empty((n, size)), np.empty(size)
+    rows = np.empty((size, n))
     for k in range(n):
         weight = 1.0 / (np.sqrt(s) * scale[k])
         for c in range(size):
-            rows[k, c] = weight * innovations[k, c]
+            rows[c, k] = weight * innovations[k, c]
     for c in range(size):
         below = 0.0
         for k in range(n):
-            below += rows[k, c] * rows[k, c]
+            below += rows[c, k] * rows[c, k]
         if below == 0.0:
             continue
         corner = information[c, c]
         radius = -np.copysign(np.sqrt(corner * corner + below), corner)
         share = (radius - corner) / radius
         information[c, c] = radius
-        for j in range(c + 1, size):
-            along[j] = information[c, j]
         for k in range(n):
-            rows[k, c] /= corner - radius
-            for j in range(c + 1, size):
-                along[j] += rows[k, c] * rows[k, j]
+            rows[c, k] /= corner - radius
         for j in range(c + 1, size):
-            along[j] *= share
-            information[c, j] -= along[j]
-        for k in range(n):
-            for j in range(c + 1, size):
-                rows[k, j] -= along[j] * rows[k, c]
+            along = information[c, j]
+            for k in range(n):
+                along += rows[c, k] * rows[j, k]
+            along *= share
+            information[c, j] -= along
+            for k in range(n):
+                rows[j, k] -= along * rows[c, k]
     for c in range(size - 2, -1, -1):
         value = information[c, size - 1]
         for j in range(c + 1, size - 1):
