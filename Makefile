@@ -12,7 +12,7 @@ SUITS := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:
 CANDIDATES := python3 python3.12 python3.13 python3.11 python3.10
 PYTHON ?= $(firstword $(foreach name,$(CANDIDATES),$(shell $(name) -c '$(SUITS)' >/dev/null 2>&1 && echo $(name))))
 
-.PHONY: setup test matrix coverage oldest lint docs demo clean
+.PHONY: setup test suite matrix coverage oldest lint docs demo clean
 
 setup: $(STAMP)
 
@@ -30,9 +30,13 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-# Three at a time on two cores: tests of live nodes mostly wait.
-test: lint
-	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(PYTEST)
+test: setup
+	@$(MAKE) --no-print-directory --jobs=2 lint suite
+
+# Four at a time on two cores: tests of live nodes mostly wait. What numba compiles is compiled once before, not by each.
+suite: setup
+	$(BIN)/python -c 'import semiparam_ros.diagnosis.diagnose, semiparam_ros.online.worker'
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder $(PYTEST)
 
 # Every pair of settings with 20000 samples each, where `make test` takes a few hundred: about 40 minutes of one core.
 matrix: setup

@@ -131,7 +131,15 @@ def measured_icub(shared_data, repository, tmp_path_factory) -> Path:
     return folder
 
 
+LONGEST = ('test_diagnosis.py', 'test_docs.py', 'test_outside_faults.py', 'test_node.py', 'test_other_simulator.py',
+           'test_matrix.py', 'test_compare.py', 'test_outside_client.py', 'test_replay.py', 'test_node_fuzz.py',
+           'test_estimator.py')
+"""Files of about a minute and more."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests first: begun last, one of them would keep one worker busy while the others have nothing."""
+    """These files and those with slow tests first: begun last, one of them would keep one worker busy while the others
+    have nothing."""
     slow = {item.path for item in items if item.get_closest_marker('slow')}
-    items.sort(key=lambda item: item.path not in slow)
+    first = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: (first.get(item.path.name, len(LONGEST)), item.path not in slow))

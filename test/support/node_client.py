@@ -245,10 +245,10 @@ class Client:
         name = f'{self.node.get_namespace()}/{self.target}: {title}'.lstrip('/')
 
         def found():
-            return [status for heard in self.heard['/diagnostics'][-RECENT:] for status in heard.status
-                    if status.name == name]
+            return next((status for heard in reversed(self.heard['/diagnostics'][-RECENT:]) for status in heard.status
+                         if status.name == name), None)
         self.wait(found, f'report {name}')
-        status = found()[-1]
+        status = found()
         return status.level, status.message, {entry.key: entry.value for entry in status.values}
 
     def wait_report(self, title, condition, timeout_s=PATIENCE_S):
