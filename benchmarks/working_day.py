@@ -397,6 +397,7 @@ def main() -> int:
     parser.add_argument('--offline', action='store_true', help='without DDS, in this process')
     parser.add_argument('--takeover-after', type=int, nargs='+', default=[0], metavar='N',
                         help='with --offline: what the background builds takes over N samples later; two: drafts first')
+    parser.add_argument('--realtime-priority', type=int, default=0, metavar='N', help='of the node, see its parameter')
     parser.add_argument('--folder', type=Path, default=Path('output/working_day'))
     parser.add_argument('--json', type=Path)
     given = parser.parse_args()
@@ -404,7 +405,8 @@ def main() -> int:
     days = []
     for seed in range(given.seed, given.seed + given.seeds):
         day = lived(given.urdf, 60.0 * given.minutes, given.rate, seed)
-        day = day._replace(settings=day.settings.changed({'variant': given.variant}))
+        day = day._replace(settings=day.settings.changed(
+            {'variant': given.variant, 'realtime_priority': given.realtime_priority}))
         if given.offline:
             found = offline(day, given.folder, given.takeover_after)
         else:

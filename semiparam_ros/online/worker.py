@@ -50,6 +50,9 @@ LOOKS = 30
 EstimatorJob = Callable[..., Estimator]
 """Gives an estimator, in the background."""
 
+DRAFT_WINDOWS = 5
+"""A draft learns the latest so many windows' samples, which is quick; what follows it learns all that are kept."""
+
 SAMPLES_AT_MOST = 6000
 
 
@@ -294,9 +297,11 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     that it is to beat.
     """
     later = later or LaterWindow(settings.initial_samples)
+    if later.draft and not settings.effects:  # they may remember all that was before
+        batch = batch.part(max(len(batch) - DRAFT_WINDOWS * settings.initial_samples, 0))
     gathering = new_estimator(settings, body, origin=origin)
     window = later_window(batch.learnt, later.samples)
-    start = 0 if settings.effects else int(window.argmax())  # effects may remember all that was before
+    start = 0 if settings.effects else int(window.argmax())
     for (sample, _), chosen in zip(batch.part(start).pairs(), window[start:].tolist(), strict=True):
         gathering.observe(gathering.predict(sample), chosen, finish=False)
     gathering.finish_window(later.draft)
