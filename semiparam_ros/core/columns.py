@@ -167,29 +167,39 @@ class CoupledColumns:
         columns, added = self.of_corrected(body, inputs, [entry[1] for entry in past])
         return columns, list(zip(corrected, added, strict=True))
 
-    def of_corrected(self, body: RigidBody, inputs: Samples, past: Sequence[Memory] = (),
-                     further: Sequence[Array] = ()) -> tuple[Array, list[Memory]]:
-        """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of them.
-
-        :param further: (N, n, k) each, columns that follow those of the effects.
-        """
-        psi = body.regressors(inputs)
-        parts, added = [], []
-        past = past or [None] * len(self.effects)
-        for effect, scale, memory in zip(self.effects, self._effect_scales, past, strict=True):
-            psi = effect.transform(body, psi)
-            columns, remembered = effect.columns(body, inputs, memory)
-            if columns.shape[1:] != (body.n_outputs, len(scale)):
-                raise SemiparamError(f"effect '{getattr(effect, 'kind', effect)}' gives columns of shape "
-                                     f'{columns.shape[1:]}; expected {(body.n_outputs, len(scale))}, one for each of '
-                                     'its coefficients.')
-            parts.append(self._shaped(body, columns) if effect.is_load else columns)
+    def of_corrected(self, body: RigidBody, inputs: Samples,
+                     past: Sequence[Memory] = ()) -> tuple[Array, list[Memory]]:
+        """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of them."""
+        parts, added = [self.rigid(body, inputs), self.offset(len(inputs))], []
+        for index, memory in enumerate(past or [None] * len(self.effects)):
+            columns, remembered = self._of_effect(index, body, inputs, memory)
+            parts.append(columns)
             added.append(remembered)
-        offset = np.broadcast_to(self._offset, (len(inputs), *self._offset.shape))
-        return np.concatenate([psi, offset, *parts, *further], axis=2), added
+        return np.concatenate(parts, axis=2), added
+
+    def rigid(self, body: RigidBody, inputs: Samples) -> Array:
+        """(N, n, n_parameters) those of the rigid body, as the effects shape them; to read alone."""
+        return self._shaped(body, body.regressors(inputs))
+
+    def offset(self, count: int) -> Array:
+        """(count, n, 6) those of a wrench's offset, (count, n, 0) of efforts; to read alone."""
+        return np.broadcast_to(self._offset, (count, *self._offset.shape))
+
+    def of_effect(self, index: int, body: RigidBody, inputs: Samples) -> Array:
+        """(N, n, c) those of one effect, from the start of a recording on; to read alone."""
+        return self._of_effect(index, body, inputs, None)[0]
+
+    def _of_effect(self, index: int, body: RigidBody, inputs: Samples, memory: Memory) -> tuple[Array, Memory]:
+        effect, count = self.effects[index], len(self._effect_scales[index])
+        columns, remembered = effect.columns(body, inputs, memory)
+        if columns.shape[1:] != (body.n_outputs, count):
+            raise SemiparamError(f"effect '{getattr(effect, 'kind', effect)}' gives columns of shape "
+                                 f'{columns.shape[1:]}; expected {(body.n_outputs, count)}, one for each of '
+                                 'its coefficients.')
+        return self._shaped(body, columns) if effect.is_load else columns, remembered
 
     def _shaped(self, body: RigidBody, columns: Array) -> Array:
-        """What a load adds (N, n, c), as the effects shape psi: a gain of the efforts multiplies both."""
+        """Columns (N, n, c) of bodies as the effects shape them: a gain of the efforts multiplies all of these."""
         for effect in self.effects:
             columns = effect.transform(body, columns)
         return columns

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,19 +19,72 @@ from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.residual.noise import correlation_times
 from semiparam_ros.effects import Effect
 
-LARGE = ('columns', 'corrected', 'in_use', 'rows')
+LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = (*LARGE, 'felt', 'grams', 'at_prior')
+OF_COLUMNS = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'felt', 'at_prior')
 """What neither its weights nor its outputs change."""
 
 
-class Explained(NamedTuple):
-    """What columns explain beyond the declared ones."""
+RIGID, OFFSET, NUISANCE = 'rigid body', 'offset', 'nuisance'
+"""Causes of columns that are no effects."""
+ROUNDED = 1e-9
+"""Share of the squares from which on a difference of their sums keeps enough digits."""
 
-    coefficients: Array  # (c,)
-    covariance: Array  # (c, c) of the coefficients over the noise's variance in scaled units
-    rank: int  # directions that the declared columns do not hold already
-    residual: Array  # (N, n) left afterwards, in the outputs' units
+
+class Block(NamedTuple):
+    """Columns (N, n, c) of one cause (an effect, or the words that name another), and of each channel the numbers of
+    those that are not zero there."""
+
+    cause: Effect | str
+    columns: Array
+    felt: list[Indices]
+
+
+class Channel(NamedTuple):
+    """What one output feels: a joint feels few bodies of a robot with limbs, and nothing of what rubs in other joints.
+
+    ``columns`` (N, p_k) holds the samples in use first; ``gram`` (p_k, p_k) are the products of these, not divided by
+    the channel's scale.
+    """
+
+    blocks: list[Block]
+    columns: Array
+    gram: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What columns (N, n, c) explain beyond the declared ones of a fit.
+
+    :param coefficients: (c,). :param covariance: (c, c) of them over the noise's variance in scaled units.
+    :param rank: directions that the declared columns do not hold already.
+    :param refit: (p,) by which the coefficients of the declared columns change.
+    :param squares: (n,) sum of squares that is left of the samples in use.
+    """
+
+    fit: Fit
+    columns: Array
+    coefficients: Array
+    covariance: Array
+    rank: int
+    refit: Array
+    squares: Array
+
+    @cached_property
+    def residual(self) -> Array:
+        """(N, n) left afterwards, in the outputs' units."""
+        return self.fit.residual - predicted(self.columns, self.coefficients) - self.fit.predicted(self.refit)
+
+
+class Products(NamedTuple):
+    """Of further columns in one channel: their numbers (a,), and their products with one another (a, a), with the
+    residual (a,) and with the declared columns that the channel feels (p_k, a), of the samples in use."""
+
+    channel: int
+    acting: Indices
+    inner: Array
+    right: Array
+    shared: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +110,33 @@ class Fit:
     nuisance: Array | None = None
 
     @cached_property
-    def columns(self) -> Array:
-        """C (N, n, p): those of the rigid body, the offset and the effects, then the nuisance columns."""
-        further = () if self.nuisance is None else (self.nuisance,)
-        return CoupledColumns(self.body, self.effects).of_corrected(*self.corrected, further=further)[0]
-
-    @cached_property
     def corrected(self) -> tuple[RigidBody, Samples]:
         """The body and the inputs as the declared effects correct them."""
         body, inputs, _ = CoupledColumns(self.body, self.effects).corrected(self.samples)
         return body, inputs
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """C (N, n, p) in parts: those of the rigid body, the offset and the effects, then the nuisance columns."""
+        return self.blocks_with(())
+
+    def blocks_with(self, known: Sequence[Block]) -> list[Block]:
+        """The same, where some of them may be ``known`` already."""
+        assembly, (body, inputs) = CoupledColumns(self.body, self.effects), self.corrected
+        sources: list[tuple[Effect | str, Callable[[], Array]]] = [
+            (RIGID, partial(assembly.rigid, body, inputs)), (OFFSET, partial(assembly.offset, len(inputs)))]
+        sources += [(effect, partial(assembly.of_effect, index, body, inputs))
+                    for index, effect in enumerate(self.effects)]
+        if self.nuisance is not None:
+            nuisance = self.nuisance
+            sources.append((NUISANCE, lambda: nuisance))
+        return [next((block for block in known if block.cause == cause), None) or _block(cause, columns())
+                for cause, columns in sources]
+
+    @property
+    def n_columns(self) -> int:
+        """p."""
+        return sum(block.columns.shape[2] for block in self.blocks)
 
     @cached_property
     def in_use(self) -> list[Indices]:
@@ -74,35 +144,68 @@ class Fit:
         return [np.flatnonzero(self.train_mask & counted) for counted in self.counted.T]
 
     @cached_property
-    def felt(self) -> list[Indices]:
-        """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels few bodies of a
-        robot with limbs, and nothing of what rubs in other joints."""
-        return [np.flatnonzero(acting) for acting in np.asarray(self.columns.any(axis=0))]
+    def order(self) -> list[Indices]:
+        """(N,) of each channel k the numbers of all samples, those in use whose output counts first."""
+        return [np.append(used, np.flatnonzero(~(self.train_mask & counted)))
+                for used, counted in zip(self.in_use, self.counted.T, strict=True)]
 
     @cached_property
+    def felt(self) -> list[Indices]:
+        """(p_k,) of each channel k the numbers of the columns that are not zero there."""
+        starts = np.cumsum([0, *(block.columns.shape[2] for block in self.blocks)])
+        return [np.concatenate([start + block.felt[channel] for start, block in zip(starts, self.blocks, strict=False)])
+                for channel in range(len(self.scale))]
+
+    @cached_property
+    def channels(self) -> list[Channel]:
+        """What each channel feels of the columns."""
+        return [self.channel(number) for number in range(len(self.scale))]
+
+    def channel(self, number: int, known: Channel | None = None) -> Channel:
+        """What one channel feels: the ``known`` one where that has the same blocks."""
+        order, used = self.order[number], len(self.in_use[number])
+        blocks = [block for block in self.blocks if len(block.felt[number])]
+        if known is not None and list(map(id, known.blocks)) == list(map(id, blocks)):
+            return known
+        places = _places(blocks, number)
+        columns = np.empty((len(order), sum(len(block.felt[number]) for block in blocks)))
+        there = {} if known is None else _places(known.blocks, number)
+        for block in blocks:
+            if known is not None and id(block) in there:
+                columns[:, places[id(block)]] = known.columns[:, there[id(block)]]
+            else:
+                columns[:, places[id(block)]] = block.columns[order, number][:, block.felt[number]]
+        return Channel(blocks, columns, columns[:used].T @ columns[:used])
+
+    @property
     def rows(self) -> list[Array]:
         """(M_k, p_k) of each channel k the columns in use that it feels, not divided by its scale."""
-        return [self.columns[used, channel][:, felt]
-                for channel, (used, felt) in enumerate(zip(self.in_use, self.felt, strict=True))]
+        return [channel.columns[:len(used)] for channel, used in zip(self.channels, self.in_use, strict=True)]
 
     @cached_property
-    def grams(self) -> Array:
-        """(n, p, p) of each channel the products of these columns: what another weight leaves as it is."""
-        grams = np.zeros((len(self.scale), *2 * self.columns.shape[2:]))
-        for gram, rows, felt in zip(grams, self.rows, self.felt, strict=True):
-            gram[np.ix_(felt, felt)] = rows.T @ rows
-        return grams
+    def derivatives(self) -> dict[object, Array]:
+        """(N, n, c) each, those of the prediction that were asked for, by what they are derivatives of."""
+        return {}
+
+    def predicted(self, theta: Array) -> Array:
+        """(N, n) C theta."""
+        outputs = np.empty(self.samples.outputs.shape)
+        for number, (channel, order, felt) in enumerate(zip(self.channels, self.order, self.felt, strict=True)):
+            outputs[order, number] = channel.columns @ theta[felt]
+        return outputs
 
     @cached_property
     def at_prior(self) -> Array:
         """(N, n) outputs less those of the prior mean, in the outputs' units."""
-        return self.samples.outputs - predicted(self.columns, self.prior_mean())
+        return self.samples.outputs - self.predicted(self.prior_mean())
 
     @cached_property
     def factor(self) -> tuple[Array, bool]:
         """Cholesky factor of the regularised normal matrix."""
-        normal = np.tensordot(self.scale**-2.0, self.grams, axes=1)
-        return cho_factor(normal + np.diag(self._precision()))  # type: ignore[no-any-return]
+        normal = np.diag(self._precision())
+        for channel, felt, scale in zip(self.channels, self.felt, self.scale, strict=True):
+            normal[np.ix_(felt, felt)] += channel.gram / scale**2
+        return cho_factor(normal)  # type: ignore[no-any-return]
 
     @property
     def rigid_part(self) -> Array:
@@ -150,27 +253,65 @@ class Fit:
 
     def explain(self, columns: Array) -> Explained:
         """Regress the residual on columns (N, n, c), the declared ones refitted along."""
-        coefficients, covariance, rank, cross, _ = self._regressed(columns)
-        contribution = predicted(columns, coefficients) - predicted(self.columns, cross @ coefficients)
-        return Explained(coefficients, covariance, rank, self.residual - contribution)
+        products = self._products(columns)
+        coefficients, covariance, rank, cross, _ = self._regressed(products, columns.shape[2])
+        refit = -cross @ coefficients
+        left = self.squares.copy()
+        for channel, felt in enumerate(self.felt):
+            left[channel] += refit[felt] @ (self.channels[channel].gram @ refit[felt] - 2.0 * self.moments[channel])
+        for channel, acting, inner, right, shared in products:
+            own = coefficients[acting]
+            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[self.felt[channel]] - right))
+        explained = Explained(self, columns, coefficients, covariance, rank, refit, left)
+        if (left < ROUNDED * self.squares).any():  # too small a difference of large sums
+            explained = replace(explained, squares=(self.used(explained.residual) ** 2).sum(axis=0))
+        return explained
+
+    @cached_property
+    def moments(self) -> list[Array]:
+        """(p_k,) of each channel k the products of what it feels with the residual, of the samples in use."""
+        return [rows.T @ left[used] for rows, used, left in zip(self.rows, self.in_use, self.residual.T, strict=True)]
 
     def loss_with(self, columns: Array) -> tuple[float, Array]:
-        """What :meth:`explain` would leave of the loss, and the coefficients (c,); much faster."""
-        coefficients, _, _, _, right = self._regressed(columns)
+        """What :meth:`explain` would leave of the loss, and the coefficients (c,); faster."""
+        coefficients, _, _, _, right = self._regressed(self._products(columns), columns.shape[2])
         return self.loss - float(right @ coefficients), coefficients
 
-    def _regressed(self, columns: Array) -> tuple[Array, Array, int, Array, Array]:
-        """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
-        count = columns.shape[2]
-        inner, right = np.zeros((count, count)), np.zeros(count)
-        shared = np.zeros((self.columns.shape[2], count))
+    def joint_step(self, columns: Array) -> tuple[Array, Array]:
+        """Changes of theta (p,) and of the coefficients (c,) of further columns that bring both to their best together,
+        where theta need not be at its own best yet."""
+        change = self.step_of_theta()
+        rest = with_values(self, self.theta + change, self.residual - self.predicted(change))
+        coefficients, _, _, cross, _ = rest._regressed(rest._products(columns), columns.shape[2])
+        return change - cross @ coefficients, coefficients
+
+    def step_of_theta(self) -> Array:
+        """(p,) the change that brings theta to its best."""
+        right = self._precision() * (self.prior_mean() - self.theta)
+        for felt, moment, scale in zip(self.felt, self.moments, self.scale, strict=True):
+            right[felt] += moment / scale**2
+        return np.asarray(cho_solve(self.factor, right))
+
+    def _products(self, columns: Array) -> list[Products]:
+        """Those of further columns (N, n, c), of each channel in which they act."""
+        products = []
         for channel, (rows, acts) in enumerate(zip(self.rows, np.asarray(columns.any(axis=0)), strict=True)):
-            acting = np.flatnonzero(acts)
+            acting, in_use = np.flatnonzero(acts), self.in_use[channel]
             if len(acting):
-                used, weight = columns[self.in_use[channel], channel][:, acting], self.scale[channel] ** -2.0
-                inner[np.ix_(acting, acting)] += weight * (used.T @ used)
-                right[acting] += weight * (used.T @ self.residual[self.in_use[channel], channel])
-                shared[np.ix_(self.felt[channel], acting)] += weight * (rows.T @ used)
+                used = columns[in_use, channel][:, acting]
+                products.append(Products(channel, acting, used.T @ used, used.T @ self.residual[in_use, channel],
+                                         rows.T @ used))
+        return products
+
+    def _regressed(self, products: list[Products], count: int) -> tuple[Array, Array, int, Array, Array]:
+        """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
+        inner, right = np.zeros((count, count)), np.zeros(count)
+        shared = np.zeros((self.n_columns, count))
+        for each in products:
+            weight = self.scale[each.channel] ** -2.0
+            inner[np.ix_(each.acting, each.acting)] += weight * each.inner
+            right[each.acting] += weight * each.right
+            shared[np.ix_(self.felt[each.channel], each.acting)] += weight * each.shared
         cross = cho_solve(self.factor, shared)
         power = np.diag(inner).copy()
         solved = _solve(inner - shared.T @ cross, right, power, self.config.absorbed_share)
@@ -183,7 +324,7 @@ class Fit:
     def covariance_with(self, columns: Array) -> Array:
         """(p + c, p + c) of theta and of the coefficients of further columns (N, n, c), over the noise's variance in
         scaled units. Directions of these that theta's columns hold already count as known."""
-        _, covariance, _, cross, _ = self._regressed(columns)
+        _, covariance, _, cross, _ = self._regressed(self._products(columns), columns.shape[2])
         across = cross @ covariance
         return np.asarray(np.block([[self.theta_covariance() + across @ cross.T, -across], [-across.T, covariance]]))
 
@@ -208,37 +349,67 @@ class Fit:
 
 
 def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask, scale: Array,
-              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None, nuisance: Array | None = None,
-              corrected: tuple[RigidBody, Samples] | None = None) -> Fit:
+              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Fit:
     """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description.
 
-    :param counted: (N, n) outputs that tell something; all unless given. :param nuisance: as :class:`Fit` has it.
-    :param corrected: the body and the inputs as these effects correct them, where they are known.
+    :param counted: (N, n) outputs that tell something; all unless given.
     """
     counted = np.ones(samples.outputs.shape, dtype=bool) if counted is None else counted
-    unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, np.zeros(0), samples.outputs, config,
-                   nuisance)
-    if corrected is not None:
-        unfitted.__dict__['corrected'] = corrected
+    unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, np.zeros(0), samples.outputs, config)
     return reweighted(unfitted, scale)
 
 
 def with_effects(fit: Fit, effects: Sequence[Effect]) -> Fit:
     """The same samples and weights fitted with these effects in place of those declared."""
-    return with_nuisance(fit, fit.nuisance, effects)
+    return refitted(fit, effects, fit.nuisance, fit.counted)
 
 
-def with_nuisance(fit: Fit, nuisance: Array | None, effects: Sequence[Effect] | None = None) -> Fit:
-    """The same samples and weights fitted with these nuisance columns, and other effects where some are given."""
-    effects = fit.effects if effects is None else effects
-    same = correcting(effects) == correcting(fit.effects)
-    return fit_model(fit.body, fit.samples, effects, fit.train_mask, fit.scale, fit.config, fit.counted, nuisance,
-                     fit.corrected if same else None)
+def with_nuisance(fit: Fit, nuisance: Array | None) -> Fit:
+    """The same samples, weights and effects fitted with these nuisance columns."""
+    return refitted(fit, fit.effects, nuisance, fit.counted)
 
 
-def correcting(effects: Sequence[Effect]) -> list[Effect]:
+def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counted: Mask) -> Fit:
+    """The same samples and weights with other effects, nuisance columns or outputs that count.
+
+    What the new model has in common with the old one is not computed again: the columns of the same cause, and of a
+    channel that feels the same ones, their products.
+    """
+    other = replace(fit, effects=tuple(effects), nuisance=nuisance, counted=counted)
+    if _correcting(effects) == _correcting(fit.effects):
+        other.__dict__['corrected'] = fit.corrected
+        shaped = _shaping(effects) == _shaping(fit.effects)
+        other.__dict__['blocks'] = other.blocks_with([
+            block for block in fit.__dict__.get('blocks', ()) if (shaped or not _of_bodies(block.cause))
+            and (block.cause != NUISANCE or nuisance is fit.nuisance)])
+    if counted is fit.counted and 'channels' in fit.__dict__:
+        other.__dict__.update(in_use=fit.in_use, order=fit.order)
+        other.__dict__['channels'] = [other.channel(number, known) for number, known in enumerate(fit.channels)]
+    return reweighted(other, fit.scale)
+
+
+def _places(blocks: Sequence[Block], channel: int) -> dict[int, slice]:
+    """Where the columns of each block stand among those that a channel feels, by the block's identity."""
+    ends = np.cumsum([len(block.felt[channel]) for block in blocks]).tolist()
+    return {id(block): slice(end - len(block.felt[channel]), end) for block, end in zip(blocks, ends, strict=True)}
+
+
+def _correcting(effects: Sequence[Effect]) -> list[Effect]:
     """Those of the effects that correct the body or the inputs."""
     return [effect for effect in effects if type(effect).correct is not Effect.correct]
+
+
+def _shaping(effects: Sequence[Effect]) -> list[Effect]:
+    """Those of the effects that shape the columns of bodies."""
+    return [effect for effect in effects if type(effect).transform is not Effect.transform]
+
+
+def _of_bodies(cause: Effect | str) -> bool:
+    return cause == RIGID if isinstance(cause, str) else cause.is_load
+
+
+def _block(cause: Effect | str, columns: Array) -> Block:
+    return Block(cause, columns, [np.flatnonzero(acting) for acting in np.asarray(columns.any(axis=0))])
 
 
 def predicted(columns: Array, coefficients: Array) -> Array:
@@ -248,7 +419,9 @@ def predicted(columns: Array, coefficients: Array) -> Array:
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
-    return _least_squares(_with_columns(fit, scale=scale, theta=fit.prior_mean(), residual=fit.at_prior))
+    start = with_values(fit, fit.prior_mean(), fit.at_prior, scale)
+    change = start.step_of_theta()
+    return with_values(start, start.theta + change, start.residual - start.predicted(change))
 
 
 def refit_weights(first: Fit) -> Fit:
@@ -256,22 +429,11 @@ def refit_weights(first: Fit) -> Fit:
     return reweighted(first, first.scale_of(first.residual))
 
 
-def _least_squares(start: Fit) -> Fit:
-    """The fit from a start at the prior mean."""
-    right = np.zeros(start.columns.shape[2])
-    for channel, (rows, felt) in enumerate(zip(start.rows, start.felt, strict=True)):
-        right[felt] += rows.T @ start.residual[start.in_use[channel], channel] / start.scale[channel]**2
-    change = cho_solve(start.factor, right)
-    residual = start.residual - predicted(start.columns, change)
-    fitted = _with_columns(start, theta=start.theta + change, residual=residual)
-    fitted.__dict__['factor'] = start.factor  # it depends on columns and weights alone
-    return fitted
-
-
-def _with_columns(fit: Fit, *, theta: Array, residual: Array, scale: Array | None = None) -> Fit:
+def with_values(fit: Fit, theta: Array, residual: Array, scale: Array | None = None) -> Fit:
     """The same samples and effects, and so the same columns, with other values."""
     other = replace(fit, scale=fit.scale if scale is None else scale, theta=theta, residual=residual)
-    other.__dict__.update({name: fit.__dict__[name] for name in OF_COLUMNS if name in fit.__dict__})
+    same = (*OF_COLUMNS, *(('factor',) if scale is None else ()))
+    other.__dict__.update({name: fit.__dict__[name] for name in same if name in fit.__dict__})
     return other
 
 

@@ -43,7 +43,7 @@ def deviations(fit: Fit, found: Collection[int]) -> Deviations:
 
 def _deviations(fit: Fit, columns: Array) -> Array:
     """(p + c,) standard deviations of theta and of the coefficients of further columns (N, n, c)."""
-    covariance, count = fit.covariance_with(columns), fit.columns.shape[2]
+    covariance, count = fit.covariance_with(columns), fit.n_columns
     stretches = np.array_split(np.flatnonzero(fit.train_mask), fit.config.deviation_stretches)
     repeated, scores = np.zeros_like(covariance), np.zeros((len(stretches), len(covariance)))
     for channel, (used, felt, rows) in enumerate(zip(fit.in_use, fit.felt, fit.rows, strict=True)):

@@ -25,7 +25,7 @@ from semiparam_ros.diagnosis.residual.noise import correlation_times, noise_floo
 from semiparam_ros.diagnosis.search.ambiguity import Rival, simplest
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
 from semiparam_ros.diagnosis.search.elimination import without_needless
-from semiparam_ros.diagnosis.search.refit import declare, gauss_newton, replace_effect
+from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
 from semiparam_ros.diagnosis.search.stepwise import worth_refining
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
@@ -121,7 +121,7 @@ def test_errors_of_estimated_accelerations_are_no_force_beside_friction():
     body, samples = body_of(recording), samples_of(recording)
     diagnosis = diagnose(body, samples, only=('coulomb_friction', 'external_force'))
     assert [finding.effect.kind for finding in diagnosis.findings] == ['coulomb_friction']  # before: a force of 0.2 N
-    assert diagnosis.final.columns.shape[2] == body.n_parameters + 1  # what stands for the errors is not declared
+    assert diagnosis.final.n_columns == body.n_parameters + 1  # what stands for the errors is not declared
 
 
 def test_a_cable_that_drags_along_its_own_direction_stands_alone():
@@ -732,7 +732,7 @@ def test_a_large_gain_is_settled_by_gauss_newton():
     gain = kinds()['sensor_gain'](None, dict.fromkeys((f'gain_{name}' for name in CHANNELS), 0.0))
     theta = np.concatenate([BODY.base_parameters, np.zeros(6)])
     samples = replace(MOTION, outputs=CoupledColumns(BODY, [gain.with_values(gain_ty=-0.56)]).batch(MOTION)[0] @ theta)
-    settled = gauss_newton(replace_effect(state_of(samples), gain.with_values(gain_ty=-0.62)), [gain])
+    settled = gauss_newton(state_of(samples, [gain.with_values(gain_ty=-0.62)]), [gain])
     assert settled.effects[0].value('gain_ty') == pytest.approx(-0.56, abs=1e-3)
 
 
@@ -753,7 +753,7 @@ def test_parameters_cost_evidence_and_correlated_samples_count_less():
     assert one == pytest.approx(-6 * 400 * np.log(0.9) - 0.5 * np.log(2400))
     assert score(fit, replace(trial, n_parameters=5), white).evidence == pytest.approx(one - 2.0 * np.log(2400))
     assert score(fit, trial, slow).evidence == pytest.approx(-6 * 40 * np.log(0.9) - 0.5 * np.log(240))
-    assert score(fit, replace(trial, residual=fit.residual), white).evidence < 0.0
+    assert score(fit, replace(trial, leaves=fit.residual), white).evidence < 0.0
 
 
 @pytest.mark.parametrize(('tilt', 'offset', 'named'), [

@@ -14,13 +14,13 @@ from semiparam_ros.diagnosis.data.splits import carries_over, fold_errors, impro
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.findings import findings, split_off_refinements
-from semiparam_ros.diagnosis.regression import Fit, fit_model
+from semiparam_ros.diagnosis.regression import Fit, fit_model, with_effects, with_nuisance
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, pseudo_inertia
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step, _first_that_helps, search, starting_fit
-from semiparam_ros.effects import kinds
+from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.effects.base import Start
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 from support.plain_model import nmse, plain_model
@@ -160,10 +160,29 @@ def test_a_round_that_is_over_keeps_none_of_what_its_models_and_trials_computed(
     steps = search(starting_fit(body, samples, (), np.ones(600, dtype=bool)), kinds('effort'))
     assert len(steps) > 0
     for step in steps:
-        assert not {'columns', 'rows', 'corrected'} & vars(step.before).keys()
+        assert not {'blocks', 'channels', 'corrected', 'derivatives'} & vars(step.before).keys()
         assert all(len(trial.residual) == 0 for trial in (*step.added, *step.ranking))
     others = [one for one in gc.get_objects() if isinstance(one, Fit) and one is not steps[-1].after]
-    assert not [one for one in others if one.body is body and one.samples is samples and 'columns' in vars(one)]
+    assert not [one for one in others if one.body is body and one.samples is samples and 'channels' in vars(one)]
+
+
+@pytest.mark.parametrize('text', [
+    'coulomb_friction@turn{"turn_speed": 0.02}', 'rotor_inertia@grip', 'payload@tool', 'effort_gain@turn{"gain": 0.1}',
+    'time_delay{"delay_s": 0.01}', 'load_friction@turn{"turn_speed": 0.02}'])
+def test_a_model_made_of_another_ones_parts_is_the_same_as_one_made_anew(text):
+    samples, scale, use = moving(5)[:600], np.array([1.0, 2.0, 0.5, 0.1]), np.arange(600) % 200 < 150
+    known = [effect_from_text(each) for each in ('coulomb_friction@grip{"turn_speed": 0.02}',
+                                                 'payload@tool{"start_s": 8.0}', 'joint_offset@turn{"offset": 0.1}')]
+    nuisance, counted = np.random.default_rng(0).standard_normal((600, 4, 2)), ~resting(samples)
+    first = with_nuisance(fit_model(BODY, samples, known, use, scale, counted=counted), nuisance)
+    for effects in ([*known, effect_from_text(text)], [known[1], effect_from_text(text), known[0]], known[:1]):
+        shared = with_effects(first, effects)
+        anew = with_nuisance(fit_model(BODY, samples, effects, use, scale, counted=counted), nuisance)
+        np.testing.assert_allclose(shared.theta, anew.theta, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(shared.residual, anew.residual, rtol=1e-9, atol=1e-9)
+        columns = CoupledColumns(BODY, effects).batch(samples)[0]
+        np.testing.assert_allclose(shared.predicted(np.append(shared.theta[:-2], [0.0, 0.0])),
+                                   columns @ shared.theta[:-2], atol=1e-9)
 
 
 def test_friction_of_one_joint_is_not_taken_for_friction_of_all():

@@ -17,6 +17,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import null_space
 
 from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, MATRIX, compiled
 from semiparam_ros.core.robot import urdf as urdf_tree
@@ -33,6 +34,8 @@ WRENCH_NAMES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
 RANK_TOLERANCE = 1e-8
 INDEPENDENT = 1e-6
+LEAST_MASS = 1e-2
+"""Share of the largest mass from which on a body's inertia about its centre keeps its digits."""
 PROBES = 400
 ROUNDING = 1e-12
 
@@ -127,6 +130,7 @@ class RigidBody:
             shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
             self._distal_from = _as_slice(shared)
         self.basis = self._identifiable_basis()
+        self._unfelt = null_space(self.basis.T)
         self._reduce_by(self.basis)
 
     def __getstate__(self) -> dict[str, object]:
@@ -253,10 +257,15 @@ class RigidBody:
         """(N, n) ``regressors(samples) @ parameters`` for base parameters (p,), several times as fast.
 
         Recursive Newton-Euler (Featherstone 2008) over all samples at once. Base parameters need not be bodies:
-        masses may be zero, which no inertia of pinocchio can have. So a ballast is put on every body, and its part is
-        taken off again.
+        masses may be zero, which no inertia of pinocchio can have. So masses are spread over the bodies as far as
+        the outputs do not feel it; where that is not enough, a ballast is put on every body, and its part is taken off
+        again.
         """
         inertial = self._from_base @ parameters
+        size = 1.0 + float(np.abs(inertial[0::10]).max())
+        inertial = inertial + self._unfelt @ np.linalg.lstsq(self._unfelt[0::10], size - inertial[0::10], rcond=1e-6)[0]
+        if np.abs(inertial[0::10]).min() > LEAST_MASS * size:
+            return self.sign * self._efforts(samples, inertial)
         ballast = np.zeros_like(inertial)
         ballast[0::10] = 1.0 + 2.0 * np.abs(inertial[0::10]).max()
         return self.sign * (self._efforts(samples, inertial + ballast) - self._efforts(samples, ballast))
@@ -320,6 +329,7 @@ class RigidBody:
         described = self.base_parameters
         hidden = self.inertial_parameters - self.basis @ described
         other._reduce_by(self.basis + np.outer(hidden, described) / max(float(described @ described), 1e-12))
+        other._unfelt = self._unfelt[:, :0]
         other.arm = self.arm.copy()
         other.arm.gravity.linear = gravity
         other._make_data()
@@ -387,6 +397,7 @@ def _full_regressors(body: RigidBody, samples: Samples) -> Array:
     if samples.position.shape[1] != body.n_joints:
         raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is used with '
                              f'{body.n_joints} joints: {", ".join(body.joints)}.')
+    body = copy.copy(body)  # has scratch memory of its own: another thread may be at work with this body
     motion = (body.arm_vector(values) for values in (samples.position, samples.velocity, samples.acceleration))
     full = np.empty((len(samples), body.n_outputs, len(body.basis)))
     for index, (q, dq, ddq) in enumerate(zip(*motion, strict=True)):

@@ -4,6 +4,7 @@ effect helps on blocks that did not fit it.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.input_errors import without_error_columns
-from semiparam_ros.diagnosis.regression import Fit, fit_model
+from semiparam_ros.diagnosis.regression import Fit, refitted
 
 
 def interleaved_split(count: int, config: DiagnosisConfig = DEFAULTS) -> Mask:
@@ -42,26 +43,26 @@ def ranges(mask: Mask) -> list[tuple[int, int]]:
 def fold_errors(fit: Fit, scale: Array) -> Array:
     """(folds, n) squared error of each block in use, predicted by a fit of the other blocks with weights 1 / scale^2,
     in the outputs' units."""
-    labels = folds(fit.train_mask, fit.config)
-    ridge = 1e-9 * np.eye(fit.columns.shape[2])
+    labels, count = folds(fit.train_mask, fit.config), fit.n_columns
     known, pull = fit.known_precision()  # a mass that was declared stays as it is in every fold
-
-    def block(fold: int) -> tuple[Array, Array]:
-        rows = labels == fold
-        weight = fit.counted[rows] / scale
-        columns = (fit.columns[rows] * weight[:, :, None]).reshape(-1, fit.columns.shape[2])
-        return columns, (fit.residual[rows] * weight).ravel()
-
-    sums = [(columns.T @ columns, columns.T @ left) for columns, left in map(block, range(fit.config.folds))]
-    total, right = sum(gram for gram, _ in sums), sum(moment for _, moment in sums)
+    grams, right = np.zeros((fit.config.folds, count, count)), np.zeros((fit.config.folds, count))
+    parts = []
+    for used, felt, rows, weight, left in zip(fit.in_use, fit.felt, fit.rows, scale**-2.0, fit.residual.T, strict=True):
+        edges = np.searchsorted(labels[used], np.arange(fit.config.folds + 1)).tolist()
+        parts.append([(rows[start:end], left[used[start:end]]) for start, end in pairwise(edges)])
+        for fold, (columns, residual) in enumerate(parts[-1]):
+            grams[fold][np.ix_(felt, felt)] += weight * (columns.T @ columns)
+            right[fold, felt] += weight * (columns.T @ residual)
+    total, moment = grams.sum(axis=0), right.sum(axis=0)
     size = 1.0 / np.sqrt(np.diag(total) + known + 1e-300)
-    errors = []
-    for fold, (gram, moment) in enumerate(sums):
-        columns, left = block(fold)  # again: all of them at once are as large as all that is in use
-        rest = (total - gram + np.diag(known)) * np.outer(size, size) + ridge
-        change = np.linalg.lstsq(rest, (right - moment - pull) * size, rcond=1e-10)[0] * size
-        errors.append(((left - columns @ change).reshape(-1, len(scale)) ** 2).sum(axis=0) * scale**2)
-    return np.array(errors)
+    errors = np.zeros((fit.config.folds, len(scale)))
+    for fold in range(fit.config.folds):
+        rest = (total - grams[fold] + np.diag(known)) * np.outer(size, size) + 1e-9 * np.eye(count)
+        change = np.linalg.lstsq(rest, (moment - right[fold] - pull) * size, rcond=1e-10)[0] * size
+        for channel, felt in enumerate(fit.felt):
+            columns, residual = parts[channel][fold]
+            errors[fold, channel] = np.sum((residual - columns @ change[felt]) ** 2)
+    return errors
 
 
 def telling_errors(fit: Fit, scale: Array) -> Array:
@@ -134,6 +135,5 @@ def _helps_beyond_turns(before: Fit, after: Fit) -> bool:
     if fast[after.train_mask].sum(axis=0).min() < config.least_working_samples:
         return True
     rest = [effect for effect in after.effects if effect not in moving]
-    without, within = (fit_model(after.body, after.samples, effects, after.train_mask, after.scale, config, fast,
-                                 after.nuisance) for effects in (rest, after.effects))
+    without, within = (refitted(after, effects, after.nuisance, fast) for effects in (rest, after.effects))
     return carries_over(without, within)

@@ -54,14 +54,18 @@ def held(effects: Sequence[Effect]) -> set[Place]:
 def added_columns(fit: Fit, effect: Effect) -> Array:
     """(N, n, c) columns that the effect adds to the declared model: its own, or the derivatives of the prediction."""
     if effect.is_calibration:
-        return _derivatives(fit, effect)
+        values = {**{name: 0.0 for name, _ in effect.calibrations}, **effect.values}
+        key = effect.kind, effect.where, *values.items()
+        if key not in fit.derivatives:
+            fit.derivatives[key] = _derivatives(fit, effect)
+        return fit.derivatives[key]
     return effect.columns(*fit.corrected, None)[0]
 
 
 def _derivatives(fit: Fit, effect: Effect) -> Array:
     names = [coefficient.name for coefficient in effect.calibrations]
     still = type(effect).correct is Effect.correct
-    load = rigid_prediction(fit, others(fit, effect)) if still else None  # without what the effect has shaped already
+    load = _rigid_prediction(fit, others(fit, effect)) if still else None  # without what the effect has shaped already
     return np.stack([_derivative(fit, effect, name, load) for name in names], axis=2)
 
 
@@ -80,7 +84,15 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
     return [known for known in fit.effects if (known.kind, known.where) != (effect.kind, effect.where)]
 
 
-def rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
+def predicted_with(fit: Fit, effects: list[Effect]) -> Array:
+    """(N, n) outputs of the whole model, as the effects correct and shape it."""
+    outputs = _prediction(fit, effects, whole=True)[:, :, 0]
+    unmoved, assembly = fit.theta.copy(), CoupledColumns(fit.body, fit.effects)
+    unmoved[:fit.body.n_parameters] = unmoved[assembly.n_own:assembly.n_columns] = 0.0
+    return np.asarray(outputs + fit.predicted(unmoved))  # a wrench's offset, and errors of the inputs
+
+
+def _rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
     """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it."""
     return _shaped_load(fit, effects, *_corrected(fit, effects))
 
@@ -93,7 +105,12 @@ def _prediction(fit: Fit, effects: list[Effect], whole: bool) -> Array:
 
 
 def _corrected(fit: Fit, effects: list[Effect]) -> tuple[RigidBody, Samples]:
-    body, inputs, _ = CoupledColumns(fit.body, effects).corrected(fit.samples)
+    known = len(fit.effects)
+    if tuple(effects[:known]) != fit.effects:
+        return CoupledColumns(fit.body, effects).corrected(fit.samples)[:2]
+    body, inputs = fit.corrected
+    for effect in effects[known:]:
+        body, inputs, _ = effect.correct(body, inputs, None)
     return body, inputs
 
 
@@ -150,7 +167,7 @@ def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array,
     (s, p, c) over the samples in use from each of the starts (s,) on, sample numbers in ascending order."""
     size = columns.shape[2]
     gram, right = np.zeros((len(starts), size, size)), np.zeros((len(starts), size))
-    cross = np.zeros((len(starts), fit.columns.shape[2], size))
+    cross = np.zeros((len(starts), fit.n_columns, size))
     for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
         used, rows, felt = fit.in_use[channel], fit.rows[channel], fit.felt[channel]
         own, residual, weight = columns[used, channel], fit.residual[used, channel], fit.scale[channel] ** -2.0

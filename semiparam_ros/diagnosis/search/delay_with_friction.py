@@ -11,7 +11,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from semiparam_ros.diagnosis.data.splits import improves
-from semiparam_ros.diagnosis.regression import Fit, with_effects
+from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, others
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, nonlinear, refined, score
@@ -41,16 +41,20 @@ def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]],
 
 
 def reshaped(fit: Fit, declared: Collection[Place]) -> Fit:
-    """The model with the shape of each friction that was found searched anew beside all the others."""
+    """The model with the shape of each friction that was found searched anew beside all the others.
+
+    Calibrations are settled once, beside the shapes that are left.
+    """
+    before = fit
     for effect in _at_stake(fit, declared):
         without = with_effects(fit, others(fit, effect))
         trial = _other_shape(without, effect)
         if trial is None:
             continue
-        other = declare(without, [refined(without, trial).effect])
+        other = refit_weights(with_effects(without, [*without.effects, refined(without, trial).effect]))
         if _left(other, fit) < _left(fit, fit):
             fit = other
-    return fit
+    return fit if fit is before else declare(fit, [])
 
 
 def with_leads(fit: Fit, declared: Collection[Place]) -> Fit:

@@ -53,7 +53,7 @@ def _better(fit: Fit, other: Fit) -> bool:
     """Whether the other model improves by more than noise that is correlated over long times would let offsets do."""
     if not other.effects:
         return False
-    spent = other.columns.shape[2] - fit.columns.shape[2]
+    spent = other.n_columns - fit.n_columns
     worth = score(fit, Trial(other.effects[-1], other.residual, spent), other.correlation).evidence
     return worth > fit.config.least_evidence and improves(fit, other, least=fit.config.plain_gain)
 

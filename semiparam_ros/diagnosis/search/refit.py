@@ -13,11 +13,6 @@ from semiparam_ros.diagnosis.search.candidates import added_columns, others
 from semiparam_ros.effects import Effect
 
 
-def replace_effect(fit: Fit, effect: Effect) -> Fit:
-    """The model with the effect declared, in place of one of the same kind and place."""
-    return with_effects(fit, [*others(fit, effect), effect])
-
-
 def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     """Move the calibrations of the effects ``moving`` to the least squares, all together.
 
@@ -30,8 +25,7 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
         if slopes is None:
             slopes = [added_columns(fit, effect) for effect in moving]
         explained = fit.explain(np.concatenate(slopes, axis=2))
-        left = (fit.used(explained.residual) ** 2).sum(axis=0)
-        if fit.counts @ (1.0 - left / np.maximum(fit.squares, 1e-300)) < fit.config.settled_gain:
+        if fit.counts @ (1.0 - explained.squares / np.maximum(fit.squares, 1e-300)) < fit.config.settled_gain:
             break
         step = explained.coefficients
         after = _stepped(fit, moving, step)
@@ -56,15 +50,21 @@ def _stepped(fit: Fit, moving: list[Effect], step: Array) -> Fit:
 def calibrations_moved(fit: Fit, moving: list[Effect], step: Array) -> list[Effect]:
     """The model's effects, the calibrations of some moved by a step (c,), one value after the other."""
     ends = np.cumsum([len(effect.calibrations) for effect in moving])[:-1]
-    moved = {(effect.kind, effect.where): _moved(effect, part)
+    moved = {(effect.kind, effect.where): moved_by(effect, part)
              for effect, part in zip(moving, np.split(step, ends), strict=True)} if moving else {}
     return [moved.get((effect.kind, effect.where), effect) for effect in fit.effects]
 
 
-def _moved(effect: Effect, step: Array) -> Effect:
+def calibrated_values(effect: Effect) -> Array:
+    """(c,) the calibrations of an effect."""
+    return np.array([effect.value(name) for name, _ in effect.calibrations])
+
+
+def moved_by(effect: Effect, step: Array) -> Effect:
+    """The effect with its calibrations moved by a step (c,)."""
+    values = calibrated_values(effect) + step
     names = [coefficient.name for coefficient in effect.calibrations]
-    return effect.with_values(**{name: effect.value(name) + float(change)
-                                 for name, change in zip(names, step, strict=True)})
+    return effect.with_values(**dict(zip(names, values.tolist(), strict=True)))
 
 
 def declare(fit: Fit, effects: list[Effect]) -> Fit:

@@ -7,19 +7,20 @@ the effect with the most columns.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, reweighted
+from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects, with_values
 from semiparam_ros.diagnosis.residual.noise import correlation_times
-from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
+from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start, predicted_with
 from semiparam_ros.diagnosis.search.in_some_recordings import in_some_recordings
-from semiparam_ros.diagnosis.search.refit import gauss_newton, replace_effect
+from semiparam_ros.diagnosis.search.refit import calibrated_values, gauss_newton, moved_by
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
 from semiparam_ros.effects.base import ALWAYS, Start
@@ -30,14 +31,23 @@ POINT_DIFFERENCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """An effect tried on a declared model. ``residual``: (N, n) left, (0, n) once the round is over;
-    ``n_parameters``: parameters it spends."""
+    """An effect tried on a declared model.
+
+    :param leaves: (N, n) residual, or what computes it: few are asked for. :param squares: (n,) sum of its squares over
+        the samples in use, where it is known. :param n_parameters: parameters it spends.
+    """
 
     effect: Effect
-    residual: Array
+    leaves: Array | Callable[[], Array]
     n_parameters: int
     physical: bool = True  # the cause can have these coefficients
     evidence: float = 0.0  # [nat] over the declared model
+    squares: Array | None = None
+
+    @cached_property
+    def residual(self) -> Array:
+        """(N, n) left; (0, n) once the round is over."""
+        return self.leaves() if callable(self.leaves) else self.leaves
 
     @property
     def many_valued(self) -> bool:
@@ -46,7 +56,7 @@ class Trial:
 
     def without_residual(self) -> Trial:
         """What a report needs of it: a round tries hundreds, and each leaves as many numbers as were measured."""
-        return replace(self, residual=self.residual[:0].copy())
+        return replace(self, leaves=np.zeros((0, 0)), squares=None)
 
 
 def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
@@ -81,11 +91,22 @@ def _linear_trial(fit: Fit, effect: Effect) -> Trial:
 
 def _fitted(fit: Fit, effect: Effect, columns: Array) -> Trial:
     explained = fit.explain(columns)
+    leaves = partial(_left_by, fit, effect)
     if effect.is_calibration:
         names = [coefficient.name for coefficient in effect.calibrations]
         effect = effect.with_values(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
     physical = effect.is_calibration or effect.physical(explained.coefficients)
-    return Trial(effect, explained.residual, explained.rank + nonlinear(effect), physical)
+    return Trial(effect, leaves, explained.rank + nonlinear(effect), physical, squares=explained.squares)
+
+
+def _left_by(fit: Fit, effect: Effect) -> Array:
+    """(N, n) residual beside an effect, with the best coefficients."""
+    return fit.explain(added_columns(fit, effect)).residual
+
+
+def _squares(fit: Fit, trial: Trial) -> Array:
+    """(n,) sum of squares that the trial leaves of the samples in use."""
+    return (fit.used(trial.residual) ** 2).sum(axis=0) if trial.squares is None else trial.squares
 
 
 def nonlinear(effect: Effect) -> int:
@@ -95,14 +116,13 @@ def nonlinear(effect: Effect) -> int:
 
 def squared_loss(fit: Fit, trial: Trial) -> float:
     """Sum of squares, in scaled units, that the trial leaves of the samples in use."""
-    return float(np.sum(fit.weighed(trial.residual) ** 2))
+    return float((_squares(fit, trial) / fit.scale**2).sum())
 
 
 def score(fit: Fit, trial: Trial, correlation: Array) -> Trial:
     """The trial with its evidence over the declared model; channel k is correlated over correlation[k] samples."""
     counts = fit.counts / correlation
-    after = (fit.used(trial.residual) ** 2).sum(axis=0)
-    gain = 0.5 * float(counts @ np.log(fit.squares / after))
+    gain = 0.5 * float(counts @ np.log(fit.squares / _squares(fit, trial)))
     return replace(trial, evidence=gain - 0.5 * trial.n_parameters * float(np.log(counts.sum())))
 
 
@@ -110,7 +130,8 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     """The trial with its nonlinear parameters at their best and the weights those of its own residual."""
     near = _weighed(fit, trial)
     if trial.effect.is_calibration:
-        return _calibrated(near, trial)
+        effect = moved_by(trial.effect, -calibrated_values(trial.effect))
+        return _calibrated(near, trial, effect, added_columns(fit, effect))
     best = _refined_once(near, trial)
     if trial.many_valued:
         best = _settled(fit, best)
@@ -197,16 +218,37 @@ def _line_search(fit: Fit, effect: Effect, name: str) -> Effect:
     return effect.with_values(**{name: float(best.x)}) if best.fun < cost(effect.value(name)) else effect
 
 
-def _calibrated(fit: Fit, trial: Trial) -> Trial:
-    settled = gauss_newton(replace_effect(fit, trial.effect), [trial.effect])
-    effect = next(known for known in settled.effects if (known.kind, known.where) ==
-                  (trial.effect.kind, trial.effect.where))
-    return replace(trial, effect=effect, residual=settled.residual)
+def _calibrated(fit: Fit, trial: Trial, effect: Effect, columns: Array) -> Trial:
+    """The trial with its calibration settled, together with all coefficients, by Gauss-Newton.
+
+    :param columns: derivatives (N, n, c) where the ``effect`` is nothing yet. They stay as they are, and so do the
+        columns of the model, for new ones are costly; where that does not settle, as with a large gain, all is new.
+    """
+    model, moved = fit, effect
+    for _ in range(fit.config.gauss_newton_steps):
+        step = model.joint_step(columns)
+        after, further = _moved_along(model, moved, *step)
+        gained = model.loss - after.loss
+        if gained < 0.0:
+            break
+        model, moved = after, further
+        if gained < fit.config.settled_gain or np.abs(step[1]).max() < fit.config.settled_step:
+            return replace(trial, effect=moved, leaves=model.residual, squares=model.squares)
+    settled = gauss_newton(with_effects(fit, [*fit.effects, trial.effect]), [trial.effect])
+    return replace(trial, effect=settled.effects[-1], leaves=settled.residual, squares=settled.squares)
+
+
+def _moved_along(fit: Fit, effect: Effect, change: Array, step: Array) -> tuple[Fit, Effect]:
+    """The declared model beside an effect, theta changed and the calibrations moved by a step, with what that leaves;
+    and the effect."""
+    moved, there = moved_by(effect, step), with_values(fit, fit.theta + change, fit.residual)
+    left = fit.samples.outputs - predicted_with(there, [*fit.effects, moved])
+    return with_values(there, there.theta, left), moved
 
 
 def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:
     """(n,) correlation time [samples] of each channel in what the trial that explains it best leaves of it."""
-    left = np.array([(fit.used(trial.residual) ** 2).sum(axis=0) for trial in trials])
+    left = np.array([_squares(fit, trial) for trial in trials])
     best = [fit.used(trials[index].residual)[:, channel] for channel, index in enumerate(left.argmin(axis=0))]
     return correlation_times(np.column_stack(best), fit.config)
 

@@ -249,7 +249,7 @@ def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
                     for known, n_parameters in ((fit, trial.n_parameters), (simpler, trial.n_parameters - saved)))
     if whole.evidence - parts.evidence > tolerance(without, whole, same_form=True):
         return [], fit
-    return [replace(trial, effect=part, residual=simpler.residual) for part in plainer], simpler
+    return [replace(trial, effect=part, leaves=simpler.residual, squares=None) for part in plainer], simpler
 
 
 def _other_joints(fit: Fit, first: Trial, ranking: list[Trial]) -> list[list[Trial]]:
