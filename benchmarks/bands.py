@@ -3,7 +3,8 @@
     python benchmarks/bands.py --data FOLDER             bundled recordings, and the measured ones where FOLDER has them
     python benchmarks/bands.py --stationary 5            simulated recordings in which nothing changes, five seeds
 
-The first recording is learnt: its initial window gives the hyperparameters, the rest is predicted and then learnt
+The first recording is learnt as ``semiparam evaluate`` learns it: its first samples of motion give the hyperparameters,
+later ones new hyperparameters where the motion changes; what follows the initial window is predicted and then learnt
 (``first``). From there the second recording is predicted, learning it (``learning``) and not (``frozen``); the bundled
 one in five parts. The model alone has ``forgetting: 1.0``, no wandering offset and bands that are not calibrated; it is
 the same model, so that one run gives both.
@@ -16,6 +17,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,16 +27,15 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np
 
-from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.core.estimator import Estimator, Prediction, log_density
+from semiparam_ros.bags.loading import LoadedBag, load_samples
+from semiparam_ros.core.estimator import Prediction, log_density
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.core.variants import AVERAGED, CHOICES, MEMBERS, VARIANTS
 from semiparam_ros.effects import kinds
-from semiparam_ros.experiments.initial_window import fitted_settings
+from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.experiments.scoreboard import samples_of
 from semiparam_ros.settings import Settings, load_params
-from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.simulation.causes import CAUSES
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -53,7 +54,8 @@ class Pair(NamedTuple):
     train: Samples
     test: Samples
     parts: int
-    urdf: str | None
+    bag: LoadedBag
+    """With the robot description."""
 
 
 def pairs(folder: Path | None) -> Iterator[Pair]:
@@ -68,17 +70,18 @@ def pairs(folder: Path | None) -> Iterator[Pair]:
     franka = replace(efforts, joints=tuple(f'panda_joint{number}' for number in range(1, 8)), initial_samples=300)
     bag = load_samples(folder / 'panda.mcap', franka)
     cut = len(bag.samples) * 6 // 10
-    yield Pair('Franka', franka, bag.samples[:cut], bag.samples[cut:], 1, bag.robot_description)
+    yield Pair('Franka', franka, bag.samples[:cut], bag.samples[cut:], 1, bag)
 
 
 def _two(name: str, settings: Settings, train: Path, test: Path, parts: int = 1) -> Pair:
     first, second = load_samples(train, settings), load_samples(test, settings)
-    return Pair(name, settings, first.samples, second.samples, parts, first.robot_description)
+    return Pair(name, settings, first.samples, second.samples, parts, first)
 
 
-def follow(estimator: Estimator, samples: Samples, learn: bool) -> list[Prediction]:
-    """Every sample predicted, then perhaps learnt."""
-    return [estimator.step(sample, learn) for sample in samples]
+def follow(learner: OfflineLearner, samples: Samples, learn: bool) -> list[Prediction]:
+    """Every sample predicted, then perhaps learnt; from the end of the initial window on."""
+    learner.begin(samples.origin)
+    return [prediction for prediction in (learner.step(sample, learn) for sample in samples) if prediction.ready]
 
 
 def figures(predictions: Sequence[Prediction]) -> dict[str, float]:
@@ -110,24 +113,12 @@ def _model_log_density(prediction: Prediction) -> float:
 
 def run(pair: Pair, variant: str, features: int) -> list[dict[str, Any]]:
     """Figures of one variant on one pair; of averaged ones, and then of each of them, which is as it would be alone."""
-    settings = replace(pair.settings, variant=variant, features_count=features)
-    window = settings.initial_samples
-    if variant != AVERAGED:  # whose hyperparameters no settings hold
-        settings, _ = fitted_settings(settings, pair.train[:window], pair.urdf)
-    estimator = build_estimator(settings, pair.urdf, pair.train.origin)
-    follow(estimator, pair.train[:window], learn=True)
-    if not estimator.ready:
-        estimator.finish_window()
-    phases = {'first': follow(estimator, pair.train[window:], learn=True)}
-    learnt, length = estimator.state(), len(pair.test) // pair.parts
+    learner = OfflineLearner(replace(pair.settings, variant=variant, features_count=features), [pair.bag], lambda: None)
+    phases = {'first': follow(learner, pair.train, learn=True)}
+    length = len(pair.test) // pair.parts
     for phase, learn in (('learning', True), ('frozen', False)):
-        predictions = []
-        for part in range(pair.parts):
-            samples = pair.test[part * length:(part + 1) * length]
-            estimator.restore(learnt)
-            estimator.begin_recording(samples.origin)
-            predictions += follow(estimator, samples, learn)
-        phases[phase] = predictions
+        parts = (pair.test[part * length:(part + 1) * length] for part in range(pair.parts))
+        phases[phase] = [prediction for part in parts for prediction in follow(deepcopy(learner), part, learn)]
     each = {variant: phases}
     for index, member in enumerate(MEMBERS if variant == AVERAGED else ()):
         each[f'{member} of {variant}'] = {phase: [one.members[index] for one in predictions]
@@ -148,8 +139,8 @@ def stationary(seeds: int, features: int) -> Iterator[dict[str, Any]]:
                 settings = Settings(robot_description=recording.urdf, joints=tuple(recording.joint_names),
                                     outputs=outputs, sensor_frame=recording.frame_id or '',
                                     wrench_convention=recording.convention, features_count=features)
-                estimator = build_estimator(settings)
-                predictions = [each for each in follow(estimator, samples_of(recording), learn=True) if each.ready]
+                learner = OfflineLearner(settings, [], lambda: None)
+                predictions = follow(learner, samples_of(recording), learn=True)
                 yield {'outputs': outputs, 'kind': name, 'seed': seed, **figures(predictions)}
 
 

@@ -160,8 +160,7 @@ class OfflineLearner:
     def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
         scores.start_recording(bag.samples.origin)
-        self.estimator.begin_recording(bag.samples.origin)
-        self.history.origin = bag.samples.origin if self.history.origin is None else self.history.origin
+        self.begin(bag.samples.origin)
         for sample in bag.samples:
             start = time.perf_counter()
             prediction = self.step(sample, learning)
@@ -177,6 +176,11 @@ class OfflineLearner:
             self._take_over()
         self.gate.reset()
         self.estimator.clear_pending()
+
+    def begin(self, origin: int) -> None:
+        """Go on with another recording, whose time starts at ``origin`` [ns]."""
+        self.estimator.begin_recording(origin)
+        self.history.origin = origin if self.history.origin is None else self.history.origin
 
     def step(self, sample: Sample, learning: bool) -> Prediction:
         """One sample: a contact, and a robot at rest, are predicted but not learnt."""
