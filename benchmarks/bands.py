@@ -79,9 +79,10 @@ def _two(name: str, settings: Settings, train: Path, test: Path, parts: int = 1)
 
 
 def follow(learner: OfflineLearner, samples: Samples, learn: bool) -> list[Prediction]:
-    """Every sample predicted, then perhaps learnt; from the end of the initial window on."""
+    """Every sample predicted, then perhaps learnt: from the end of the initial window on, and where the robot moves."""
     learner.begin(samples.origin)
-    return [prediction for prediction in (learner.step(sample, learn) for sample in samples) if prediction.ready]
+    return [prediction for prediction in (learner.step(sample, learn) for sample in samples)
+            if prediction.ready and prediction.motion.is_news]
 
 
 def figures(predictions: Sequence[Prediction]) -> dict[str, float]:
