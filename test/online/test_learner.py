@@ -665,7 +665,7 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies():
 
 def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(tmp_path):
     tasks = queue.Queue()
-    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task)), still_s=0.3), []
+    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task)), still_s=3.0), []
     for name in ('killed', 'second', 'dropped', 'stopped', 'killed while it sends', 'third'):
         job = background.submit(append_and_perhaps_die, tmp_path / name,
                                 done=lambda result, error: results.append((result, error)))
