@@ -54,7 +54,8 @@ class BandCalibration:
     @property
     def factor(self) -> Array:
         """(n,) c, of the standard deviation of each output."""
-        return np.asarray(self.table[-1])
+        factor: Array = self.table[-1]
+        return factor
 
     @property
     def _scales(self) -> Array:

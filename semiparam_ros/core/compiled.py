@@ -22,9 +22,10 @@ except ImportError:
 else:
     AVAILABLE = True
 
-VECTOR, MATRIX, STRIDED = 'float64[::1]', 'float64[:,::1]', 'float64[:]'
-"""Types of arguments: arrays without gaps, by rows; one by columns is passed as its transpose. A strided one may have
-gaps."""
+VECTOR, MATRIX = 'float64[::1]', 'float64[:,::1]'
+"""Types of arguments: arrays without gaps, by rows; one by columns is passed as its transpose."""
+STRIDED, PART = 'float64[:]', 'float64[:,:]'
+"""Those that may have gaps: a vector, and a part of a matrix."""
 INTEGER, NUMBER, INTEGERS = 'int64', 'float64', 'int64[::1]'
 
 _FAST = {'reassoc', 'contract', 'nsz'}

@@ -104,7 +104,8 @@ class Model:
         """What the recursion says at x (m,), of which the columns (n, p) are all of C."""
         phi = self.features(x) if self.features else self._no_features
         known = None if self.pi is None else columns[:, :len(self.pi)] @ self.pi
-        return self.recursion.predict(phi, columns[:, self.learnt], known)
+        learnt = columns[:, self.learnt] if self.learnt.start else columns
+        return self.recursion.predict(phi, learnt, known)
 
 
 def log_density(innovation: Array, covariance: Array) -> float:

@@ -221,18 +221,20 @@ def advance(rows: Array, start: int, filled: int, decay: Array, features: Array,
     innovations = gains + size
     thetas = innovations + n * (p + 1)
     parts = thetas + p
-    running = regressed.copy()  # E_C, and the prediction of y without it, of each model in turn
+    running = np.empty(n * (p + 1))  # of each model in turn E_C, and less its prediction of y without it
     for k in range(n):
         for c in range(p):
-            running[k, c] = columns[k, c] - regressed[k, c]
+            running[k * (p + 1) + c] = columns[k, c] - regressed[k, c]
+        running[k * (p + 1) + p] = -regressed[k, p]
     for model in range(filled):
         row = rows[start + model]
         squared, gain, learnt_then = row[n:gains], row[gains:innovations], row[innovations:thetas]
         coefficients, offset = row[thetas:parts], row[parts:]
         for k in range(n):
-            error = outputs[k] - running[k, p]
+            left = running[k * (p + 1):(k + 1) * (p + 1)]
+            error = outputs[k] + left[p]
             for c in range(p):
-                error -= coefficients[c] * running[k, c]
+                error -= coefficients[c] * left[c]
             for g in range(len(decay)):
                 error -= offset[g * n + k]
                 offset[g * n + k] *= decay[g, 0]
@@ -242,11 +244,8 @@ def advance(rows: Array, start: int, filled: int, decay: Array, features: Array,
         weight = 0.0
         for d in range(size):
             weight += gain[d] * features[0, d]
-        for k in range(n):
-            added = learnt_then[k * (p + 1):(k + 1) * (p + 1)]
-            for c in range(p):
-                running[k, c] += weight * added[c]
-            running[k, p] -= weight * added[p]
+        for index in range(len(running)):
+            running[index] += weight * learnt_then[index]
     rows[newest, :n] = outputs
     if filled == length:
         _complete(rows, newest, length, eps)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from semiparam_ros.core.compiled import NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import INTEGER, VECTOR, compiled
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array
 
@@ -17,6 +17,7 @@ REST_NS = 10**9
 
 STILL = 0.001
 """[rad, m] Within this of each other two positions are the same place, unless the encoders jitter by more."""
+STEPPED = 2
 STILL_SAMPLES = 5
 """So many samples of one place are news."""
 
@@ -46,11 +47,10 @@ class Motion(NamedTuple):
         """
         if not 0 <= stamp - self.newest <= LONGEST_PAUSE_NS:
             return at_start(stamp, position, outputs)._replace(is_news=False)
-        if farthest(position, self.place) > STEP:
+        moved = compared(position, self.place, self.nearby)
+        if moved == STEPPED:
             return at_start(stamp, position, outputs)
-        nearby, still = self.nearby, self.still + 1
-        if farthest(position, nearby) > STILL:
-            nearby, still = position, 1
+        nearby, still = (position, 1) if moved else (self.nearby, self.still + 1)
         is_news = stamp - self.since <= REST_NS and still <= STILL_SAMPLES
         if is_news and still > 1:
             is_news = bool(outputs.any() and (outputs != self.outputs).any())
@@ -66,10 +66,13 @@ def at_start(stamp: int, position: Array, outputs: Array) -> Motion:
     return Motion(position, stamp, stamp, position, 1, outputs, True)
 
 
-@compiled(VECTOR, VECTOR, returns=NUMBER)
-def farthest(position: Array, other: Array) -> float:
-    """Largest distance of a joint between two places (n_joints,)."""
-    largest = 0.0
+@compiled(VECTOR, VECTOR, VECTOR, returns=INTEGER)
+def compared(position: Array, place: Array, nearby: Array) -> int:
+    """``STEPPED`` when a joint has left the place (n_joints,) of the last step, else whether one is not nearby."""
+    moved = 0
     for joint in range(len(position)):
-        largest = max(largest, abs(position[joint] - other[joint]))
-    return largest
+        if abs(position[joint] - place[joint]) > STEP:
+            return STEPPED
+        if abs(position[joint] - nearby[joint]) > STILL:
+            moved = 1
+    return moved

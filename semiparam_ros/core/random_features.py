@@ -32,21 +32,21 @@ class RandomFeatures:
         self.tau = tuple(float(value) for value in tau)
         self._check(n_inputs)
         divisor = self.input_scale * spread(self.tau, n_inputs)
-        self._omega = np.asfortranarray(self.omega / divisor)
-        self._phase = self._omega @ self.input_mean
+        self._omega = np.ascontiguousarray((self.omega / divisor).T)
+        self._phase = self.input_mean @ self._omega
         self._norm = 1.0 / np.sqrt(count // 2)
 
     def __call__(self, x: Array) -> Array:
         """(D,) features of one input (m,)."""
         if AVAILABLE:
             phi = np.empty(self.count)
-            _features(self._omega.T, self._phase, self._norm, x, phi)
+            _features(self._omega, self._phase, self._norm, x, phi)
             return phi
         return np.asarray(self.batch(x[None])[0])
 
     def batch(self, x: Array) -> Array:
         """(N, D) features of inputs (N, m)."""
-        z = x @ self._omega.T - self._phase
+        z = x @ self._omega - self._phase
         return np.asarray(np.hstack([np.cos(z), np.sin(z)]) * self._norm)
 
     def _check(self, n_inputs: int) -> None:

@@ -55,7 +55,8 @@ class WanderingOffset:
     @property
     def offset(self) -> Array:
         """(n,) all of them together."""
-        return np.asarray(self.table[-1])
+        total: Array = self.table[-1]
+        return total
 
     @property
     def _offsets(self) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import null_space
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, MATRIX, compiled
+from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, MATRIX, PART, compiled
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices
@@ -244,7 +244,7 @@ class RigidBody:
         full = self.rows(self.arm_vector(position), self.arm_vector(velocity), self.arm_vector(acceleration))
         psi = np.empty((self.n_outputs, self.n_parameters)) if out is None else out
         if AVAILABLE:
-            _reduce(np.ascontiguousarray(full), self._to_outputs, *self._entries, psi)
+            _reduce(full, self._to_outputs, *self._entries, psi)
         else:
             psi[:, :self.n_parameters] = full @ self._to_outputs
         return psi
@@ -373,7 +373,7 @@ def _canonical(basis: Array) -> Array:
     return np.ascontiguousarray(np.where(np.abs(chosen) > ROUNDING, chosen, 0.0))
 
 
-@compiled(MATRIX, MATRIX, INTEGERS, INTEGERS, MATRIX)
+@compiled(PART, MATRIX, INTEGERS, INTEGERS, MATRIX)
 def _reduce(full: Array, to_outputs: Array, rows: Indices, columns: Indices, psi: Array) -> None:
     """full @ to_outputs by the entries of to_outputs that are not zero, into the first columns of psi."""
     for k in range(len(full)):
