@@ -10,7 +10,6 @@ A mimic joint is a joint like any other: it stays where ``locked`` puts it.
 
 from __future__ import annotations
 
-import copy
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property, lru_cache
@@ -325,15 +324,7 @@ class RigidBody:
         Where the first axis stands upright, a tilt shows masses that the base parameters do not hold: these follow the
         robot description, in proportion to the base parameters.
         """
-        other = copy.copy(self)
-        described = self.base_parameters
-        hidden = self.inertial_parameters - self.basis @ described
-        other._reduce_by(self.basis + np.outer(hidden, described) / max(float(described @ described), 1e-12))
-        other._unfelt = self._unfelt[:, :0]
-        other.arm = self.arm.copy()
-        other.arm.gravity.linear = gravity
-        other._make_data()
-        return other
+        return _with_gravity(self, tuple(np.asarray(gravity, dtype=float).tolist()))
 
     def arm_vector(self, values: Array) -> Array:
         """Values (..., n_joints) of the named joints in the order of the model."""
@@ -384,6 +375,19 @@ def _reduce(full: Array, to_outputs: Array, rows: Indices, columns: Indices, psi
 
 
 @lru_cache(maxsize=2)
+def _with_gravity(body: RigidBody, gravity: tuple[float, ...]) -> RigidBody:
+    """The latest ones are remembered: a tilt that is declared asks for the same with every sample."""
+    described = body.base_parameters
+    hidden = body.inertial_parameters - body.basis @ described
+    arm = body.arm.copy()
+    arm.gravity.linear = np.array(gravity)
+    other = RigidBody.__new__(RigidBody)
+    other.__setstate__({**body.__getstate__(), 'arm': arm, '_unfelt': body._unfelt[:, :0]})
+    other._reduce_by(body.basis + np.outer(hidden, described) / max(float(described @ described), 1e-12))
+    return other
+
+
+@lru_cache(maxsize=2)
 def _regressors(body: RigidBody, samples: Samples) -> Array:
     full = body.full_regressors(samples)
     rows = full.reshape(len(full) * body.n_outputs, len(body._from_base))
@@ -397,7 +401,6 @@ def _full_regressors(body: RigidBody, samples: Samples) -> Array:
     if samples.position.shape[1] != body.n_joints:
         raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is used with '
                              f'{body.n_joints} joints: {", ".join(body.joints)}.')
-    body = copy.copy(body)  # has scratch memory of its own: another thread may be at work with this body
     motion = (body.arm_vector(values) for values in (samples.position, samples.velocity, samples.acceleration))
     full = np.empty((len(samples), body.n_outputs, len(body.basis)))
     for index, (q, dq, ddq) in enumerate(zip(*motion, strict=True)):
