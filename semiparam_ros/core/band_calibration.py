@@ -14,14 +14,11 @@ factor is included.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from semiparam_ros.core.compiled import AVAILABLE, MATRIX, VECTOR, compiled
+from semiparam_ros.core.filter_bank import FilterBank
 from semiparam_ros.core.types import Array
-from semiparam_ros.core.wandering_offset import like
-from semiparam_ros.errors import SemiparamError
 
 MEMORIES = np.array([[np.inf], [10.0], [30.0], [100.0], [500.0]])
 """[samples]"""
@@ -40,30 +37,18 @@ _WIDENING = 1.0 + 2.0 / (2.0 * MEMORIES - 3.0)
 _KEEP = 1.0 - 1.0 / EVIDENCE_MEMORY
 
 
-class BandCalibration:
+class BandCalibration(FilterBank):
     """The scales c^2 of every memory, (K, n), and their log weights."""
 
     def __init__(self, n_outputs: int) -> None:
-        shares = np.full((len(MEMORIES), 1), (1.0 - SHARE_OF_OWN) / (len(MEMORIES) - 1))
-        shares[0] = SHARE_OF_OWN
-        self.table: Array = np.ones((2 * len(MEMORIES) + 1, n_outputs))
-        """All of it, one below the other: scales, log weights and :attr:`factor`."""
-        self._log_weights[:] = np.log(shares)
+        super().__init__('the calibration of the bands', len(MEMORIES), np.ones((2 * len(MEMORIES) + 1, n_outputs)),
+                         SHARE_OF_OWN)
         self._mix()
 
     @property
     def factor(self) -> Array:
         """(n,) c, of the standard deviation of each output."""
-        factor: Array = self.table[-1]
-        return factor
-
-    @property
-    def _scales(self) -> Array:
-        return self.table[:len(MEMORIES)]
-
-    @property
-    def _log_weights(self) -> Array:
-        return self.table[len(MEMORIES):-1]
+        return self._mixture
 
     def learn(self, innovation: Array, std: Array) -> None:
         """Take in the innovation (n,) of a sample, and the standard deviation (n,) that the model gave it."""
@@ -74,29 +59,22 @@ class BandCalibration:
 
     def _learn(self, innovation: Array, std: Array) -> None:
         standardised = innovation / std
-        ratio = np.minimum(standardised * standardised, LARGEST_STEP * self._scales.max(axis=0))
-        wide = _WIDENING * self._scales
+        ratio = np.minimum(standardised * standardised, LARGEST_STEP * self._values.max(axis=0))
+        wide = _WIDENING * self._values
         log_weights = _KEEP * self._log_weights - 0.5 * (np.log(wide) + ratio / wide)
         log_weights -= log_weights.max(axis=0)
         self._log_weights[:] = np.maximum(log_weights, LEAST_LOG_WEIGHT)
-        step = np.minimum(ratio, LARGEST_STEP * self._scales) - self._scales
-        self._scales[:] = np.maximum(self._scales + _RATE * step, LEAST_SCALE)
+        step = np.minimum(ratio, LARGEST_STEP * self._values) - self._values
+        self._values[:] = np.maximum(self._values + _RATE * step, LEAST_SCALE)
         self._mix()
 
-    def state(self) -> dict[str, Array]:
-        """A copy; :meth:`restore` takes it back bit for bit."""
-        return {'table': self.table.copy()}
-
-    def restore(self, state: Mapping[str, Array]) -> None:
-        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
-        table = like(self.table, state.get('table'), 'the calibration of the bands')
-        if (table[:len(MEMORIES)] < LEAST_SCALE).any() or (table[-1] <= 0.0).any():
-            raise SemiparamError('the saved calibration of the bands has scales that are not positive.')
-        self.table[:] = table
+    def _possible(self, table: Array) -> bool:
+        positive = (table[:len(MEMORIES)] >= LEAST_SCALE).all() and (table[-1] > 0.0).all()
+        return super()._possible(table) and bool(positive)
 
     def _mix(self) -> None:
         weights = np.exp(self._log_weights)
-        self.factor[:] = np.sqrt((weights * _WIDENING * self._scales).sum(axis=0) / weights.sum(axis=0))
+        self.factor[:] = np.sqrt((weights * _WIDENING * self._values).sum(axis=0) / weights.sum(axis=0))
 
 
 @compiled(VECTOR, VECTOR, MATRIX)

@@ -262,7 +262,6 @@ class Estimator:
         self._since_learnt = 0
         self.passed_over = 0
         """Samples that were to be learnt but were not, by ``learn_every`` and ``learn_least_gain``."""
-        self._no_errors = np.zeros((0, body.n_outputs))
         self._begin_following()
 
     def step(self, sample: Sample, learn: bool = True) -> Prediction:
@@ -366,7 +365,7 @@ class Estimator:
             recursion.has_learnt(_learn_and_follow(
                 *recursion.learning(prior), *self.horizon.advancing, outputs, prediction.model_mean,
                 prediction.model_std, self.wandering.table, self.calibration.table,
-                self._no_errors if errors is None else errors, eps))
+                self.horizon.nothing if errors is None else errors, eps))
             return self.horizon.moved_on(sample.stamp, eps)
         innovations = recursion.learn(prior, outputs) if due else None
         if not due:

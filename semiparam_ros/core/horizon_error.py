@@ -54,7 +54,8 @@ class HorizonIndex:
         if length < 1:
             raise SemiparamError(f'horizon.length is {length}; expected at least one sample.')
         self.length, self._shapes = length, shapes
-        self._nothing = np.zeros((0, n_outputs))
+        self.nothing = np.zeros((0, n_outputs))
+        """Stands for errors or innovations that are not asked for or not there."""
         self._ends = np.cumsum([n_outputs, n_outputs, *map(prod, self._shapes)]).tolist()
         self._rows = np.zeros((2 * length, self._ends[-1]))
         self._origins = np.zeros(2 * length, dtype=np.int64)
@@ -110,17 +111,17 @@ class HorizonIndex:
         :return: the errors of the oldest of them when its horizon is now complete.
         """
         row = self.make_room()
-        learnt = self._nothing if innovations is None else innovations
-        offsets = self._nothing if offsets is None else offsets
+        learnt = self.nothing if innovations is None else innovations
+        offsets = self.nothing if offsets is None else offsets
         if AVAILABLE:
             eps = np.empty((2, len(outputs)))
             advance(*self.advancing, prior.features, prior.s, prior.columns, prior.regressed, outputs, theta, learnt,
-                    offsets, self._nothing if errors is None else errors, eps)
+                    offsets, self.nothing if errors is None else errors, eps)
         else:
             self._outputs[row] = outputs
             if self._filled:
                 self._charge(prior, outputs, errors)
-            eps = self._complete() if self._filled == self.length else self._nothing
+            eps = self._complete() if self._filled == self.length else self.nothing
             gains, added, thetas, parts = self._remembered()
             thetas[row], self._squared_error[row] = theta, 0.0
             gains[row] = prior.features[2] / prior.s if len(learnt) else 0.0
@@ -279,7 +280,7 @@ class AveragedHorizons(HorizonIndex):
         for index, each in enumerate(errors):
             average += shares[models, index] * each[:self._filled]
         self._squared_error[models] += average * average
-        eps = self._complete() if self._filled == self.length else self._nothing
+        eps = self._complete() if self._filled == self.length else self.nothing
         shares[row], self._squared_error[row] = weights, 0.0
         return self.moved_on(stamp, eps)
 

@@ -56,6 +56,9 @@ def _widen(known: Array, x: Array) -> None:
 @compiled(MATRIX, STRIDED, STRIDED, STRIDED, VECTOR, returns=NUMBER)
 def _beyond(known: Array, position: Array, velocity: Array, acceleration: Array, x: Array) -> float:
     n_joints = len(position)
+    if not len(velocity) == len(acceleration) == n_joints or (len(known) and known.shape[1] != len(x)):
+        x[:] = 0.0  # nothing is read beyond an end; the regressor tells what does not fit the robot
+        return 0.0
     for i in range(n_joints):
         x[i], x[n_joints + i], x[2 * n_joints + i] = position[i], velocity[i], acceleration[i]
     if not np.isfinite(x).all():

@@ -15,13 +15,11 @@ Only samples that are learnt are followed. While others go by, as in a contact o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from semiparam_ros.core.compiled import AVAILABLE, MATRIX, VECTOR, compiled
+from semiparam_ros.core.filter_bank import FilterBank
 from semiparam_ros.core.types import Array
-from semiparam_ros.errors import SemiparamError
 
 PACES = np.array([[0.0], [0.003], [0.01], [0.03], [0.1]])
 """g; a pace has a memory of 1 / g samples."""
@@ -37,15 +35,11 @@ LARGEST_STEP = 6.0
 """[standard deviations] A spike moves an offset no further than this times the pace."""
 
 
-class WanderingOffset:
+class WanderingOffset(FilterBank):
     """The offsets b of every pace, (K, n), and their log weights."""
 
     def __init__(self, n_outputs: int) -> None:
-        shares = np.full((len(PACES), 1), (1.0 - SHARE_OF_NONE) / (len(PACES) - 1))
-        shares[0] = SHARE_OF_NONE
-        self.table: Array = np.zeros((3 * len(PACES) + 1, n_outputs))
-        """All of it, one below the other: offsets, log weights, :attr:`parts` and :attr:`offset`."""
-        self._log_weights[:] = np.log(shares)
+        super().__init__('the wandering offset', len(PACES), np.zeros((3 * len(PACES) + 1, n_outputs)), SHARE_OF_NONE)
 
     @property
     def parts(self) -> Array:
@@ -55,16 +49,7 @@ class WanderingOffset:
     @property
     def offset(self) -> Array:
         """(n,) all of them together."""
-        total: Array = self.table[-1]
-        return total
-
-    @property
-    def _offsets(self) -> Array:
-        return self.table[:len(PACES)]
-
-    @property
-    def _log_weights(self) -> Array:
-        return self.table[len(PACES):2 * len(PACES)]
+        return self._mixture
 
     def pace(self) -> Array:
         """(n,) the mean pace of each output; its inverse is the memory [samples]."""
@@ -79,31 +64,23 @@ class WanderingOffset:
             self._learn(residual, std)
 
     def _learn(self, residual: Array, std: Array) -> None:
-        standardised = (residual - self._offsets) / std
+        standardised = (residual - self._values) / std
         log_weights = _KEEP * self._log_weights
         log_weights -= 0.5 * (DEGREES + 1.0) * np.log1p(standardised * standardised / DEGREES)
         log_weights -= log_weights.max(axis=0)
         self._log_weights[:] = np.maximum(log_weights, LEAST_LOG_WEIGHT)
         step = std * np.minimum(np.maximum(standardised, -LARGEST_STEP), LARGEST_STEP)
-        self._offsets[:] = DECAY * (self._offsets + PACES * step)
+        self._values[:] = DECAY * (self._values + PACES * step)
         self._mix()
 
     def rest(self) -> None:
         """A sample went by that is not learnt."""
-        self._offsets[:] *= DECAY
+        self._values[:] *= DECAY
         self._mix()
-
-    def state(self) -> dict[str, Array]:
-        """A copy; :meth:`restore` takes it back bit for bit."""
-        return {'table': self.table.copy()}
-
-    def restore(self, state: Mapping[str, Array]) -> None:
-        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
-        self.table[:] = like(self.table, state.get('table'), 'the wandering offset')
 
     def _mix(self) -> None:
         weights = np.exp(self._log_weights)
-        self.parts[:] = weights / weights.sum(axis=0) * self._offsets
+        self.parts[:] = weights / weights.sum(axis=0) * self._values
         self.offset[:] = self.parts.sum(axis=0)
 
 
@@ -129,12 +106,3 @@ def follow(residual: Array, std: Array, table: Array) -> None:
         for g in range(len(offsets)):
             parts[g, k] *= offsets[g, k] / total
             offset[k] += parts[g, k]
-
-
-def like(mine: Array, saved: Array | None, what: str) -> Array:
-    """Saved values of the size of mine; raises SemiparamError for another size or values that are not finite."""
-    values = np.array(np.nan if saved is None else saved, dtype=float)
-    if values.shape != mine.shape or not np.isfinite(values).all():
-        raise SemiparamError(f'the saved values of {what} have shape {values.shape}; expected finite ones of shape '
-                             f'{mine.shape}.')
-    return values

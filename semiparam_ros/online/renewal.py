@@ -157,7 +157,7 @@ class Renewal:
             raise TypeError('the state of the renewal is no mapping')
         self.done, self._gathered, self._outside = bool(state['done']), int(state['gathered']), int(state['outside'])
         self._attempts, self._learnt = int(state['attempts']), int(state['learnt'])
-        self._drafted, self._draft_rules = bool(state.get('drafted')), bool(state.get('draft_rules'))
+        self._drafted, self._draft_rules = bool(state['drafted']), bool(state['draft_rules'])
         if not 0 <= self._attempts <= MOST_ATTEMPTS:
             raise ValueError(f'the hyperparameters were estimated {self._attempts} times')
         self._errors.sums = np.array(state['errors'], dtype=float).reshape(4, self._n_outputs)

@@ -90,6 +90,14 @@ def body():
     return icub()
 
 
+def test_a_live_sample_builds_no_model_of_the_robot_anew(body, monkeypatch):
+    columns, (first, *others) = CoupledColumns(body, SETS['all']), MOTION
+    _, memory = columns.one(first, MOTION.origin)
+    monkeypatch.setattr(RigidBody, '_make_data', lambda body: pytest.fail('it takes longer than all the rest'))
+    for sample in others:
+        _, memory = columns.one(sample, MOTION.origin, memory)
+
+
 @pytest.mark.parametrize('name', SETS)
 @pytest.mark.parametrize('pieces', [[30], [1] * 30, [7, 1, 22]])
 def test_samples_in_pieces_equal_all_at_once(body, name, pieces):

@@ -182,6 +182,15 @@ def test_values_that_are_not_finite_are_refused_and_change_nothing(trained, reco
         np.testing.assert_array_equal(one.horizon.eps, other.horizon.eps)
 
 
+@pytest.mark.parametrize('count', [1, 40])
+@pytest.mark.parametrize('field', ['position', 'velocity', 'acceleration'])
+def test_values_of_another_number_of_joints_are_refused_and_change_nothing(trained, recording, field, count):
+    model, expected, sample = trained_copy(trained), trained_copy(trained), recording[0]
+    with pytest.raises(ValueError, match='shape|size'):
+        model.step(sample._replace(**{field: np.ones(count)}))
+    np.testing.assert_array_equal(model.step(sample).mean, expected.step(sample).mean)
+
+
 def test_horizons_start_with_the_variant_and_again_after_a_jump_of_the_clock(trained, recording):
     _, predictions = trained
     known = [prediction.horizon is not None for prediction in predictions]
