@@ -31,7 +31,7 @@ lint: setup
 	$(BIN)/mypy
 
 test: setup
-	@$(MAKE) --no-print-directory --jobs=2 lint suite
+	@$(MAKE) --no-print-directory --jobs=2 lint suite docs
 
 # Three at a time on two cores: tests of live nodes mostly wait. What numba compiles is compiled once before, not by each.
 suite: setup

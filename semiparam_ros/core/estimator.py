@@ -416,8 +416,7 @@ class Estimator:
     def finish_window(self, draft: bool = False) -> None:
         """End the initial window now: estimate hyperparameters from it, learn it, and let the variant take over.
 
-        :param draft: by a search of a fraction of a second, see :func:`~semiparam_ros.core.hyperparameters.maximisation
-            .draft_maximum`.
+        :param draft: estimate from a few hundred of its samples and two starts, in about a tenth of the time.
 
         Raises SemiparamError, with nothing changed, when the window holds too little to estimate from.
         """

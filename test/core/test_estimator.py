@@ -186,7 +186,7 @@ def test_values_that_are_not_finite_are_refused_and_change_nothing(trained, reco
 @pytest.mark.parametrize('field', ['position', 'velocity', 'acceleration'])
 def test_values_of_another_number_of_joints_are_refused_and_change_nothing(trained, recording, field, count):
     model, expected, sample = trained_copy(trained), trained_copy(trained), recording[0]
-    with pytest.raises(ValueError, match='shape|size'):
+    with pytest.raises(ValueError, match=r'shape|size'):
         model.step(sample._replace(**{field: np.ones(count)}))
     np.testing.assert_array_equal(model.step(sample).mean, expected.step(sample).mean)
 
