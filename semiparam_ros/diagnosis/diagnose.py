@@ -99,7 +99,7 @@ class Diagnosis:
     def gain_and_mass_are_one(self) -> bool:
         """Whether gains of the outputs are found or declared, but no mass is known that would tell them from masses."""
         gains = any(name.startswith('gain') for effect in self.final.effects for name, _ in effect.calibrations)
-        return gains and not any(effect.is_load and 'mass' in effect.parameters for effect in self.final.effects)
+        return gains and not self.final.knows_mass
 
     def recordings_of(self, effect: Effect) -> tuple[str, ...]:
         """Names of the recordings in which an effect acts; empty where there is one recording."""

@@ -212,6 +212,11 @@ class Fit:
         """(p_psi,) base parameters."""
         return self.theta[:self.body.n_parameters]
 
+    @property
+    def knows_mass(self) -> bool:
+        """Whether a mass is known that tells the gains of the outputs from all other masses."""
+        return any(effect.is_load and 'mass' in effect.parameters for effect in self.effects)
+
     @cached_property
     def correlation(self) -> Array:
         """(n,) correlation time [samples] of each channel of the residual of the samples in use."""

@@ -18,7 +18,12 @@ import numpy as np
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.diagnosis.search.refit import calibrated_values, moved_by
 from semiparam_ros.diagnosis.search.shapes import shape_columns, shapes_of
+from semiparam_ros.effects import Effect
+
+GAIN_STEP = 1e-6
+"""Half the difference of gains that stands for a derivative."""
 
 
 class Deviations(NamedTuple):
@@ -36,13 +41,28 @@ def deviations(fit: Fit, found: Collection[int]) -> Deviations:
     shapes = shapes_of(fit, found)
     further += [shape_columns(fit, shapes)] if shapes else []
     columns = np.concatenate([np.zeros((*fit.residual.shape, 0)), *further], axis=2)
-    told, edges = _deviations(fit, columns), len(fit.theta) + np.cumsum([0, *(part.shape[2] for part in further)])
-    return Deviations(told[:edges[0]], {number: told[start:end] for number, start, end in zip(
-        calibrated, edges, edges[1:], strict=False)})
+    edges = len(fit.theta) + np.cumsum([0, *(part.shape[2] for part in further)])
+    parts = {number: slice(start, end) for number, start, end in zip(calibrated, edges, edges[1:], strict=False)}
+    told = np.eye(edges[-1])
+    for number, part in parts.items() if not fit.knows_mass else ():
+        told[part, part] = _without_common_gain(fit.effects[number])
+    deviation = _deviations(fit, columns, told)
+    return Deviations(deviation[:edges[0]], {number: deviation[part] for number, part in parts.items()})
 
 
-def _deviations(fit: Fit, columns: Array) -> Array:
-    """(p + c,) standard deviations of theta and of the coefficients of further columns (N, n, c)."""
+def _without_common_gain(effect: Effect) -> Array:
+    """(c, c) derivative of the calibrations that are told, see :meth:`Effect.without_common_gain`, by the fitted
+    ones."""
+    def told(step: Array) -> Array:
+        return calibrated_values(moved_by(effect, step).without_common_gain())
+
+    steps = GAIN_STEP * np.eye(len(effect.calibrations))
+    return np.column_stack([(told(step) - told(-step)) / (2.0 * GAIN_STEP) for step in steps])
+
+
+def _deviations(fit: Fit, columns: Array, told: Array) -> Array:
+    """(p + c,) standard deviations of theta and of the coefficients of further columns (N, n, c), or of what is linear
+    in them by ``told`` (p + c, p + c)."""
     covariance, count = fit.covariance_with(columns), fit.n_columns
     stretches = np.array_split(np.flatnonzero(fit.train_mask), fit.config.deviation_stretches)
     repeated, scores = np.zeros_like(covariance), np.zeros((len(stretches), len(covariance)))
@@ -53,6 +73,6 @@ def _deviations(fit: Fit, columns: Array) -> Array:
         weighed *= fit.residual[used, channel, None] / fit.scale[channel]
         ends = np.searchsorted(used, [stretch[-1] for stretch in stretches], side='right')
         scores[:, own] += np.diff(np.cumsum(weighed, axis=0)[ends - 1], axis=0, prepend=0.0)
-    changes = scores @ covariance
+    changes, repeated = scores @ covariance @ told.T, covariance + covariance @ repeated @ covariance
     clustered = (changes**2).sum(axis=0) * len(stretches) / (len(stretches) - 1)
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance + covariance @ repeated @ covariance), clustered)))
+    return np.asarray(np.sqrt(np.maximum(np.diag(told @ repeated @ told.T), clustered)))

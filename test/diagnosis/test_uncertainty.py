@@ -7,6 +7,7 @@ import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
+from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
 from semiparam_ros.diagnosis.uncertainty import deviations
 from semiparam_ros.effects import kinds
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
@@ -58,3 +59,19 @@ def test_a_calibration_and_what_it_cannot_be_told_from_have_deviations():
     sure = deviations(fit_model(BODY, samples, effects, np.ones(len(samples), dtype=bool), np.ones(4)), ())
     assert list(sure.calibrations) == [0, 1, 2, 3]
     assert all(0.0 < float(std[0]) < 10.0 for std in sure.calibrations.values())
+
+
+def test_gains_of_a_wrench_are_as_uncertain_as_the_channel_that_counts_as_right():
+    """The median channel does, which is a torque here; without it forces were told five standard deviations off."""
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'tool')
+    exact, used = body.regressors(MOTION) @ body.base_parameters, np.ones(len(MOTION), dtype=bool)
+    rng = np.random.default_rng(3)
+    noise = exact.std(axis=0) * [1e-4, 2e-4, 3e-4, 0.03, 0.03, 0.03]
+    far = []
+    for _ in range(DRAWS):
+        samples = replace(MOTION, outputs=exact + noise * rng.standard_normal(exact.shape))
+        start = refit_weights(fit_model(body, samples, [kinds()['sensor_gain']()], used, np.ones(6)))
+        fit = fitted_to_all(start, used, [])
+        gain = fit.effects[-1]
+        far.append([gain.value(name) for name, _ in gain.calibrations] / deviations(fit, []).calibrations[0])
+    assert 0.5 < np.sqrt(np.mean(np.square(far)[:, :3])) < 1.5

@@ -33,8 +33,7 @@ def fitted_to_all(fit: Fit, usable: Mask, found: Collection[int]) -> Fit:
 def _without_common_gain(fit: Fit) -> Fit:
     """The same model with gains as :meth:`Effect.without_common_gain` has them, unless a known mass tells them."""
     effects = [effect.without_common_gain() for effect in fit.effects]
-    known = any(effect.is_load and 'mass' in effect.parameters for effect in effects)
-    return fit if known or effects == list(fit.effects) else refit_weights(with_effects(fit, effects))
+    return fit if fit.knows_mass or effects == list(fit.effects) else refit_weights(with_effects(fit, effects))
 
 
 def _started_anew(fit: Fit, effects: list[Effect], number: int) -> Effect:
