@@ -24,8 +24,8 @@ ORDER_REACH = 0.15
 PEAKS = 3
 LEAST_GAIN = -0.9
 """Below, an effort would hardly be measured, or with the wrong sign."""
-FLANK = 0.15
-"""Share of half the gap over which a flank takes the load: teeth give."""
+FLANK = 0.075
+"""Share of the gap over which a flank takes the load, where a search begins: teeth give."""
 
 
 class RotorInertia(JointEffect):
@@ -184,20 +184,23 @@ class Backlash(JointEffect):
     sentence: ClassVar[str] = 'the gear has play: after each reversal its torque is gone until the gap is crossed'
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction',)
     separated_by: ClassVar[str] = 'small reversals, within and beyond the play'
-    parameter_units: ClassVar[dict[str, str]] = {'gap': 'rad'}
-    positive: ClassVar[tuple[str, ...]] = ('gap',)
+    parameter_units: ClassVar[dict[str, str]] = {'gap': 'rad', 'flank': 'rad'}
+    positive: ClassVar[tuple[str, ...]] = ('gap', 'flank')
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('torque', 'N m'),)
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         reach = max(float(np.ptp(samples.position[:, joint_index(body, where)])), 1e-6)
-        return [{'gap': reach * share} for share in (0.03, 0.06, 0.1, 0.16, 0.3)]
+        gaps = [reach * share for share in (0.03, 0.06, 0.1, 0.16, 0.3)]
+        return [{'gap': gap, 'flank': FLANK * gap} for gap in gaps]
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         joint = joint_index(body, self.where)
         way = Way(samples.stamps, samples.position[:, joint], samples.velocity[:, joint])
-        place, memory = play_place(way, self.value('gap', 0.01), memory)
-        contact = np.sign(place) * np.maximum(np.abs(place) - 1.0 + FLANK, 0.0) / FLANK
+        gap = self.value('gap', 0.01)
+        place, memory = play_place(way, gap, memory)
+        flank = min(self.value('flank', FLANK * gap) / (0.5 * gap), 1.0)
+        contact = np.sign(place) * np.maximum(np.abs(place) - 1.0 + flank, 0.0) / flank
         return on_joint(body, self.where, contact[:, None]), memory
 
 

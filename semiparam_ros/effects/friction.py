@@ -165,26 +165,31 @@ class StribeckFriction(_Sliding):
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'asymmetric_friction')
     separated_by: ClassVar[str] = 'slow motion, below and above the speed where sticking ends'
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('coulomb', 'N m'), Coefficient('stiction', 'N m'))
+    parameter_units: ClassVar[dict[str, str]] = {**_Sliding.parameter_units, 'presliding_stuck': 'rad'}
+    positive: ClassVar[tuple[str, ...]] = (*_Sliding.positive, 'presliding_stuck')
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         fastest = float(np.abs(samples.velocity[:, joint_index(body, where)]).max())
         coarse = super().searches(body, samples, where, residual)
+        bristle = {**coarse[5], 'presliding_stuck': 2.0 * coarse[5]['presliding']}
         return [{**values, 'stribeck_speed': max(fastest, 1e-6) * share}
-                for values in (coarse[1], coarse[2], coarse[5]) for share in (0.05, 0.12, 0.3)]
+                for values in (coarse[1], coarse[2], bristle) for share in (0.05, 0.12, 0.3)]
 
     def physical(self, coefficients: Array) -> bool:
         return bool(np.all(coefficients > 0.0))
 
     def plainer(self) -> tuple[Effect, ...]:
-        parameters = {name: value for name, value in self.parameters.items() if name != 'stribeck_speed'}
+        sticking = ('stribeck_speed', 'presliding_stuck')
+        parameters = {name: value for name, value in self.parameters.items() if name not in sticking}
         return (CoulombFriction(self.where, parameters, start=self.start),)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         if 'presliding' not in self.parameters:
             return super().basis(body, samples, memory)
         joint = joint_index(body, self.where)
-        states, memory = sticking_bristle(_way(samples, joint), self.value('presliding'),
+        slip = self.value('presliding')
+        states, memory = sticking_bristle(_way(samples, joint), slip, self.value('presliding_stuck', slip),
                                           self.value('stribeck_speed', 0.1), memory)
         return on_joint(body, self.where, states), memory
 

@@ -30,26 +30,30 @@ def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memor
 
 def bristle(way: Way, slip: float, memory: Memory) -> tuple[Array, Memory]:
     """(N,) state of a Dahl bristle in [-1, 1] along a way that may turn back between two samples."""
-    states, memory = _bent(way, slip, lambda aims, speeds: aims[:, None], memory)
+    states, memory = _bent(way, lambda aims, speeds: (aims[:, None], slip), memory)
     return states[:, 0], memory
 
 
-def sticking_bristle(way: Way, slip: float, stribeck_speed: float, memory: Memory) -> tuple[Array, Memory]:
+def sticking_bristle(way: Way, slip: float, stuck: float, stribeck_speed: float,
+                     memory: Memory) -> tuple[Array, Memory]:
     """(N, 2) states of a bristle that slides at 1, and of what it holds more of exp(-(speed / stribeck_speed)^2).
 
-    Their sum with weights is the bristle whose level is that sum: it needs the way ``slip`` to bend, and by then the
-    joint no longer stands still.
+    It bends over ``slip`` while it slides and over ``stuck`` at standstill: a bristle that is as stiff at every level
+    bends the further the higher that is (LuGre; Canudas de Wit et al. 1995, IEEE TAC 40).
     """
-    return _bent(way, slip, lambda aims, speeds: np.column_stack(
-        [aims, aims * np.exp(-(speeds / stribeck_speed) ** 2)]), memory)
+    def levels(aims: Array, speeds: Array) -> tuple[Array, Array]:
+        fading = np.exp(-(speeds / stribeck_speed) ** 2)
+        return np.column_stack([aims, aims * fading]), slip + (stuck - slip) * fading
+    return _bent(way, levels, memory)
 
 
-def _bent(way: Way, slip: float, levels: Callable[[Array, Array], Array], memory: Memory) -> tuple[Array, Memory]:
-    """(N, k) states that decay over ``slip`` towards levels (N PARTS, k) of the direction and the speed."""
+def _bent(way: Way, levels: Callable[[Array, Array], tuple[Array, Array | float]],
+          memory: Memory) -> tuple[Array, Memory]:
+    """(N, k) states that decay towards levels (N PARTS, k) of the direction and the speed, within a way of theirs."""
     state, past = cast('tuple[Array | None, Memory]', memory) if memory is not None else (None, None)
     travel, speeds, past = way.followed(past)
-    aims = levels(np.sign(travel), speeds)
-    states = _towards(aims, np.exp(-np.abs(travel) / slip), np.zeros(aims.shape[1]) if state is None else state)
+    aims, slips = levels(np.sign(travel), speeds)
+    states = _towards(aims, np.exp(-np.abs(travel) / slips), np.zeros(aims.shape[1]) if state is None else state)
     return states[PARTS - 1::PARTS].copy(), (states[-1].copy(), past)
 
 

@@ -211,7 +211,7 @@ def test_a_sample_learnt_in_one_call_is_one_learnt_in_several(monkeypatch):
 @pytest.mark.parametrize('follow', [
     lambda travel, way, memory: hysteresis.dahl_state(travel, 0.05, memory),
     lambda travel, way, memory: hysteresis.bristle(way, 0.02, memory),
-    lambda travel, way, memory: hysteresis.sticking_bristle(way, 0.02, 0.1, memory),
+    lambda travel, way, memory: hysteresis.sticking_bristle(way, 0.02, 0.05, 0.1, memory),
     lambda travel, way, memory: hysteresis.play_place(way, 0.1, memory)], ids=['dahl', 'bristle', 'sticking', 'play'])
 def test_what_remembers_the_way_travelled(monkeypatch, follow):
     travel = np.cumsum(0.02 * np.random.default_rng(4).standard_normal((200, 3)), axis=0)
@@ -237,7 +237,7 @@ def test_friction_turns_over_where_the_joint_does_between_two_samples():
     true, seen = (hysteresis.bristle(way, 2e-3, None)[0] for way in (fine, coarse))
     straight = hysteresis.dahl_state(coarse.position[:, None], 2e-3, None)[0][:, 0]
     assert np.abs(seen - true[::50]).max() < 1e-3 < 0.5 < np.abs(straight - true[::50]).max()
-    true, seen = (hysteresis.sticking_bristle(way, 2e-3, 0.1, None)[0] for way in (fine, coarse))
+    true, seen = (hysteresis.sticking_bristle(way, 2e-3, 5e-3, 0.1, None)[0] for way in (fine, coarse))
     assert np.abs(seen - true[::50]).max() < 0.02
 
 

@@ -545,8 +545,10 @@ COLUMNS = {
     'transmission_ripple': (lambda p: {'order': p['order']['value']}, ripple, EXACT),
     'coulomb_friction': (lambda p: BRISTLE, same('coulomb'), EXACT),
     'load_friction': (lambda p: BRISTLE, same('load_coefficient'), EXACT),
-    'stribeck_friction': (lambda p: {**BRISTLE, 'stribeck_speed': p['stribeck_velocity']['value']},
-                          same('coulomb', 'stiction'), 0.15),  # LuGre's bristle is stiffer where it may bend farther
+    'stribeck_friction': (lambda p: {**BRISTLE, 'stribeck_speed': p['stribeck_velocity']['value'],
+                                     'presliding_stuck': 1e-3 * (1.0 + p['stiction']['value'] / p['coulomb']['value'])},
+                          same('coulomb', 'stiction'), 2.0 * EXACT),
+    'backlash': (lambda p: {'gap': p['gap']['value'], 'flank': 0.1 * p['gap']['value']}, same('torque'), EXACT),
     'asymmetric_friction': (lambda p: BRISTLE, same('coulomb_forward', 'coulomb_backward', 'viscous_forward',
                                                  'viscous_backward'), EXACT),
 }

@@ -228,7 +228,7 @@ def _own_form_settled(fit: Fit, effect: Effect) -> Fit:
 
     What they leave, others would take up.
     """
-    if len(effect.searched) < 2 or effect.is_calibration:
+    if not effect.searched or effect.is_calibration:
         return fit
     numbers = [number for number, known in enumerate(fit.effects) if known.kind == effect.kind
                and known.searched == effect.searched and known.start == effect.start][-1:]
