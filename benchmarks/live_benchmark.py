@@ -46,8 +46,9 @@ CYCLE = 4000
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 SENSOR = 'r_arm_ft_sensor'
 
-WINDOW = 500
-START_S, READY_S, QUIET_S, EMPTY_S = 30.0, 120.0, 5.0, 30.0
+START_S, READY_S, QUIET_S, EMPTY_S = 30.0, 300.0, 5.0, 30.0
+SWITCH_S = 1e-4
+"""A thread of this process that receives waits so long for the one that sends, lest that be the node's latency."""
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=0)
 URDF = 'package://semiparam_ros/config/icub_right_arm.urdf'
 
@@ -103,29 +104,33 @@ class Motion:
 
 
 def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500,
-             priority: int = 0) -> dict[str, Any]:
+             priority: int = 0, window: int = CYCLE) -> dict[str, Any]:
     """Publish for ``seconds`` at ``rate_hz``; what was sent, answered and lost, latencies [ms], memory [MB], cpu [%].
 
-    Beside them how late the same machine is, right afterwards, with an empty loop that is busy for as long.
+    The node has its hyperparameters by then; ``while_estimating`` are the latencies before, when the background process
+    worked beside it. ``empty_loop``: how late the same machine is, right afterwards, with an empty loop that is busy
+    for as long.
 
+    :param window: samples of the initial window; unless given the whole motion, so that no later motion leaves it.
     Raises SemiparamError when the node does not start or does not answer.
     """
     settings = Settings(robot_description_file=URDF, joints=JOINTS, sensor_frame=SENSOR,
-                        features_count=features, initial_samples=WINDOW, realtime_priority=priority)
+                        features_count=features, initial_samples=window, realtime_priority=priority)
     messages = Motion(build_rigid_body(settings), rate_hz).serialised()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
     with node_process(settings) as process, connected(messages, rate_hz) as peer:
         gc.disable()  # a pause of this process would send a burst, and count as the node's latency
+        sys.setswitchinterval(SWITCH_S)
         peer.wait_for_estimator(process)
-        peer.send(WINDOW, rate_hz)
+        peer.send(window, rate_hz)
         peer.send_until_learning(process, rate_hz)
         peer.wait_for_answers(process, READY_S)
         before = _usage(process.pid)
         first = peer.sent
         peer.send(round(rate_hz * seconds), rate_hz, watch=lambda: _usage(process.pid))
         peer.wait_for_answers(process, QUIET_S, complain=False)
-        result = peer.account(first, before, _usage(process.pid), rate_hz, features)
+        result = peer.account(window, first, before, _usage(process.pid), rate_hz, features)
     share = min(result['cpu_percent'] / 100.0, 0.95)
     late = empty_loop(rate_hz, share, min(seconds, EMPTY_S))
     return result | {'empty_loop': {'busy_share': share, **quantiles(late)}}
@@ -177,9 +182,9 @@ class Peer(Node):
             self._send_one()
 
     def send_until_learning(self, process: subprocess.Popen[bytes], rate_hz: float) -> None:
-        """Go on until the variant has its hyperparameters and has taken over."""
+        """Go on until the variant has its hyperparameters and has taken over, and nothing is built beside it."""
         end = time.monotonic() + READY_S
-        while not self.state.startswith('learning with'):
+        while not self.state.startswith('learning with') or 'being built' in self.state:
             if process.poll() is not None or time.monotonic() > end:
                 raise SemiparamError(f'the variant did not take over within {READY_S:g} s.')
             self.send(max(1, round(0.1 * rate_hz)), rate_hz)
@@ -189,17 +194,19 @@ class Peer(Node):
             if status.name == 'estimator: learning':
                 self.state = status.message
 
-    def account(self, first: int, before: tuple[float, float], after: tuple[float, float], rate_hz: float,
-                features: int) -> dict[str, Any]:
-        """The result, of the messages from number ``first`` on."""
-        stamps = [stamp for number, stamp in enumerate(self.sent_at) if number >= first]
-        latency = np.array([self.latency[stamp] for stamp in stamps if stamp in self.latency]) * 1e3
+    def account(self, window: int, first: int, before: tuple[float, float], after: tuple[float, float],
+                rate_hz: float, features: int) -> dict[str, Any]:
+        """The result, of the messages from number ``first`` on; hyperparameters were estimated from ``window`` on."""
+        stamps = list(self.sent_at)
+        latency, estimating = (np.array([self.latency[stamp] for stamp in some if stamp in self.latency]) * 1e3
+                               for some in (stamps[first:], stamps[window:first]))
+        stamps = stamps[first:]
         span = (self.sent_at[stamps[-1]] - self.sent_at[stamps[0]]) * 1e-9
         half = len(self._memory) // 2
         return {
             'rate_hz': rate_hz, 'reached_rate_hz': (len(stamps) - 1) / span, 'features': features,
             'seconds': span, 'sent': len(stamps), 'answered': len(latency), 'lost': len(stamps) - len(latency),
-            'latency_ms': quantiles(latency),
+            'latency_ms': quantiles(latency), 'while_estimating': quantiles(estimating),
             'memory_mb': {'start': before[0], 'middle': self._memory[half], 'end': after[0]},
             'cpu_percent': 100.0 * (after[1] - before[1]) / span}
 
@@ -285,8 +292,10 @@ def main() -> int:
     parser.add_argument('--seconds', type=float, default=60.0, help='length of the measurement (default 60)')
     parser.add_argument('--features', type=int, default=500, help='number of random features (default 500)')
     parser.add_argument('--realtime-priority', type=int, default=0, help='of the node (default 0: none)')
+    parser.add_argument('--window', type=int, default=CYCLE,
+                        help=f'samples of the initial window (default {CYCLE}: the whole motion)')
     options = parser.parse_args()
-    result = run_live(options.rate, options.seconds, options.features, options.realtime_priority)
+    result = run_live(options.rate, options.seconds, options.features, options.realtime_priority, options.window)
     print(json.dumps(result, indent=2))
     return int(result['lost'] > 0)
 

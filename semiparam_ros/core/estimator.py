@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from semiparam_ros.core.band_calibration import BandCalibration, calibrate
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
 from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex, advance
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.feature_count import MOST
@@ -596,18 +597,6 @@ class Estimator:
                 self.wandering.rest()
         if learn or not self._window_left:
             self.calibration.learn(innovation, model_std)
-
-
-def require_finite(what: str, values: Array) -> None:
-    """Raise SemiparamError when one of the values is NaN or infinite: the model must never take it in."""
-    if not (are_finite(values.ravel()) if AVAILABLE else np.isfinite(values).all()):
-        raise SemiparamError(f'the {what} of a sample are {values.tolist()}; expected finite values.')
-
-
-@compiled(VECTOR, returns='boolean')
-def are_finite(values: Array) -> bool:
-    """Whether none of the values (k,) is NaN or infinite; a dozen of them in a quarter of numpy's time."""
-    return bool(np.isfinite(values).all())
 
 
 @compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, calls=(follow, calibrate))

@@ -19,7 +19,7 @@ def widened(known: Array, x: Array) -> Array:
     if not AVAILABLE:
         return np.array([np.minimum(known[0], x), np.maximum(known[1], x)])
     found = known.copy()
-    _widen(found, x)
+    widen(found, x)
     return found
 
 
@@ -47,7 +47,8 @@ def _beyond_readable(known: Array, x: Array, n_joints: int) -> float:
 
 
 @compiled(MATRIX, VECTOR)
-def _widen(known: Array, x: Array) -> None:
+def widen(known: Array, x: Array) -> None:
+    """The same in place, of a range (2, m)."""
     for i in range(len(x)):
         known[0, i] = min(known[0, i], x[i])
         known[1, i] = max(known[1, i], x[i])

@@ -484,5 +484,13 @@ def standardised_innovation(prediction: Prediction) -> float:
     """
     if not prediction.ready:
         return 0.0
-    ratio = (prediction.sample.outputs - prediction.model_mean) / prediction.model_std
-    return sqrt(float(ratio @ ratio) / len(ratio))
+    return _root_mean_square(prediction.sample.outputs, prediction.model_mean, prediction.model_std)
+
+
+@compiled(VECTOR, VECTOR, VECTOR, returns=NUMBER)
+def _root_mean_square(outputs: Array, mean: Array, std: Array) -> float:
+    """Of (outputs - mean) / std, all (n,)."""
+    squares = 0.0
+    for k in range(len(mean)):
+        squares += ((outputs[k] - mean[k]) / std[k]) ** 2
+    return sqrt(squares / len(mean))

@@ -10,6 +10,7 @@ import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator, Model
+from semiparam_ros.core.input_range import widen
 from semiparam_ros.core.robot.frames import load_transform, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
@@ -29,17 +30,15 @@ class Excitation:
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         self._joints = joints
-        self._lowest = np.full(len(joints), np.inf)
-        self._highest = np.full(len(joints), -np.inf)
+        self._range: Array = np.array([np.full(len(joints), np.inf), np.full(len(joints), -np.inf)])
 
     def add(self, sample: Sample) -> None:
         """Take one sample into account."""
-        np.minimum(self._lowest, sample.position, out=self._lowest)
-        np.maximum(self._highest, sample.position, out=self._highest)
+        widen(self._range, sample.position)
 
     def sentences(self) -> list[str]:
         """One for each joint that has not moved enough; none before the first sample."""
-        moved = self._highest - self._lowest
+        moved = self._range[1] - self._range[0]
         return [f'joint {name} has moved {span:.3f} rad only, not enough to identify what depends on it'
                 for name, span in zip(self._joints, moved, strict=True) if 0.0 <= span < MOVED_ENOUGH]
 

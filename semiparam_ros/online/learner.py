@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import isfinite
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.estimator import Estimator, Prediction
+from semiparam_ros.core.finite import are_finite
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
@@ -160,7 +160,7 @@ class Learner:
         """The prediction of a sample; None where the active model fails, but is not yet known to be broken."""
         try:
             prediction = self.estimator.predict(sample)
-            if not isfinite(float(prediction.mean.sum() + prediction.std.sum())):
+            if not (are_finite(prediction.mean) and are_finite(prediction.std)):
                 raise FloatingPointError('it predicts values that are not finite')
         except Exception as error:
             self._failures += 1

@@ -205,6 +205,8 @@ class ModelSwitcher:
 
     def offer(self, sample: Sample, learnt: bool) -> None:
         """Let all of them see a sample."""
+        if self.successor is None and self.draft is None and not self.shadows:
+            return  # as nearly always
         for model in self.models:
             model.offer(sample, learnt)
 

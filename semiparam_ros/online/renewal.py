@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.compiled import MATRIX, STRIDED, VECTOR, compiled
 from semiparam_ros.core.estimator import Estimator, Prediction
 from semiparam_ros.core.types import Array, Mask
 
@@ -55,8 +56,7 @@ class Errors:
 
     def add(self, prediction: Prediction) -> None:
         """One sample, before it is learnt."""
-        outputs = prediction.sample.outputs
-        self.sums += (np.ones_like(outputs), outputs, outputs**2, (outputs - prediction.mean) ** 2)
+        _charge(prediction.sample.outputs, prediction.mean, self.sums)
 
     @property
     def size(self) -> float:
@@ -98,7 +98,8 @@ class Renewal:
             return False
         self._learnt += 1
         mean, scale = estimator.input_scaling
-        outside = bool((np.abs(prediction.sample.inputs - mean) > SPREADS * scale).any())
+        _, position, velocity, acceleration, _ = prediction.sample
+        outside = _is_outside(position, velocity, acceleration, mean, scale)
         waits = self._attempts > 0 and self._learnt < self._wanted * 2**self._attempts
         if not self._gathered and (waits or not outside):
             return False
@@ -183,3 +184,25 @@ def later_window(learnt: Mask, wanted: int) -> Mask:
     chosen = np.zeros(len(learnt), dtype=bool)
     chosen[np.flatnonzero(learnt)[-wanted:]] = True
     return chosen
+
+
+@compiled(STRIDED, STRIDED, STRIDED, VECTOR, VECTOR, returns='boolean')
+def _is_outside(position: Array, velocity: Array, acceleration: Array, mean: Array, scale: Array) -> bool:
+    """Whether an input, of joints (n_joints,), is further than ``SPREADS`` scales from its mean, of inputs (m,)."""
+    n_joints = len(position)
+    for i in range(n_joints):
+        for kind, values in enumerate((position, velocity, acceleration)):
+            at = kind * n_joints + i
+            if abs(values[i] - mean[at]) > SPREADS * scale[at]:
+                return True
+    return False
+
+
+@compiled(STRIDED, VECTOR, MATRIX)
+def _charge(outputs: Array, mean: Array, sums: Array) -> None:
+    """Add a sample's outputs (n,) and their predictions to the sums of :class:`Errors`."""
+    for k in range(len(mean)):
+        sums[0, k] += 1.0
+        sums[1, k] += outputs[k]
+        sums[2, k] += outputs[k] ** 2
+        sums[3, k] += (outputs[k] - mean[k]) ** 2

@@ -23,13 +23,19 @@ class Tare:
     """
 
     def __init__(self, n_outputs: int, bias: Array | None = None) -> None:
-        self.bias: Array = np.zeros(n_outputs) if bias is None else bias
+        self.bias = np.zeros(n_outputs) if bias is None else bias
         self._residuals: deque[tuple[int, Array]] = deque()
 
     @property
-    def active(self) -> bool:
-        """Whether there is a bias."""
-        return bool(self.bias.any())
+    def bias(self) -> Array:
+        """(n,) in N and N m."""
+        return self._bias
+
+    @bias.setter
+    def bias(self, bias: Array) -> None:
+        self._bias = bias
+        self.active = bool(bias.any())
+        """Whether there is a bias: asked of every sample."""
 
     def add(self, stamp: int, residual: Array, ready: bool) -> None:
         """Keep the residual of one answer for a second, unless the model is provisional."""

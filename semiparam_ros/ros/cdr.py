@@ -16,6 +16,7 @@ import struct
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
+from operator import itemgetter
 from struct import Struct, error
 from typing import Any, NamedTuple
 
@@ -94,8 +95,8 @@ class Layout:
         self._struct = Struct(f'@iI{code}')
         self._filled = [place for place in self._numbers if place.start < place.stop]
         numbers = {index for place in self._numbers for index in range(place.start, place.stop)}
-        self._fixed = [index for index in range(2, len(self._values)) if index not in numbers]
-        self._expected = [self._values[index] for index in self._fixed]
+        self._fixed = itemgetter(*(index for index in range(2, len(self._values)) if index not in numbers))
+        self._expected = self._fixed(self._values)
 
     def read(self, raw: bytes) -> tuple[int, list[tuple[float, ...]]] | None:
         """Stamp [ns] and the doubles of each :class:`Floats`; None for bytes that are laid out otherwise."""
@@ -103,7 +104,7 @@ class Layout:
             values = self._struct.unpack_from(raw, len(ENCAPSULATION))
         except error:
             return None
-        if [values[index] for index in self._fixed] != self._expected or not raw.startswith(ENCAPSULATION):
+        if self._fixed(values) != self._expected or not raw.startswith(ENCAPSULATION):
             return None
         return values[0] * NANOSECONDS + values[1], [values[place] for place in self._numbers]
 

@@ -13,12 +13,14 @@ from live_benchmark import empty_loop, quantiles
 
 def test_a_slow_robot_is_answered_every_time():
     result = subprocess.run([sys.executable, live_benchmark.__file__, '--rate', '50', '--seconds', '2',
-                             '--features', '40'], capture_output=True, text=True, timeout=180, check=False,
+                             '--features', '40', '--window', '500'], capture_output=True, text=True,
+                            timeout=180, check=False,
                             env={**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'})
     assert result.returncode == 0, result.stderr
     found = json.loads(result.stdout)
     assert found['sent'] == found['answered'] == 100 and found['lost'] == 0
-    assert 0.0 < found['latency_ms']['median'] <= found['latency_ms']['p99'] <= found['latency_ms']['max']
+    for latency in (found['latency_ms'], found['while_estimating']):
+        assert 0.0 < latency['median'] <= latency['p99'] <= latency['max']
     assert found['memory_mb']['end'] > 50.0 and 0.0 < found['cpu_percent'] < 200.0
     assert found['empty_loop']['busy_share'] <= 0.95
 

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.core.estimator import PROVISIONAL_GAMMA, DesiredOutputs, Estimator, require_finite
+from semiparam_ros.core.estimator import PROVISIONAL_GAMMA, DesiredOutputs, Estimator
+from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 

@@ -6,6 +6,8 @@ from math import exp
 
 import numpy as np
 
+from semiparam_ros.core.compiled import MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.finite import are_finite
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -48,7 +50,7 @@ class CausalDifferentiator:
         finite, and keeps the past.
         """
         values = np.array(values, dtype=float)
-        if not np.isfinite(values).all():
+        if not are_finite(values):
             raise SemiparamError(f'the values to differentiate are {values.tolist()}; expected finite values.')
         step = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
         if self._stamp is not None and step == 0.0:
@@ -67,8 +69,8 @@ class CausalDifferentiator:
     def _follow(self, step: float, values: Array) -> None:
         self._age += 1
         g, h, k = self._gains(step)
-        predicted = np.array([[1.0, step, 0.5 * step**2], [0.0, 1.0, step], [0.0, 0.0, 1.0]]) @ self._fit
-        self._fit = predicted + np.array([[g], [h / step], [k / step**2]]) * (values - predicted[0])
+        before, self._fit = self._fit, np.empty_like(self._fit)
+        follow(before, values, step, g, h / step, k / step**2, self._fit)
 
     def _gains(self, step: float) -> tuple[float, float, float]:
         """Gains of the fading fit in the steady state, and at first those of a fit without weights to what there is.
@@ -85,3 +87,14 @@ class CausalDifferentiator:
             scale = (n + 1.0) * (n + 2) * (n + 3)
             return growing, 18.0 * (2 * n + 1) / scale, 60.0 / scale
         return 1.0 - fade**3, 1.5 * rest**2 * (1.0 + fade), rest**3
+
+
+@compiled(MATRIX, VECTOR, NUMBER, NUMBER, NUMBER, NUMBER, MATRIX)
+def follow(before: Array, values: Array, step: float, g: float, h: float, k: float, after: Array) -> None:
+    """The parabolas (3, n) a ``step`` [s] on, corrected by gains times what their values (n,) miss."""
+    for i in range(len(values)):
+        value, rate, change = before[0, i], before[1, i], before[2, i]
+        rate_now = rate + step * change
+        value_now = value + step * rate + 0.5 * step**2 * change
+        missed = values[i] - value_now
+        after[0, i], after[1, i], after[2, i] = value_now + g * missed, rate_now + h * missed, change + k * missed
