@@ -155,7 +155,7 @@ def show_scores(scores: Sequence[Score]) -> None:
                  'us: prediction and learning of a sample, mean',
                  'window s: learning the initial window, of ours with the hyperparameters',
                  f'batch: fitted anew every {REFITTED_EVERY} samples, to the latest {REFITTED_ON}'):
-        output.print(line, highlight=False, soft_wrap=True)
+        output.print(line, soft_wrap=True)
 
 
 def size(body: RigidBody, count: int, rounds: int, tick: Callable[[], None]) -> dict[str, Any]:
@@ -238,5 +238,5 @@ def show(sizes: Sequence[dict[str, Any]]) -> None:
     table.add_row('evidence of 1000 samples [s]', *(f'{row["evidence_seconds"]:.2f}' for row in sizes))
     output.print(table)
     for name, meaning in MEANING.items():
-        output.print(f'{name}: {meaning}', highlight=False, soft_wrap=True)
+        output.print(f'{name}: {meaning}', soft_wrap=True)
     output.print('evidence: log marginal likelihood of the initial window and its gradient, once', soft_wrap=True)

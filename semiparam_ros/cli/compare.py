@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, {'train': str(args.train), 'test': str(args.test), **as_dictionary(comparison)})
     write_text(args.output, text)
     show(comparison)
-    output.print(f'page: {args.output}', highlight=False, markup=False, soft_wrap=True)
+    output.print(f'page: {args.output}', soft_wrap=True)
     return 0
 
 
@@ -131,7 +131,7 @@ def show(comparison: Comparison) -> None:
     output.print(table)
     for finding in comparison.findings:
         word = 'open' if finding.holds is None else 'holds' if finding.holds else 'does not hold'
-        output.print(f'{word}: {finding.statement} {finding.evidence}', highlight=False, markup=False)
-    output.print(verdict(comparison.figures, comparison.findings), highlight=False, markup=False)
+        output.print(f'{word}: {finding.statement} {finding.evidence}')
+    output.print(verdict(comparison.figures, comparison.findings))
     if len(comparison.scenario.seeds) == 1:
-        console.print('One feature draw proves little: --seeds 3 shows the spread.', highlight=False, markup=False)
+        console.print('One feature draw proves little: --seeds 3 shows the spread.')

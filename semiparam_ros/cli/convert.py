@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     table = holds_arrays(args.input) or not is_bag(args.input)
     lines = _from_bag(args, description) if not table else _from_table(args, description)
     for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     return 0
 
 

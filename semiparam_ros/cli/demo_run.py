@@ -253,4 +253,4 @@ def diagnose(args: argparse.Namespace) -> None:
 
 def say(sentence: str) -> None:
     """A remark on standard error."""
-    console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+    console.print(sentence, soft_wrap=True)

@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         from semiparam_ros.report.diagnosis_page import diagnosis_page
         write_text(args.html, diagnosis_page(diagnosis, variants, named))
     for path in filter(None, (args.json, args.output, args.html)):
-        output.print(f'written: {path}', highlight=False, markup=False, soft_wrap=True)
+        output.print(f'written: {path}', soft_wrap=True)
     return 0
 
 
@@ -111,7 +111,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     for path, bag in zip([*args.bags, args.judge], [*bags, *judges], strict=False):
         if len(bag.stretches) > 1:
             console.print(f'{path} is long: {len(bag.stretches)} stretches of it are looked at, {len(bag.samples)} '
-                          f'samples evenly spread over {bag.samples.time[-1]:.0f} s.', highlight=False, markup=False)
+                          f'samples evenly spread over {bag.samples.time[-1]:.0f} s.')
     body = build_rigid_body(settings, bags[0].robot_description)
     recordings, judging = ([in_whole_groups(bag.samples, bag.stretches) for bag in some] for some in (bags, judges))
     samples = recordings[0] if len(recordings) == 1 else Samples.joined(recordings)
@@ -186,10 +186,10 @@ def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures]) -> None:
         for row in table_rows(diagnosis):
             found.add_row('' if row.where == last else row.where, *row[1:])
             last = row.where
-        output.print(found, highlight=False, markup=False)
+        output.print(found)
         output.print()
     for line in text_report(diagnosis):
-        output.print(line, highlight=False, markup=False, soft_wrap=True)
+        output.print(line, soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column('\noutput', no_wrap=True)
     for heading in ('nMSE\nbefore', '\nafter', 'RMSE\nbefore', '\nafter', 'noise\nfloor'):
@@ -198,12 +198,12 @@ def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures]) -> None:
                diagnosis.after.nmse, diagnosis.before.rmse, diagnosis.after.rmse, diagnosis.noise_floor_rmse,
                strict=True)
     for name, unit, *figures, floor in rows:
-        table.add_row(f'{name} [{unit}]'.replace('[', r'\['), *(f'{value:.4f}' for value in figures), f'{floor:.4f}')
+        table.add_row(f'{name} [{unit}]', *(f'{value:.4f}' for value in figures), f'{floor:.4f}')
     output.print(table)
     for name, before, after, lower in variant_rows(variants):
         output.print(f'{name}: held-out nMSE {before:.5f} without the effects, {after:.5f} with them{lower}.',
-                     highlight=False, markup=False, soft_wrap=True)
-    output.print(f'Next: {next_step(diagnosis)}', highlight=False, markup=False, soft_wrap=True)
+                     soft_wrap=True)
+    output.print(f'Next: {next_step(diagnosis)}', soft_wrap=True)
 
 
 def _benchmark(args: argparse.Namespace) -> int:
@@ -217,5 +217,5 @@ def _benchmark(args: argparse.Namespace) -> int:
     print_scoreboard(output, result)
     if args.json:
         write_json(args.json, result)
-        console.print(f'written: {args.json}', highlight=False, markup=False)
+        console.print(f'written: {args.json}')
     return 0

@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     if settings.features_count == 'auto':
         chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()
                            if result['features'])
-        output.print(f'random features: {chosen or "none"}', highlight=False, markup=False)
+        output.print(f'random features: {chosen or "none"}')
     write_outputs(args, results, scores, bags, channels[0])
     return 0
 
@@ -151,9 +151,9 @@ def load_bags(paths: Sequence[Path], settings: Settings,
     for path, bag in zip(paths, bags, strict=True):
         left_out = ', '.join(f'{count} {reason}' for reason, count in sorted(bag.faults.items()) if count)
         if left_out:
-            console.print(f'{path}: left out {left_out}.', highlight=False, markup=False)
+            console.print(f'{path}: left out {left_out}.')
         if bag.losses:
-            console.print(str(bag.losses), highlight=False, markup=False)
+            console.print(str(bag.losses))
     return bags
 
 
@@ -177,7 +177,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
         learner.take(bag, scores, settings.learning and not frozen)
     for reason in learner.failed_windows:
         console.print(f'{settings.variant}: an initial window gives no hyperparameters ({reason}); another one is '
-                      'gathered.', highlight=False, markup=False)
+                      'gathered.')
     if not len(scores):
         raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
                              'of a robot that moves (parameter initial.samples).')
@@ -197,4 +197,4 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
         from semiparam_ros.report.horizon_figure import plot_indices
 
         plot_indices(args.plot, scores)
-        console.print(f'plot: {args.plot}', highlight=False, markup=False)
+        console.print(f'plot: {args.plot}')

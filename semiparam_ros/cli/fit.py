@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     window = bag.samples[gathered.indices]
     if not gathered.full:
         console.print(f'{args.bag} holds {len(window)} samples of a robot that moves, fewer than initial.samples '
-                      f'({settings.initial_samples}): all of them are used.', highlight=False, markup=False)
+                      f'({settings.initial_samples}): all of them are used.')
     with progress_bar() as bar:
         task = bar.add_task(settings.variant, total=None)
         fitted, found = fitted_settings(settings, window, bag.robot_description, estimation,
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, result(args, settings, found, len(window)))
     _show(settings, found)
-    output.print(f'parameter file: {args.output}', highlight=False, markup=False, soft_wrap=True)
+    output.print(f'parameter file: {args.output}', soft_wrap=True)
     return 0
 
 
@@ -119,7 +119,7 @@ def _show(settings: Settings, found: Hyperparameters) -> None:
         rows.append(('drift', f'{100 * found.drift_share:.0f} % of the noise variance is slow, with a memory of '
                               f'{figure(found.drift_memory)} samples'))
     for name, text in rows:
-        output.print(f'{name:13s} {text}', highlight=False, markup=False)
+        output.print(f'{name:13s} {text}')
 
 
 def _short(value: float) -> str:

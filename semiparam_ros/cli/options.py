@@ -18,10 +18,10 @@ from semiparam_ros.errors import SemiparamError
 
 SCHEMA = 1
 
-console = Console(stderr=True)
+console = Console(stderr=True, markup=False, highlight=False)
 """Progress and remarks; standard output is left to results."""
 
-output = Console()
+output = Console(markup=False, highlight=False)
 """Results: tables that a user may pipe into a file."""
 
 

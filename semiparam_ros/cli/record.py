@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     """Record and tell what was recorded."""
     from semiparam_ros.ros.record.session import RecordSession
     account = RecordSession(_options(args), console, args.ros_args).run()
-    console.print(account.sentence, highlight=False, soft_wrap=True, markup=False)
+    console.print(account.sentence, soft_wrap=True)
     if args.json:
         write_json(args.json, account.to_dict())
     return 0

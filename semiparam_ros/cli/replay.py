@@ -82,9 +82,9 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.ros.replay.session import ReplaySession
     account = ReplaySession(_options(args), console, args.ros_args).run()
     for sentence in account.sentences():
-        console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+        console.print(sentence, soft_wrap=True)
     for failure in account.failures:
-        console.print(f'failed: {failure}', highlight=False, soft_wrap=True, markup=False)
+        console.print(f'failed: {failure}', soft_wrap=True)
     if args.json:
         write_json(args.json, account.to_dict())
     return account.exit_code

@@ -180,18 +180,18 @@ def truth_of(recording: SimulatedRecording) -> dict[str, Any]:
 
 def _report(path: Path, recording: SimulatedRecording) -> None:
     output.print(f'{path}: {len(recording.stamps)} samples of {", ".join(recording.joint_names)}; '
-                 f'outputs {recording.outputs_kind}.', highlight=False, markup=False, soft_wrap=True)
+                 f'outputs {recording.outputs_kind}.', soft_wrap=True)
     for effect in (*recording.truth, *recording.baseline_truth):
         where = f' at {effect["where"]}' if effect['where'] else ''
         start = '' if effect['start_s'] is None else f' from {effect["start_s"]:.1f} s on'
         output.print(f'  {effect["kind"]}{where}{start}: {100 * effect["rms_share"]:.1f} % of the outputs, of which '
                      f'{100 * effect["unexplained_share"]:.1f} % no rigid body explains.',
-                     highlight=False, markup=False, soft_wrap=True)
+                     soft_wrap=True)
 
 
 def _list_kinds(outputs: str) -> int:
     from semiparam_ros.simulation.causes import UNLISTED_KINDS, kinds
 
     for kind in kinds(outputs):
-        output.print(kind + (' (of no listed kind)' if kind in UNLISTED_KINDS else ''), highlight=False)
+        output.print(kind + (' (of no listed kind)' if kind in UNLISTED_KINDS else ''))
     return 0

@@ -280,4 +280,4 @@ def print_scoreboard(console: Console, result: Scores) -> None:
                          (f'true values within {SURE_DEVIATIONS:g} standard deviations', totals['values_sure']),
                          ('removable error removed, median', totals['removed_median'])):
         if share is not None:
-            console.print(f'{label}: {100 * share:.1f} %', highlight=False)
+            console.print(f'{label}: {100 * share:.1f} %')

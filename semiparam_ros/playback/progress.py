@@ -81,7 +81,7 @@ class ReplayProgress:
     def _show(self) -> None:
         while not self._closing.wait(LINE_S if self._bar is None else REFRESH_S):
             if self._bar is None:
-                self._console.print(self._line(), highlight=False, soft_wrap=True)
+                self._console.print(self._line(), soft_wrap=True)
             else:
                 self._update_bar()
 

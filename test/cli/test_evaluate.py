@@ -49,6 +49,7 @@ def test_figures_of_each_variant(evaluate, recording, capsys):
     document = evaluate(recording, '--variant', 'P', '--variant', 'SPK-ML')
     assert document['schema'] == 1
     assert list(document['variants']) == ['P', 'SPK-ML']
+    assert '[ms]' in capsys.readouterr().out
     for result in document['variants'].values():
         assert len(result['nmse']) == len(result['rmse']) == 6
         assert result['nmse_mean'] == pytest.approx(np.mean(result['nmse']))
@@ -159,7 +160,7 @@ def test_too_short_a_recording_is_refused(params, tmp_path, capsys):
 def test_the_widest_figures_fit_into_a_terminal(capsys):
     indices = {name: {'first_30_s': 1.23e-5, 'steady_state': 0.00123} for name in ('eps_force', 'eps_torque')}
     result = {'nmse_mean': 0.00123, **indices, 'update_ms': {'median': 0.123, 'p99': 12.3}, 'samples': 10000}
-    print_scores(Console(width=80), {'SP2-ML live': result})
+    print_scores(Console(width=80, markup=False), {'SP2-ML live': result})
     row = capsys.readouterr().out.splitlines()[-1].split()
     assert row == ['SP2-ML', 'live', '0.00123', *['1.2e-05', '0.00123'] * 2, '0.123', '12.3', '10000']
 

@@ -65,7 +65,7 @@ class RecordProgress:
             self._status.update(f'recording, Ctrl-C ends: {self._line()}')
         elif self._shown and time.monotonic() - self._told > LINE_S:
             self._told = time.monotonic()
-            self._console.print(self._line(), highlight=False, soft_wrap=True)
+            self._console.print(self._line(), soft_wrap=True)
 
     def _line(self) -> str:
         return f'{time.monotonic() - self._began:.0f} s, {self._recording.messages} messages'
@@ -193,7 +193,7 @@ class RecordSession:
                    threading.Event())
 
     def _say(self, sentence: str) -> None:
-        self._console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+        self._console.print(sentence, soft_wrap=True)
 
 
 def _check(ros: RosProcess, node: RecordNode, writer: BagWriter) -> None:

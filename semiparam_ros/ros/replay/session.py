@@ -203,7 +203,7 @@ class ReplaySession:
 
     def _say(self, sentences: Iterable[str]) -> None:
         for sentence in sentences:
-            self._console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+            self._console.print(sentence, soft_wrap=True)
 
 
 def _check_remap(remap: Mapping[str, str], found: Mapping[str, object]) -> None:
