@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     variants = _evaluate_variants(args, settings, diagnosis)
     named = ', '.join(map(str, args.bags))
     result = diagnosis.as_dict() | {'command': 'diagnose', 'bag': named, 'variants': variants}
-    _show(diagnosis, variants)
+    _show(diagnosis, variants, str(args.output or ''))
     if args.json:
         write_json(args.json, result)
     if args.output:
@@ -171,7 +171,7 @@ def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: 
                                  lambda done, total: bar.update(task, completed=done, total=total))
 
 
-def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures]) -> None:
+def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures], written: str) -> None:
     from rich import box
     from rich.table import Table
 
@@ -203,7 +203,7 @@ def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures]) -> None:
     for name, before, after, lower in variant_rows(variants):
         output.print(f'{name}: held-out nMSE {before:.5f} without the effects, {after:.5f} with them{lower}.',
                      soft_wrap=True)
-    output.print(f'Next: {next_step(diagnosis)}', soft_wrap=True)
+    output.print(f'Next: {next_step(diagnosis, written)}', soft_wrap=True)
 
 
 def _benchmark(args: argparse.Namespace) -> int:

@@ -175,8 +175,8 @@ def table_rows(diagnosis: Diagnosis) -> list[TableRow]:
             for finding in sorted(diagnosis.findings, key=number)]
 
 
-def next_step(diagnosis: Diagnosis) -> str:
-    """What to do now, in one line."""
+def next_step(diagnosis: Diagnosis, written: str = '') -> str:
+    """What to do now, in one line. :param written: the parameter file that declares what was found; '' for none."""
     rivals = [finding for finding in diagnosis.findings if finding.rivals]
     if diagnosis.setup:
         return 'put right what is said above, and diagnose again: nothing else is worth reading before.'
@@ -187,7 +187,8 @@ def next_step(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'unexplained':
         return 'look at the page (--html FILE.html): against what the residual shows tells where to look on the robot.'
     if diagnosis.findings:
-        return 'write the effects with -o FILE.yaml and start the node with that file, or mend the cause.'
+        return (f'start the node with {written}, which declares what was found, or mend the cause.' if written else
+                'write the effects with -o FILE.yaml and start the node with that file, or mend the cause.')
     return 'nothing; to see more, record faster motion of more joints.'
 
 

@@ -271,7 +271,8 @@ def test_the_table_groups_by_joint_and_the_report_ends_with_what_to_do(payload, 
         friction.findings[0].effect, where=joint)) for joint in ('r_elbow', 'r_shoulder_pitch', 'r_elbow')])
     assert [row.where for row in table_rows(shuffled)] == ['r_shoulder_pitch', 'r_elbow', 'r_elbow']
     assert next_step(nothing).startswith('nothing') and table_rows(nothing) == []
-    assert next_step(replace(friction, findings=[replace(friction.findings[0], rivals=())])).startswith('write the eff')
+    sure = replace(friction, findings=[replace(friction.findings[0], rivals=())])
+    assert next_step(sure).startswith('write the eff') and 'node with a.yaml' in next_step(sure, 'a.yaml')
 
 
 def test_a_rival_that_explains_it_better_is_told_apart_from_a_toss_up(friction):
