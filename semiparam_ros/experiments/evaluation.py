@@ -190,22 +190,30 @@ class OfflineLearner:
         errors = self.estimator.observe(prediction, learn, finish=False)
         self.history.append(sample, learn, prediction.motion.is_news)
         due = learn and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
-        if self._successor is not None:
+        if due and (self._successor is None or self._is_outdated):
+            if self._successor is not None:
+                self._next_takeover()
+            self._later, self._waiting = self._renewal.begin(), []
+            self._successor = partial(renew, self.settings, self.estimator.body, self.history.batch(),
+                                      self.history.origin, self._later)
+        elif self._successor is not None:
             self._waiting.append((sample, learn))
         elif self.estimator.window_full:
             self._later = None
             if has_draft(self.settings.initial_samples):
                 self._draft = partial(finish_window, self.estimator.with_window_alone(), True)
             self._successor = partial(finish_window, self.estimator.with_window_alone())
-        elif due:
-            self._later = self._renewal.begin()
-            self._successor = partial(renew, self.settings, self.estimator.body, self.history.batch(),
-                                      self.history.origin, self._later)
         if self._draft is not None and len(self._waiting) == self._takeovers[0]:
             self._draft_takes_over(self._draft)
         if self._successor is not None and self._draft is None and len(self._waiting) == self._takeovers[0]:
             self._take_over()
         return prediction._replace(horizon=errors)
+
+    @property
+    def _is_outdated(self) -> bool:
+        """Whether the successor has none of the motion of a draft that is due."""
+        return self._renewal.draft_is_next and self._draft is None and not (
+            self._later is not None and self._later.draft)
 
     def _draft_takes_over(self, draft: Callable[[], Estimator]) -> None:
         """It has learnt what came since the end of the initial window; the hyperparameters are estimated yet."""
@@ -245,6 +253,7 @@ class OfflineLearner:
         if self._later.draft:
             self._renewal.go_on_with_draft()
         else:
+            self._renewal.clear()
             self.renewals += 1
 
     def finish(self, training: Sequence[LoadedBag], frozen: bool) -> None:

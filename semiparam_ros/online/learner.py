@@ -144,11 +144,12 @@ class Learner:
                         standardised_innovation(prediction), learn, contact, self.gate.level)
         self._emit(answer)  # before learning, which takes as long as predicting
         if self._observe(prediction, learn):
+            renews = learn and not self.settings.hyperparameters_sigma and self._renews(prediction)
             self.switcher.offer(sample, learn)
             if self._asked is None and self.estimator.window_full:
                 self._end_window()
-            elif learn and not self.settings.hyperparameters_sigma:
-                self._perhaps_renew(prediction)
+            elif renews:
+                self._renew()
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons after a jump of the clock; the models stay."""
@@ -236,17 +237,30 @@ class Learner:
     def _waited(self) -> int:
         return 0 if self._asked is None else self.answered - self._asked
 
-    def _perhaps_renew(self, prediction: Prediction) -> None:
-        """Estimate the hyperparameters again where motion has left what they are from, and no successor is built."""
-        if self._renewal.see(self.estimator, prediction) and self.switcher.successor is None:
-            self._later = self._renewal.begin()
-            after_draft = has_draft(self.built.initial_samples) and not self._later.draft
-            self._listener.told(f'the hyperparameters of {self.built.variant} are estimated from the latest '
-                                f'{self._later.samples} samples; it answers on.' if after_draft else
-                                'the robot moves otherwise than in the window that the hyperparameters of '
-                                f'{self.built.variant} are from: they are estimated again; it answers on.')
-            self._asked = self.answered
-            self.switcher.renew(self.built, self.history, self._later)
+    def _renews(self, prediction: Prediction) -> bool:
+        """Whether motion has left what the hyperparameters are from, and no successor is built but one that has none of
+        the motion of a draft that is due: that is given up."""
+        if not self._renewal.see(self.estimator, prediction):
+            return False
+        successor = self.switcher.successor
+        if successor is None:
+            return True
+        outdated = (self._renewal.draft_is_next and same_model(successor.settings, self.built)
+                    and not (self._later is not None and self._later.draft))
+        if outdated:
+            self._taken_over()
+            self.switcher.retire_successor()
+        return outdated
+
+    def _renew(self) -> None:
+        """Estimate the hyperparameters again."""
+        self._later = self._renewal.begin()
+        if self._later.draft or not has_draft(self.built.initial_samples):
+            self._listener.told(f'the hyperparameters of {self.built.variant} are estimated again, from the latest '
+                                f'{self._later.samples} samples, as the robot moves otherwise than in the window that '
+                                'they are from; it answers on.')
+        self._asked = self.answered
+        self.switcher.renew(self.built, self.history, self._later)
 
     def _renewed(self, estimator: Estimator, later: LaterWindow) -> None:
         """The model with hyperparameters of a later window takes over, between two samples."""
@@ -257,6 +271,7 @@ class Learner:
             self._listener.told(f'{self.built.variant} goes on with a draft of them, from {later.samples} '
                                 f'samples, the last of which {self._taken_over()} samples ago.')
             return
+        self._renewal.clear()
         self._listener.told(f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
                             f'{self._taken_over()} of them since the end of the window.')
 

@@ -67,10 +67,45 @@ class Errors:
         return float(np.sqrt(np.mean(error[varies] / variance[varies]))) if varies.any() else 0.0
 
 
+class Watch:
+    """Gathers a window, from the first sample on that lies outside of the one before.
+
+    :param window: its samples.
+    """
+
+    def __init__(self, window: int, n_outputs: int) -> None:
+        self.window, self._n_outputs = window, n_outputs
+        self.clear()
+
+    def clear(self) -> None:
+        """Watch anew, from the next sample on."""
+        self.gathered, self.outside, self.errors = 0, 0, Errors(self._n_outputs)
+
+    def add(self, prediction: Prediction, outside: bool, enough: float) -> None:
+        """One sample of it; the last of ``enough`` are those over which models are compared."""
+        self.gathered += 1
+        self.outside += outside
+        if self.gathered > enough - judged(self.window):
+            self.errors.add(prediction)
+
+    def state(self) -> Memory:
+        """For a file; :meth:`restore` takes it back."""
+        return {'gathered': self.gathered, 'outside': self.outside, 'errors': self.errors.sums.copy()}
+
+    def restore(self, state: Memory) -> None:
+        """Go on from a state; raises LookupError, TypeError or ValueError for what is none."""
+        if not isinstance(state, dict):
+            raise TypeError('the state of a window is no mapping')
+        self.gathered, self.outside = int(state['gathered']), int(state['outside'])
+        self.errors.sums = np.array(state['errors'], dtype=float).reshape(4, self._n_outputs)
+
+
 class Renewal:
     """Watches the samples that are learnt. Another window begins with the first one outside of the window before.
 
     The third must wait for two windows' samples, each further one for twice as many, so that there are few in any life.
+    Drafts do not wait for that, but for each other: the third for one draft's samples, each further one for about twice
+    as many, until the model of a whole window takes over.
 
     :param wanted: samples of a window.
     """
@@ -80,88 +115,115 @@ class Renewal:
         self.done = False
         """Whether any hyperparameters are from a later window than the initial one."""
         self._attempts, self._learnt = 0, 0
+        """Whole windows, and samples learnt since the latest of them."""
+        self._whole, self._draft = Watch(wanted, n_outputs), Watch(drafted(wanted), n_outputs)
         self.clear()
 
     def clear(self) -> None:
-        """Watch anew, from the next sample on."""
-        self._gathered, self._outside, self._errors = 0, 0, Errors(self._n_outputs)
-        self._drafted = self._draft_rules = False
+        """The model of a whole window has taken over: watch anew, from the next sample on."""
+        self._drafts, self._since_draft = 0, 0
+        self._watch_anew()
+
+    def _watch_anew(self) -> None:
+        self._whole.clear()
+        self._draft.clear()
+        self._follows = self._whole_drafted = self._draft_rules = False
 
     @property
     def unsettled(self) -> bool:
         """Whether motion has left the window, until the model that follows has seen another window's samples."""
-        return self._gathered >= SURE * self._wanted or (self._attempts > 0 and self._learnt < self._wanted)
+        gathered = self._draft.gathered if self._waits else max(self._whole.gathered, self._draft.gathered)
+        return (gathered >= SURE * self._wanted or (self._attempts > 0 and self._learnt < self._wanted)
+                or (self._drafts > 0 and self._since_draft < self._wanted))
+
+    @property
+    def _waits(self) -> bool:
+        """Whether it is too early for a whole window."""
+        return self._attempts > 0 and self._learnt < self._wanted * 2**self._attempts
+
+    @property
+    def _draft_waits(self) -> bool:
+        """Whether it is too early for a draft."""
+        return not has_draft(self._wanted) or (
+            self._drafts > 0 and self._since_draft < self._draft.window * (2**(self._drafts - 1) - 1))
 
     def see(self, estimator: Estimator, prediction: Prediction) -> bool:
         """Take note of a sample that was just learnt; True when the latest ones are enough of another window."""
         if estimator.input_scaling is None or not estimator.ready:
             return False
         self._learnt += 1
+        self._since_draft += 1
         mean, scale = estimator.input_scaling
         _, position, velocity, acceleration, _ = prediction.sample
-        outside = _is_outside(position, velocity, acceleration, mean, scale)
-        waits = self._attempts > 0 and self._learnt < self._wanted * 2**self._attempts
-        if not self._gathered and (waits or not outside):
+        outside = bool(_is_outside(position, velocity, acceleration, mean, scale))
+        if not (outside or self._whole.gathered or self._draft.gathered):
             return False
-        self._gathered += 1
-        self._outside += outside
-        if self._gathered > self._enough - judged(self._window):
-            self._errors.add(prediction)
-        few = self._gathered >= SURE * self._wanted and self._outside < SHARE * self._gathered
-        if few and not self._drafted:  # a draft's window is wider
-            self.clear()
-        return self._gathered >= self._enough
+        for watch, waits in ((self._whole, self._waits), (self._draft, self._draft_waits)):
+            if not waits and (watch.gathered or outside):
+                watch.add(prediction, outside, self._enough(watch))
+                few = watch.gathered >= SURE * self._wanted and watch.outside < SHARE * watch.gathered
+                if few and not (watch is self._whole and self._follows):  # a draft's window is wider
+                    watch.clear()
+        return self._is_due(self._whole) or self._is_due(self._draft)
 
     @property
-    def _window(self) -> int:
-        """Samples of the window that comes next."""
-        return drafted(self._wanted) if self._drafts else self._wanted
+    def draft_is_next(self) -> bool:
+        """Of what is due."""
+        return not self._is_due(self._whole) or (has_draft(self._wanted) and not self._whole_drafted)
 
-    @property
-    def _drafts(self) -> bool:
-        """Whether a draft comes next."""
-        return has_draft(self._wanted) and not self._drafted
+    def _is_due(self, watch: Watch) -> bool:
+        return 0 < self._enough(watch) <= watch.gathered
 
-    @property
-    def _enough(self) -> float:
+    def _enough(self, watch: Watch) -> float:
         """Samples to gather for it."""
-        return self._window * (1.0 + LEAD) if self._attempts else self._window
+        return watch.window * (1.0 + LEAD) if self._attempts else watch.window
 
     def begin(self) -> LaterWindow:
         """Hyperparameters are being estimated from this window: watch anew, or go on after a draft."""
-        window = LaterWindow(self._window, inf if self._draft_rules else self._errors.size, self._drafts)
-        if window.draft:
-            self._drafted, self._errors = True, Errors(self._n_outputs)
+        draft, whole = self.draft_is_next, self._is_due(self._whole)
+        watch = self._whole if whole else self._draft
+        window = LaterWindow(watch.window, inf if self._draft_rules and whole else watch.errors.size, draft)
+        if draft and whole:
+            self._follows = self._whole_drafted = True
+        elif draft:
+            self._whole.gathered = max(self._whole.gathered, watch.gathered)
+            self._drafts, self._since_draft, self._follows = self._drafts + 1, 0, True
+            watch.clear()
         else:
             self._attempts, self._learnt = self._attempts + 1, 0
-            self.clear()
+            self._watch_anew()
         return window
 
     def go_on_with_draft(self) -> None:
         """One has taken over, from this or from the initial window. What follows knows more, and need not beat it."""
         self._draft_rules = True
+        self._draft.clear()
 
     @property
     def refines(self) -> bool:
         """Whether a draft from the initial window is in force."""
-        return self._draft_rules and not self._drafted
+        return self._draft_rules and not self._drafts
 
     def state(self) -> Memory:
         """For a file; :meth:`restore` takes it back."""
-        return {'done': self.done, 'attempts': self._attempts, 'learnt': self._learnt, 'gathered': self._gathered,
-                'outside': self._outside, 'drafted': self._drafted,
-                'draft_rules': self._draft_rules, 'errors': self._errors.sums.copy()}
+        return {'done': self.done, 'attempts': self._attempts, 'learnt': self._learnt, 'drafts': self._drafts,
+                'since_draft': self._since_draft, 'follows': self._follows, 'whole_drafted': self._whole_drafted,
+                'draft_rules': self._draft_rules,
+                'whole': self._whole.state(), 'draft': self._draft.state()}
 
     def restore(self, state: Memory) -> None:
         """Go on from a state; raises LookupError, TypeError or ValueError for what is none."""
         if not isinstance(state, dict):
             raise TypeError('the state of the renewal is no mapping')
-        self.done, self._gathered, self._outside = bool(state['done']), int(state['gathered']), int(state['outside'])
+        self.done, self._draft_rules = bool(state['done']), bool(state['draft_rules'])
+        self._follows, self._whole_drafted = bool(state['follows']), bool(state['whole_drafted'])
         self._attempts, self._learnt = int(state['attempts']), int(state['learnt'])
-        self._drafted, self._draft_rules = bool(state['drafted']), bool(state['draft_rules'])
-        if not 0 <= self._attempts <= MOST_ATTEMPTS:
-            raise ValueError(f'the hyperparameters were estimated {self._attempts} times')
-        self._errors.sums = np.array(state['errors'], dtype=float).reshape(4, self._n_outputs)
+        self._drafts, self._since_draft = int(state['drafts']), int(state['since_draft'])
+        for count in (self._attempts, self._drafts):
+            if not 0 <= count <= MOST_ATTEMPTS:
+                raise ValueError(f'the hyperparameters were estimated {count} times')
+        self._whole.restore(state['whole'])
+        self._draft.restore(state['draft'])
 
 
 def drafted(wanted: int) -> int:

@@ -22,6 +22,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
+import numpy as np
+
 from semiparam_ros.core.averaged_estimator import estimator_of
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
@@ -50,8 +52,9 @@ LOOKS = 30
 EstimatorJob = Callable[..., Estimator]
 """Gives an estimator, in the background."""
 
-DRAFT_WINDOWS = 5
-"""A draft learns the latest so many windows' samples, which is quick; what follows it learns all that are kept."""
+OLDER = 5
+"""One of so many samples from before a later window is learnt: hyperparameters of that window make a model that fits
+other motion less well than it believes, and where that is most of what it learns the new motion is fitted the worse."""
 
 SAMPLES_AT_MOST = 6000
 
@@ -64,7 +67,7 @@ class Job(Protocol):
     """Work that was handed to a background."""
 
     def cancel(self) -> None:
-        """Its result is of no interest any more; it need not begin."""
+        """Its result is of no interest any more; it need not begin, or end."""
 
 
 class Background(Protocol):
@@ -97,7 +100,7 @@ class ProcessBackground:
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
-        job = _ProcessJob(function, arguments, done)
+        job = _ProcessJob(function, arguments, done, self._give_up)
         # Those that were cancelled hold a history each, and may lie behind a job of many seconds.
         self._queue = deque(waiting for waiting in (*self._queue, job) if not waiting.cancelled)
         self._start_next()
@@ -106,6 +109,13 @@ class ProcessBackground:
     def later(self, function: Callable[[], None]) -> None:
         """See :class:`Background`."""
         self._later(function)
+
+    def _give_up(self, job: _ProcessJob) -> None:
+        """Those behind a job that was cancelled need not wait for its end."""
+        if job is self._running:
+            for pid in self._pool._processes or {}:
+                with suppress(OSError):
+                    os.kill(pid, signal.SIGUSR1)
 
     def _hear(self, sentence: str) -> None:
         if not self._closed:
@@ -132,7 +142,7 @@ class ProcessBackground:
         """The process may have died while it had nothing to do; the next one, while it starts, dies of this job."""
         for _ in range(2):
             try:
-                return self._pool.submit(job.function, *job.arguments)
+                return self._pool.submit(_run, job.function, *job.arguments)
             except BrokenProcessPool as error:
                 died = error
                 self._pool = self._new_pool()
@@ -204,11 +214,13 @@ class _ProcessJob:
     function: Callable[..., object]
     arguments: tuple[object, ...]
     done: Done[Any]
+    give_up: Callable[[_ProcessJob], None] = lambda job: None
     deaths: int = 0
     cancelled: bool = False
 
     def cancel(self) -> None:
         self.cancelled = True
+        self.give_up(self)
 
 
 class InlineBackground:
@@ -251,6 +263,7 @@ def _prepare(teller: Connection) -> None:
     global _teller
     _teller = teller
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGUSR1, _give_up)
     os.nice(NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -260,6 +273,31 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(0)
+
+
+class _GivenUp(BaseException):
+    """In the process: nobody wants the result of the job any more."""
+
+
+_working = False
+"""In the process: whether it is within a job."""
+
+
+def _run(function: Callable[..., object], *arguments: object) -> object:
+    """In the process: a job, which may be given up."""
+    global _working
+    try:
+        _working = True
+        return function(*arguments)
+    except _GivenUp:
+        return None
+    finally:
+        _working = False
+
+
+def _give_up(*_: object) -> None:
+    if _working:
+        raise _GivenUp
 
 
 def _warm() -> None:
@@ -297,17 +335,20 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     that it is to beat.
     """
     later = later or LaterWindow(settings.initial_samples)
-    if later.draft and not settings.effects:  # they may remember all that was before
-        batch = batch.part(max(len(batch) - DRAFT_WINDOWS * settings.initial_samples, 0))
-    gathering = new_estimator(settings, body, origin=origin)
-    window = later_window(batch.learnt, later.samples)
-    start = 0 if settings.effects else int(window.argmax())
+    gathering, learnt = new_estimator(settings, body, origin=origin), batch.learnt
+    window = later_window(learnt, later.samples)
+    begin = int(window.argmax())
+    start = 0 if settings.effects else begin  # they may remember all that was before
     for (sample, _), chosen in zip(batch.part(start).pairs(), window[start:].tolist(), strict=True):
         gathering.observe(gathering.predict(sample), chosen, finish=False)
     gathering.finish_window(later.draft)
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
-    compared = later_window(batch.learnt, judged(later.samples))
-    for (sample, learns), chosen in zip(batch.pairs(), compared.tolist(), strict=True):
+    compared = later_window(learnt, judged(later.samples))
+    learnt[:begin] &= np.arange(begin) % OLDER == 0
+    each = enumerate(zip(batch.pairs(), learnt.tolist(), compared.tolist(), strict=True))
+    for number, ((sample, _), learns, chosen) in each:
+        if number < start and number % OLDER:
+            continue
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)

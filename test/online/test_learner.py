@@ -6,6 +6,7 @@ import queue
 import signal
 import struct
 import sys
+import time
 import weakref
 from dataclasses import replace
 from functools import partial
@@ -645,7 +646,7 @@ def test_what_the_hand_carries_is_found():
     np.testing.assert_allclose(carried.centre, [0.02, 0.0, 0.1], atol=0.01)
 
 
-def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies():
+def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies(tmp_path):
     tasks = queue.Queue()
     background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
 
@@ -658,6 +659,12 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies():
     assert run(max, 1, 3) == (3, None)
     assert run(os.getpid)[0] != os.getpid()
     assert isinstance(run(int, 'x')[1], ValueError)
+    process, _ = run(os.getpid)
+    pointless = background.submit(work_for_ever, tmp_path / 'begun', done=lambda result, error: results.append('never'))
+    while not (tmp_path / 'begun').exists():
+        time.sleep(0.01)
+    pointless.cancel()
+    assert run(os.getpid) == (process, None)
     assert 'died 2 times' in str(run(os._exit, 1)[1])
     assert run(max, 4, 5) == (5, None)
     background.close()
@@ -681,6 +688,13 @@ def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(t
     assert {path.name: len(path.read_text()) for path in tmp_path.iterdir()} == runs
 
 
+def work_for_ever(path):
+    """In the background process."""
+    path.touch()
+    while True:
+        time.sleep(0.01)
+
+
 def append_and_perhaps_die(path):
     """In the background process: leave a mark of each run; in the first one die as by the system's hand, or stop."""
     with path.open('a') as stream:
@@ -688,7 +702,7 @@ def append_and_perhaps_die(path):
     if len(path.read_text()) == 1:
         if path.name == 'killed while it sends':
             half = struct.pack('!i', 1000) + b'half a result'
-            os.write(sys._getframe(1).f_locals['result_queue']._writer.fileno(), half)
+            os.write(sys._getframe(2).f_locals['result_queue']._writer.fileno(), half)
         if path.name.startswith('killed'):
             os.kill(os.getpid(), signal.SIGKILL)
         if path.name == 'stopped':

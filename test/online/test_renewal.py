@@ -1,16 +1,19 @@
 """Hyperparameters are estimated again when later motion leaves the window that they are from."""
 
+import queue
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.renewal import later_window
-from semiparam_ros.online.worker import InlineBackground
+from semiparam_ros.online.worker import InlineBackground, ProcessBackground, known_of, new_estimator, renew
 from support.learner_stage import Stage
-from support.node_helpers import SETTINGS, faster, motion
+from support.node_helpers import BODY, SETTINGS, faster, motion
 
 TAKEOVER_AFTER = 15
 
@@ -24,11 +27,17 @@ def renewals(stage):
     return sum('estimated again' in sentence for sentence in stage.news)
 
 
+def assert_as_offline(stage, day, windows=1):
+    offline = OfflineLearner(stage.learner.built, [], lambda: None, stage.learner.takeovers)
+    steps = [offline.step(sample, True) for sample in day]
+    assert offline.renewals == windows
+    np.testing.assert_allclose(stage.means, [step.mean for step in steps], rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize('variant', ['SPK-ML', 'NP-ML', 'SP2-ML'])
 def test_once_where_motion_becomes_faster_and_live_as_offline(variant, monkeypatch):
     monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
-    settings = replace(SLOWER, variant=variant)
-    stage, waited, scales = Stage(settings), 0, []
+    stage, waited, scales = Stage(replace(SLOWER, variant=variant)), 0, []
     for sample in DAY:
         stage.offer([sample])
         if stage.background.jobs:
@@ -38,15 +47,70 @@ def test_once_where_motion_becomes_faster_and_live_as_offline(variant, monkeypat
                 waited = 0
         if stage.learner.estimator.ready:
             scales.append(stage.learner.estimator.input_scaling[1])
-    assert renewals(stage) == 1 and 'has new hyperparameters and takes over' in stage.news[-1]
+    assert 'has new hyperparameters and takes over' in stage.news[-1]
     assert (scales[-1] > 3.0 * scales[0])[2:].all()
     assert 'a draft of its hyperparameters' in stage.news[1]
     drafted, first, *later = stage.learner.takeovers
-    assert 0 < drafted < first and len(later) == 2 and min(later) > 0
-    offline = OfflineLearner(settings, [], lambda: None, stage.learner.takeovers)
-    steps = [offline.step(sample, True) for sample in DAY]
-    assert offline.renewals == 1
-    np.testing.assert_allclose(stage.means, [step.mean for step in steps], rtol=1e-9, atol=1e-9)
+    assert 0 < drafted < first and 3 <= len(later) == 1 + renewals(stage) <= 4 and min(later) > 0
+    assert_as_offline(stage, DAY)
+
+
+def test_the_process_gives_a_draft_before_the_window(monkeypatch):
+    monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
+    tasks = queue.Queue()
+    stage, start = Stage(SLOWER, ProcessBackground(lambda *task: tasks.put(partial(*task)))), 0
+    for takeovers, end in enumerate((100, 110, 130)):
+        while len(stage.learner.takeovers) < takeovers:
+            tasks.get(timeout=60)()
+        stage.offer(SAMPLES[start:end])
+        start = end
+    stage.background.close()
+    assert stage.learner.takeovers == [0, 10] and not stage.failures
+    assert 'with a draft of its hyperparameters' in stage.news[1] and 'has its hyperparameters' in stage.news[2]
+    assert_as_offline(stage, SAMPLES[:130], windows=0)
+
+
+def test_a_draft_does_not_wait_for_what_it_makes_pointless(monkeypatch):
+    """The hyperparameters of slow motion are still being estimated when fast motion has come."""
+    monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
+    stage = Stage(SLOWER)
+    stage.offer(DAY[:105])
+    stage.background.run(1)
+    for sample in DAY[105:]:
+        stage.offer([sample])
+        if len(stage.learner.takeovers) > 1:
+            stage.background.run()
+    told = ' | '.join(stage.news)
+    assert 'goes on with a draft' in told and 'has its hyperparameters' not in told and 'has new' in told
+    assert stage.learner.takeovers[:3] == [5, 140, 0]
+    assert_as_offline(stage, DAY)
+
+
+def test_a_draft_does_not_wait_where_a_whole_window_must(monkeypatch):
+    """Motion leaves the second window after ten samples: a draft of the next 52, and the third window 200 later."""
+    monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
+    slowest, slow, fast = (faster(SAMPLES[part], speed) for part, speed in (
+        (slice(0, 120), 0.02), (slice(120, 230), 0.15), (slice(230, 550), 1.0)))
+    stage, seen = Stage(SLOWER, InlineBackground()), []
+    for sample in [*slowest, *slow, *fast]:
+        stage.offer([sample])
+        seen.append(len(stage.news))
+    at = [int(np.searchsorted(seen, count + 1)) + 1 for count in range(len(stage.news))]
+    drafts = [place for place, sentence in zip(at, stage.news, strict=True) if 'goes on with a draft' in sentence]
+    windows = [place for place, sentence in zip(at, stage.news, strict=True) if 'has new' in sentence]
+    assert windows[0] == 221 and 282 in drafts and windows[1] > windows[0] + 200
+
+
+def test_older_motion_does_not_outvote_the_window():
+    """Of what was learnt before it, a fifth is learnt again."""
+    pairs = [(sample, True) for sample in DAY[:330]]
+    renewed = renew(SLOWER, BODY, batch_of(pairs), DAY[0].stamp)
+    expected = new_estimator(SLOWER, BODY, known_of(renewed), DAY[0].stamp)
+    for number, (sample, _) in enumerate(pairs):
+        if number >= 230 or number % 5 == 0:
+            expected.observe(expected.predict(sample))
+    for sample in DAY[330:340]:
+        np.testing.assert_allclose(renewed.predict(sample)[:2], expected.predict(sample)[:2], rtol=1e-9)
 
 
 def test_motion_within_the_window_is_no_reason():

@@ -100,7 +100,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    13: {
+    14: {
         'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns within',
@@ -120,7 +120,7 @@ LAYOUT = {
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (6,)',  # level, mean, ratio of a closure
         'gate.3': 'f8 (0, 6)', 'gate.4': 'f8 (0, 6)',  # tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 2 else 'f8 (6,)' for number in range(5, 23)},  # six bands
-        'renewal.0': 'f8 (4, 6)',
+        'renewal.0': 'f8 (4, 6)', 'renewal.1': 'f8 (4, 6)',  # errors over a whole window and a draft's
         'window.rows': 'f8 (0, 144)', 'motion.place': 'f8 (2,)',
         'motion.nearby': 'f8 (2,)', 'motion.outputs': 'f8 (6,)', 'motion.counts': 'i8 (3,)', 'motion.is_news': 'b1 ()',
     },
