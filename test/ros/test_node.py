@@ -114,6 +114,7 @@ def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path, bag_optio
     dump_params(settings, tmp_path / 'p.yaml')
     with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
         client.connect()
+        client.listen(JointState, 'answer')
         for part in ('--until', '--start-offset'):  # hyperparameters are estimated anew meanwhile
             played = replay(bag, part, str(fast_s))
             assert played.returncode == 0, played.stderr
@@ -130,6 +131,11 @@ def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path, bag_optio
             assert client.stamps(topic) == [each.sample.stamp for each in predictions]
             np.testing.assert_array_equal(client.values(topic), wanted)
             assert {message.header.frame_id for message in client.heard[topic]} == {'ft'}
+        parts = [client.values(topic) for topic in ('predicted_wrench', 'predicted_wrench_std', 'residual')]
+        assert client.stamps('answer') == client.stamps('residual')
+        np.testing.assert_array_equal(np.array(client.values('answer'))[:, :18], np.hstack(parts))
+        assert client.heard['answer'][-1].name[5:7] == ['tz_predicted', 'fx_std']
+        assert client.heard['answer'][-1].name[-1] == 'tz_contact_level' and max(client.values('answer')[-1][18:]) > 0.0
         assert client.stamps('horizon_error') == [errors.origin for errors in horizons]
         last, errors = client.heard['horizon_error'][-1], horizons[-1]
         assert list(last.name) == ['fx', 'fy', 'fz', 'tx', 'ty', 'tz', 'eps_F', 'eps_T', 'fx_centred', 'fy_centred',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from rclpy.node import Node
@@ -22,6 +23,9 @@ from semiparam_ros.ros.cdr import Layout, joint_state_layout, wrench_layout
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 DEPTH = 1000
+
+PARTS = ('predicted', 'std', 'residual', 'contact_level')
+"""What ``~/answer`` holds of every output."""
 
 
 def inertia_message(stamp: Time, payload: Payload) -> InertiaStamped:
@@ -91,6 +95,7 @@ class Outputs:
         self._mean = node.create_publisher(kind, f'~/predicted_{name}', DEPTH)
         self._std = node.create_publisher(kind, f'~/predicted_{name}_std', DEPTH)
         self._residual = node.create_publisher(kind, '~/residual', DEPTH)
+        self._answer = node.create_publisher(JointState, '~/answer', DEPTH)
         self._horizon = node.create_publisher(JointState, '~/horizon_error', DEPTH)
         self._shadows: dict[str, Publisher] = {}
         self._contact = node.create_publisher(Bool, '~/contact', LATCHED)
@@ -103,12 +108,17 @@ class Outputs:
         self._value = ValueMessage(None if wrench else body.joints)
         self._errors = HorizonMessage(body.output_names, wrench)
         self._level = joint_state_layout('', body.output_names, body.n_outputs, 0, 0)
+        self._parts = joint_state_layout('', [f'{name}_{part}' for part in PARTS for name in body.output_names],
+                                         len(PARTS) * body.n_outputs, 0, 0)
 
     def publish(self, answer: Answer) -> None:
         """One answer: the residual goes last, for a replay waits for it."""
         prediction = answer.prediction
         self._send(self._mean, prediction, prediction.mean)
         self._send(self._std, prediction, prediction.std)
+        if _is_heard(self._answer):
+            parts = prediction.mean, prediction.std, answer.residual, answer.contact_level
+            _send(self._answer, self._parts.write(prediction.sample.stamp, np.concatenate(parts).tolist()))
         self._send(self._residual, prediction, answer.residual)
         if answer.contact != self._in_contact:
             self._in_contact = answer.contact
