@@ -56,7 +56,7 @@ OLDER = 5
 """One of so many samples from before a later window is learnt: hyperparameters of that window make a model that fits
 other motion less well than it believes, and where that is most of what it learns the new motion is fitted the worse."""
 
-SAMPLES_AT_MOST = 6000
+SAMPLES_AT_MOST = 5000
 
 
 Later: TypeAlias = Callable[..., object]
