@@ -298,7 +298,8 @@ class DiagnosisConfig:
     rival_nats: float = 6.0
     """Calls effects rivals that differ by less than this log evidence [nat], odds of 400 to 1 (chosen)."""
     rival_share: float = 0.02
-    """Widens that by this share of the evidence for each sample over which the residual stays correlated (chosen)."""
+    """Widens that by this share of the evidence for each further sample over which the residual stays correlated
+    (chosen)."""
     most_rival_share: float = 0.2
     """Widens it by no more than this share of the evidence (chosen)."""
     rival_overlap: float = 0.7

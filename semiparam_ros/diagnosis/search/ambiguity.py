@@ -33,16 +33,16 @@ def simplest(fit: Fit, ranking: list[Trial], order: Sequence[str]) -> Trial:
                key=lambda trial: (order.index(trial.effect.kind), -trial.evidence))
 
 
-def tolerance(fit: Fit, chosen: Trial, same_form: bool = False) -> float:
+def tolerance(fit: Fit, chosen: Trial) -> float:
     """Difference of evidence [nat] below which two trials are not told apart.
 
     What stays correlated after the chosen effect shows that no trial is the whole truth, and widens it; where nothing
-    does, trials of the ``same_form`` (one is a special case of the other) may differ by chance alone.
+    does, they may differ by chance alone.
     """
     config = fit.config
-    correlation = float(correlation_times(fit.used(chosen.residual), config).mean()) - (1.0 if same_form else 0.0)
+    correlated = float(correlation_times(fit.used(chosen.residual), config).mean()) - 1.0
     return max(config.rival_nats,
-               min(config.rival_share * correlation, config.most_rival_share) * chosen.evidence)
+               min(config.rival_share * correlated, config.most_rival_share) * chosen.evidence)
 
 
 def as_good(fit: Fit, chosen: Trial, ranking: Sequence[Trial]) -> list[Trial]:

@@ -247,7 +247,7 @@ def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
     saved = trial.n_parameters - len(plainer) - 1
     whole, parts = (score(without, Trial(effect, known.residual, n_parameters), fit.correlation)
                     for known, n_parameters in ((fit, trial.n_parameters), (simpler, trial.n_parameters - saved)))
-    if whole.evidence - parts.evidence > tolerance(without, whole, same_form=True):
+    if whole.evidence - parts.evidence > tolerance(without, whole):
         return [], fit
     return [replace(trial, effect=part, leaves=simpler.residual, squares=None) for part in plainer], simpler
 
