@@ -20,10 +20,13 @@ from semiparam_ros.errors import SemiparamError
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 SLIP_SHARES = (0.02, 0.05, 0.12, 0.3, 0.7)
 DIRECTION: Mapping[str, str] = {'azimuth': 'rad', 'elevation': 'rad'}
+ANCHOR: Mapping[str, str] = {**DIRECTION, 'nearness': '1/m'}
 ALONG = (*((turn * 0.4 * np.pi, np.arctan(0.5)) for turn in range(5)), (0.0, 0.5 * np.pi))
 """Azimuth and elevation of the six axes of an icosahedron: no direction is further than 37 degrees from one [rad]."""
 BESIDE = 0.65
 """How far beside a direction a line search looks [rad]."""
+NEARER = 2.0
+"""How much nearer and further it looks for an anchor [1/m]."""
 
 
 class _Cable(AtPoint):
@@ -70,7 +73,8 @@ class CableSpring(_Cable):
 
 class CableHysteresis(_Cable):
     """Dahl's model: the cable pulls back over ``slip`` of travel, then slips (z' = dx - |dx| z / slip). At a link it
-    drags in whichever direction the link moves, or along its own: ``azimuth`` and ``elevation`` in the robot's base."""
+    drags in whichever direction the link moves, or towards an anchor: ``azimuth`` and ``elevation`` of it seen from the
+    robot's base, and ``nearness``, one over its distance from there; zero is a fixed direction."""
 
     kind: ClassVar[str] = 'cable_hysteresis'
     shows_against: ClassVar[Axis] = 'position'
@@ -78,7 +82,7 @@ class CableHysteresis(_Cable):
     sentence: ClassVar[str] = 'a cable or hose drags with hysteresis: it pulls back, then slips'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_spring', 'viscous_drag')
     separated_by: ClassVar[str] = 'reversals after long and after short travels'
-    parameter_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **DIRECTION, **POINT}
+    parameter_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **ANCHOR, **POINT}
     positive: ClassVar[tuple[str, ...]] = ('slip',)
 
     @classmethod
@@ -90,16 +94,18 @@ class CableHysteresis(_Cable):
         slips: list[Values] = [{'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
         if where in body.joints:
             return slips
-        return slips + [dict(zip(DIRECTION, along, strict=True)) | slip for slip in slips for along in ALONG]
+        return slips + [dict(zip(ANCHOR, (*along, 0.0), strict=True)) | slip for slip in slips for along in ALONG]
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
         if name in DIRECTION:
             return self.value(name) - BESIDE, self.value(name) + BESIDE
+        if name == 'nearness':
+            return self.value(name) - NEARER, self.value(name) + NEARER
         return super().bounds(name, body, samples, residual)
 
     def check(self, body: RigidBody) -> None:
         super().check(body)
-        if self.where in body.joints and not self.parameters.keys().isdisjoint(DIRECTION):
+        if self.where in body.joints and not self.parameters.keys().isdisjoint(ANCHOR):
             raise SemiparamError(f"effect '{self.kind}' has a direction at the joint {self.where}; expected one at a "
                                  'link alone.')
 
@@ -115,14 +121,18 @@ class CableHysteresis(_Cable):
             state, memory = dahl_state(travel, slip, memory)
             return state[:, :, None] * np.eye(len(CHANNELS)), memory
         motion = self.motion(body, samples)
-        directions = self._directions()
-        state, memory = dahl_state(motion.position @ directions, slip, memory)
-        return motion.force_map @ -(state @ directions.T)[:, :, None], memory
+        if self.parameters.keys().isdisjoint(ANCHOR):
+            state, memory = dahl_state(motion.position, slip, memory)
+            return motion.force_map @ -state[:, :, None], memory
+        shortened, towards = self._cable(motion.position)
+        state, memory = dahl_state(shortened[:, None], slip, memory)
+        return motion.force_map @ -(state * towards)[:, :, None], memory
 
-    def _directions(self) -> Array:
-        """(3, k) directions along which it drags: its own, or all."""
-        if self.parameters.keys().isdisjoint(DIRECTION):
-            return np.eye(3)
-        azimuth, elevation = (self.value(name) for name in DIRECTION)
-        level = np.cos(elevation)
-        return np.array([[level * np.cos(azimuth)], [level * np.sin(azimuth)], [np.sin(elevation)]])
+    def _cable(self, position: Array) -> tuple[Array, Array]:
+        """By how much the cable is shorter (N,) than to the base, and its direction (N, 3), at positions (N, 3)."""
+        azimuth, elevation, nearness = (self.value(name) for name in ANCHOR)
+        along = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+        towards = along - nearness * position
+        length = np.linalg.norm(towards, axis=1)  # over the anchor's distance
+        shortened = (position * (along + towards)).sum(axis=1) / (1.0 + length)  # (1 - length) / nearness, or its limit
+        return shortened, towards / np.maximum(length, 1e-12)[:, None]

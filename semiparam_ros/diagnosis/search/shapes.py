@@ -63,7 +63,7 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
     """The model with the nonlinear values of these effects and all calibrations at the least squares, by Gauss-Newton.
 
     One of them may pull against another, as the lead of frictions and a delay of the efforts do. Steps that do not
-    lower the loss are not taken.
+    lower the loss are shortened.
     """
     for _ in range(fit.config.gauss_newton_steps):
         shapes = shapes_of(fit, found)
@@ -72,17 +72,24 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
         calibrations = [effect for effect in fit.effects if effect.is_calibration]
         slopes = [shape_columns(fit, shapes), *(added_columns(fit, effect) for effect in calibrations)]
         steps = fit.explain(np.concatenate(slopes, axis=2)).coefficients
-        effects = calibrations_moved(fit, calibrations, steps[len(shapes):])
-        for (number, name, low, high), step in zip(shapes, steps.tolist(), strict=False):
-            value = float(np.clip(effects[number].value(name) + step, low, high))
-            effects[number] = effects[number].with_values(**{name: value})
-        moved = with_effects(fit, effects)
-        if not (moved.loss < fit.loss and _possible(moved, found)):
+        moved = next((moved for share in (1.0, fit.config.backtracking, fit.config.backtracking**2)
+                      if (moved := _moved(fit, shapes, calibrations, share * steps)).loss < fit.loss
+                      and _possible(moved, found)), None)
+        if moved is None:
             break
         gained, fit = fit.loss - moved.loss, moved
         if gained < fit.config.settled_gain:
             break
     return declare(fit, [])
+
+
+def _moved(fit: Fit, shapes: list[Shape], calibrations: list[Effect], steps: Array) -> Fit:
+    """The model with its shapes and calibrations moved by steps (s + c,)."""
+    effects = calibrations_moved(fit, calibrations, steps[len(shapes):])
+    for (number, name, low, high), step in zip(shapes, steps.tolist(), strict=False):
+        value = float(np.clip(effects[number].value(name) + step, low, high))
+        effects[number] = effects[number].with_values(**{name: value})
+    return with_effects(fit, effects)
 
 
 def _columns(fit: Fit, effect: Effect) -> Array:
