@@ -253,6 +253,8 @@ class DiagnosisConfig:
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
     gauss_newton_steps: int = 4
     """Settles calibrations in at most so many Gauss-Newton steps (chosen)."""
+    shape_steps: int = 12
+    """Settles the nonlinear values of effects in at most so many (chosen: they are further off)."""
     backtracking: float = 0.25
     """Shortens a Gauss-Newton step that would raise the loss to this share, until it lowers it (chosen)."""
     settled_step: float = 1e-4

@@ -14,15 +14,19 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.application_point import POINT, AtPoint
 from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Values, joint_index
-from semiparam_ros.effects.hysteresis import dahl_state
+from semiparam_ros.effects.hysteresis import bouc_wen_state, dahl_state
 from semiparam_ros.errors import SemiparamError
 
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 SLIP_SHARES = (0.02, 0.05, 0.12, 0.3, 0.7)
 DIRECTION: Mapping[str, str] = {'azimuth': 'rad', 'elevation': 'rad'}
 ANCHOR: Mapping[str, str] = {**DIRECTION, 'nearness': '1/m'}
-ALONG = (*((turn * 0.4 * np.pi, np.arctan(0.5)) for turn in range(5)), (0.0, 0.5 * np.pi))
-"""Azimuth and elevation of the six axes of an icosahedron: no direction is further than 37 degrees from one [rad]."""
+STEEP = float(np.arctan(0.5 * (1.0 + np.sqrt(5.0))))
+ALONG = tuple((azimuth, elevation) for azimuths, elevation in (
+    ((STEEP, -STEEP), 0.0), ((0.0, np.pi), 0.5 * np.pi - STEEP), ((0.5 * np.pi, -0.5 * np.pi), STEEP))
+              for azimuth in azimuths)
+"""Azimuth and elevation of the six axes of an icosahedron [rad], none of them upright: no direction is further than 37
+degrees from one."""
 BESIDE = 0.65
 """How far beside a direction a line search looks [rad]."""
 NEARER = 2.0
@@ -74,7 +78,8 @@ class CableSpring(_Cable):
 class CableHysteresis(_Cable):
     """Dahl's model: the cable pulls back over ``slip`` of travel, then slips (z' = dx - |dx| z / slip). At a link it
     drags in whichever direction the link moves, or towards an anchor: ``azimuth`` and ``elevation`` of it seen from the
-    robot's base, and ``nearness``, one over its distance from there; zero is a fixed direction."""
+    robot's base, and ``nearness``, one over its distance from there; zero is a fixed direction. Another ``unloading``
+    makes it Bouc's and Wen's."""
 
     kind: ClassVar[str] = 'cable_hysteresis'
     shows_against: ClassVar[Axis] = 'position'
@@ -82,8 +87,8 @@ class CableHysteresis(_Cable):
     sentence: ClassVar[str] = 'a cable or hose drags with hysteresis: it pulls back, then slips'
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_spring', 'viscous_drag')
     separated_by: ClassVar[str] = 'reversals after long and after short travels'
-    parameter_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', **ANCHOR, **POINT}
-    positive: ClassVar[tuple[str, ...]] = ('slip',)
+    parameter_units: ClassVar[Mapping[str, str]] = {'slip': 'rad or m', 'unloading': 'm', **ANCHOR, **POINT}
+    positive: ClassVar[tuple[str, ...]] = ('slip', 'unloading')
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
@@ -94,7 +99,8 @@ class CableHysteresis(_Cable):
         slips: list[Values] = [{'slip': max(reach, 1e-6) * share} for share in SLIP_SHARES]
         if where in body.joints:
             return slips
-        return slips + [dict(zip(ANCHOR, (*along, 0.0), strict=True)) | slip for slip in slips for along in ALONG]
+        return slips + [{**slip, 'unloading': slip['slip'], **dict(zip(ANCHOR, (*along, 0.0), strict=True))}
+                        for slip in slips for along in ALONG]
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
         if name in DIRECTION:
@@ -125,8 +131,8 @@ class CableHysteresis(_Cable):
             state, memory = dahl_state(motion.position, slip, memory)
             return motion.force_map @ -state[:, :, None], memory
         shortened, towards = self._cable(motion.position)
-        state, memory = dahl_state(shortened[:, None], slip, memory)
-        return motion.force_map @ -(state * towards)[:, :, None], memory
+        state, memory = bouc_wen_state(shortened, slip, self.value('unloading', slip), memory)
+        return motion.force_map @ -(state[:, None] * towards)[:, :, None], memory
 
     def _cable(self, position: Array) -> tuple[Array, Array]:
         """By how much the cable is shorter (N,) than to the base, and its direction (N, 3), at positions (N, 3)."""

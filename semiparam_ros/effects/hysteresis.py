@@ -28,6 +28,19 @@ def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memor
     return states, (travel[-1], states[-1])
 
 
+def bouc_wen_state(travel: Array, slip: float, unloading: float, memory: Memory) -> tuple[Array, Memory]:
+    """(N,) state z in [-1, 1] along a travel (N,), and (last travel, last state) to go on from (Wen 1976, J. Eng. Mech.
+    Div. 102).
+
+    Along its travel it is Dahl's: slip dz/dx = 1 - z. Back to zero it is slip dz/dx = 1 - (slip / unloading) z, which
+    is Dahl's too where the two are equal. Each step is followed exactly.
+    """
+    place, state = cast('tuple[float, float]', memory) if memory is not None else (float(travel[0]), 0.0)
+    states = np.empty(len(travel))
+    _follow_bouc_wen(np.diff(travel, prepend=place) / slip, slip / unloading, float(state), states)
+    return states, (float(travel[-1]), float(states[-1]))
+
+
 def bristle(way: Way, slip: float, memory: Memory) -> tuple[Array, Memory]:
     """(N,) state of a Dahl bristle in [-1, 1] along a way that may turn back between two samples."""
     states, memory = _bent(way, lambda aims, speeds: (aims[:, None], slip), memory)
@@ -150,6 +163,20 @@ def _follow(state: float, keep: list[float], aims: list[float]) -> list[float]:
         state = aim + (state - aim) * kept
         states.append(state)
     return states
+
+
+@compiled(VECTOR, NUMBER, NUMBER, VECTOR)
+def _follow_bouc_wen(steps: Array, share: float, state: float, states: Array) -> None:
+    for index in range(len(steps)):
+        way = abs(steps[index])
+        sign = 1.0 if steps[index] > 0.0 else -1.0
+        along = sign * state
+        if along < 0.0:
+            back = min(way, np.log1p(-share * along) / share)
+            along = (along - 1.0 / share) * np.exp(-share * back) + 1.0 / share
+            way -= back
+        state = sign * (1.0 + (along - 1.0) * np.exp(-way))
+        states[index] = state
 
 
 @compiled(VECTOR, NUMBER, VECTOR)

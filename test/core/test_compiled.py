@@ -210,9 +210,11 @@ def test_a_sample_learnt_in_one_call_is_one_learnt_in_several(monkeypatch):
 
 @pytest.mark.parametrize('follow', [
     lambda travel, way, memory: hysteresis.dahl_state(travel, 0.05, memory),
+    lambda travel, way, memory: hysteresis.bouc_wen_state(travel[:, 0], 0.05, 0.1, memory),
     lambda travel, way, memory: hysteresis.bristle(way, 0.02, memory),
     lambda travel, way, memory: hysteresis.sticking_bristle(way, 0.02, 0.05, 0.1, memory),
-    lambda travel, way, memory: hysteresis.play_place(way, 0.1, memory)], ids=['dahl', 'bristle', 'sticking', 'play'])
+    lambda travel, way, memory: hysteresis.play_place(way, 0.1, memory)],
+    ids=['dahl', 'bouc-wen', 'bristle', 'sticking', 'play'])
 def test_what_remembers_the_way_travelled(monkeypatch, follow):
     travel = np.cumsum(0.02 * np.random.default_rng(4).standard_normal((200, 3)), axis=0)
     travel[50:60] = travel[50]
