@@ -19,9 +19,9 @@ TREES = {path: ast.parse(path.read_text(encoding='utf-8')) for path in sorted(RO
 NAMES = [each.name for each in fields(DiagnosisConfig)]
 
 # What decides nothing: how much a text shows, steps of derivatives, guards of arithmetic, constants of mathematics.
-NUMBERS_ELSEWHERE = {'MOST_PARAMETERS', 'MOST_IN_ROW', 'MOST_DECIMALS', 'MOST_GAPS_NAMED', 'DERIVATIVE_STEP', 'GAIN_STEP',
-                     'DIFFERENCE', 'POINT_DIFFERENCE', 'POINT_REACH', 'START_RIDGE', 'RIDGE', 'WHITENING', 'RANK',
-                     'NORMAL_MAD', 'ROUNDED', 'DEGREE', 'FINEST_LAG', 'EARLIEST_DATE_S', 'SMOOTHED'}
+NUMBERS_ELSEWHERE = {'MOST_PARAMETERS', 'MOST_IN_ROW', 'MOST_DECIMALS', 'MOST_GAPS_NAMED', 'DERIVATIVE_STEP',
+                     'DIFFERENCE', 'POINT_DIFFERENCE', 'GAIN_STEP', 'POINT_REACH', 'START_RIDGE', 'RIDGE', 'WHITENING',
+                     'RANK', 'NORMAL_MAD', 'ROUNDED', 'DEGREE', 'FINEST_LAG', 'EARLIEST_DATE_S', 'SMOOTHED'}
 
 
 def calls(tree):
