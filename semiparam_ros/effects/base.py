@@ -211,6 +211,10 @@ class Effect:
         """False for a calibration so small that it may merely make the best of noise in the inputs."""
         return True
 
+    def finer(self: Self) -> Self:
+        """The same effect with the values of its form open that a search leaves as they usually are."""
+        return self
+
     def plainer(self) -> tuple[Effect, ...]:
         """Plainer effects that together do the same in a special case, such as equal friction in both directions."""
         return ()

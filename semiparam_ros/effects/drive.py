@@ -25,7 +25,7 @@ PEAKS = 3
 LEAST_GAIN = -0.9
 """Below, an effort would hardly be measured, or with the wrong sign."""
 FLANK = 0.075
-"""Share of the gap over which a flank takes the load, where a search begins: teeth give."""
+"""Share of the gap over which a flank usually takes the load: teeth give."""
 
 
 class RotorInertia(JointEffect):
@@ -191,8 +191,10 @@ class Backlash(JointEffect):
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         reach = max(float(np.ptp(samples.position[:, joint_index(body, where)])), 1e-6)
-        gaps = [reach * share for share in (0.03, 0.06, 0.1, 0.16, 0.3)]
-        return [{'gap': gap, 'flank': FLANK * gap} for gap in gaps]
+        return [{'gap': reach * share} for share in (0.03, 0.06, 0.1, 0.16, 0.3)]
+
+    def finer(self) -> Backlash:
+        return self.with_values(flank=FLANK * self.value('gap'))
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         joint = joint_index(body, self.where)

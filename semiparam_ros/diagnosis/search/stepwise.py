@@ -224,7 +224,7 @@ def _first_that_helps(fit: Fit, ranking: list[Trial], order: Sequence[str]) -> t
 
 
 def _own_form_settled(fit: Fit, effect: Effect) -> Fit:
-    """The model with the nonlinear values of the effect just added at their best, where that helps on unseen blocks.
+    """The model with all nonlinear values of the effect just added at their best, where that helps on unseen blocks.
 
     What they leave, others would take up.
     """
@@ -232,7 +232,8 @@ def _own_form_settled(fit: Fit, effect: Effect) -> Fit:
         return fit
     numbers = [number for number, known in enumerate(fit.effects) if known.kind == effect.kind
                and known.searched == effect.searched and known.start == effect.start][-1:]
-    after = settled(fit, numbers)
+    finer = [known.finer() if number in numbers else known for number, known in enumerate(fit.effects)]
+    after = settled(with_effects(fit, finer), numbers)
     return after if unseen_score(after) < unseen_score(fit) else fit
 
 
