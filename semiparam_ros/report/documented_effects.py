@@ -61,7 +61,7 @@ def _physics(kind: type[Effect]) -> str:
 def _values(kind: type[Effect], body: RigidBody) -> str:
     """What is learnt or calibrated, in every form that the kind has at its places, and what is searched."""
     motion = _motion(body)
-    tried = [kind.from_values(where, values) for where in kind.places(body) or kind.permitted(body)
+    tried = [kind.from_values(where, values).finer() for where in kind.places(body) or kind.permitted(body)
              for values in kind.searches(body, motion, where, motion.outputs)]
     forms = dict.fromkeys(_listed([*effect.coefficients(body), *kind.calibrations]) for effect in tried)
     start = ('start_s',) if kind.may_start or kind.must_start else ()
