@@ -223,6 +223,9 @@ class DiagnosisConfig:
 
     most_rounds: int = 12
     """Stops the search after so many rounds (chosen; it ends before by itself)."""
+    held_out_worse: float = 1.02
+    """Takes back the last rounds where they raise the held-out error to more than so many times the best one's: what a
+    model of the wrong form leaves makes effects credible that no other motion shows (chosen)."""
     least_evidence: float = 12.0
     """Accepts an effect from this log evidence on [nat], odds of 160 000 to 1, because a hundred candidates are tried;
     with nothing hidden the best of 48 recordings reached 2.1 (measured)."""

@@ -32,7 +32,7 @@ from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_p
 from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 
 VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
 
@@ -185,10 +185,6 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     steps, setup = _searched(first if inputs.measured_accelerations else with_error_columns(first),
                              considered(body, only), suspected, progress)
     steps = _on_the_motion(steps)
-    final = steps[-1].after if steps else first
-    progress('what is left', 0.0)
-    structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config,
-                                                           counted)
     if other is None:
         recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
     else:
@@ -197,6 +193,12 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     before, *by_step = [evaluate_here(fit, held_out) if elsewhere is None
                         else evaluate_there(fit, elsewhere.samples, elsewhere.valid)
                         for fit in (first, *(step.after for step in steps))]
+    carried = that_carry_over([float(each.nmse.mean()) for each in (before, *by_step)], config)
+    steps, taken_back, by_step = steps[:carried], steps[carried:], by_step[:carried]
+    final = steps[-1].after if steps else first
+    progress('what is left', 0.0)
+    structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config,
+                                                       counted)
     fast = [] if setup else too_fast(body, samples, inputs, final)
     if fast and structure is not None and structure.share < config.large_structure_share:
         structure = replace(structure, significant=False)  # errors of the inputs explain more than that
@@ -215,8 +217,21 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *fast,
                *unidentifiable(body, samples, config), *_left_out(clean),
-               *_begun_in_gaps(found, samples, margin, config)],
+               *_begun_in_gaps(found, samples, margin, config), *_taken_back(taken_back)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
+
+
+def that_carry_over(errors: Sequence[float], config: DiagnosisConfig = DEFAULTS) -> int:
+    """How many rounds stay, of their held-out errors, that before all of them first: all, unless the last ones make it
+    worse than ``config.held_out_worse`` allows; then those up to the best."""
+    best = int(np.argmin(errors))
+    return best if errors[-1] > config.held_out_worse * errors[best] else len(errors) - 1
+
+
+def _taken_back(steps: Sequence[Step]) -> list[str]:
+    names = [place(trial.effect.kind, trial.effect.where) for step in steps for trial in step.added]
+    return [f'{listed(names)}: found last and taken back, for the held-out data are predicted worse with that.'
+            ] if names else []
 
 
 def _calibrated(fit: Fit) -> Fit:

@@ -16,7 +16,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.splits import folds, interleaved_split, leading_split, ranges
-from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
+from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose, that_carry_over
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
@@ -648,6 +648,12 @@ EVERYTHING = np.ones(len(RECORDED), dtype=bool)
 
 def state_of(samples, effects=(), train_mask=EVERYTHING):
     return fit_model(BODY, samples, list(effects), train_mask, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1]))
+
+
+@pytest.mark.parametrize(('errors', 'stay'), [
+    ([1.0], 0), ([1.0, 0.5, 0.3], 2), ([1.0, 0.3, 0.302, 0.303], 3), ([1.0, 0.3, 0.29, 0.4, 0.33], 2), ([1.0, 1.1], 0)])
+def test_the_last_rounds_are_taken_back_where_the_held_out_data_are_predicted_worse_with_them(errors, stay):
+    assert that_carry_over(errors) == stay
 
 
 def test_blocks_cover_everything_and_held_out_ones_span_the_recording():
