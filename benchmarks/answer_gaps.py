@@ -117,7 +117,7 @@ def measure(rate_hz: float, features: int) -> list[Part]:
     """A whole life at this rate."""
     settings = Settings(robot_description_file=URDF, joints=JOINTS, sensor_frame=SENSOR, features_count=features,
                         initial_samples=WINDOW, state_file='gaps.npz')
-    messages = Motion(build_rigid_body(settings), rate_hz).serialised()
+    messages = Motion(build_rigid_body(settings), rate_hz, 2 * WINDOW).serialised()
     with (TemporaryDirectory() as folder, node_process(replace(settings, state_folder=folder)) as process,
           connected(messages, rate_hz) as peer):
         gc.disable()  # a pause of this process would count as the node's

@@ -78,12 +78,13 @@ def quantiles(milliseconds: Array) -> dict[str, float]:
 
 
 class Motion:
-    """A smooth, never quite repeating motion and the wrench that a rigid body with some noise would measure."""
+    """A smooth motion that comes again after ``cycle`` samples, and the wrench that a rigid body with some noise would
+    measure."""
 
-    def __init__(self, body: RigidBody, rate_hz: float) -> None:
+    def __init__(self, body: RigidBody, rate_hz: float, cycle: int) -> None:
         rng = np.random.default_rng(0)
-        time_s = np.arange(CYCLE)[:, None] / rate_hz
-        turns = np.arange(1, 5) / (CYCLE / rate_hz) * 2.0 * np.pi
+        time_s = np.arange(cycle)[:, None] / rate_hz
+        turns = np.arange(1, 5) / (cycle / rate_hz) * 2.0 * np.pi
         amplitude, phase = rng.uniform(0.1, 0.3, (4, body.n_joints)), rng.uniform(0, 2 * np.pi, (4, body.n_joints))
         angle = turns[:, None] * time_s[:, :, None] + phase
         self.position = np.sum(amplitude * np.sin(angle), axis=1)
@@ -111,12 +112,12 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
     worked beside it. ``empty_loop``: how late the same machine is, right afterwards, with an empty loop that is busy
     for as long.
 
-    :param window: samples of the initial window; unless given the whole motion, so that no later motion leaves it.
+    :param window: samples of the initial window, and of the motion, which no later motion leaves so.
     Raises SemiparamError when the node does not start or does not answer.
     """
     settings = Settings(robot_description_file=URDF, joints=JOINTS, sensor_frame=SENSOR,
                         features_count=features, initial_samples=window, realtime_priority=priority)
-    messages = Motion(build_rigid_body(settings), rate_hz).serialised()
+    messages = Motion(build_rigid_body(settings), rate_hz, window).serialised()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
     with node_process(settings) as process, connected(messages, rate_hz) as peer:
@@ -211,7 +212,7 @@ class Peer(Node):
             'cpu_percent': 100.0 * (after[1] - before[1]) / span}
 
     def _send_one(self) -> None:
-        state, wrench = self._messages[self.sent % CYCLE]
+        state, wrench = self._messages[self.sent % len(self._messages)]
         stamp = NANOSECONDS + self.sent * self._step
         self._states.publish(with_stamp(state, stamp))
         self.sent += 1
@@ -293,7 +294,7 @@ def main() -> int:
     parser.add_argument('--features', type=int, default=500, help='number of random features (default 500)')
     parser.add_argument('--realtime-priority', type=int, default=0, help='of the node (default 0: none)')
     parser.add_argument('--window', type=int, default=CYCLE,
-                        help=f'samples of the initial window (default {CYCLE}: the whole motion)')
+                        help=f'samples of the initial window, and of the motion that repeats (default {CYCLE})')
     options = parser.parse_args()
     result = run_live(options.rate, options.seconds, options.features, options.realtime_priority, options.window)
     print(json.dumps(result, indent=2))
