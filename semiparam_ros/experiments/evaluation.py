@@ -190,7 +190,7 @@ class OfflineLearner:
         errors = self.estimator.observe(prediction, learn, finish=False)
         self.history.append(sample, learn, prediction.motion.is_news)
         due = learn and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
-        if due and (self._successor is None or self._is_outdated):
+        if due and (self._successor is None or (self._draft is None and self._renewal.outdates(self._later))):
             if self._successor is not None:
                 self._next_takeover()
             self._later, self._waiting = self._renewal.begin(), []
@@ -208,12 +208,6 @@ class OfflineLearner:
         if self._successor is not None and self._draft is None and len(self._waiting) == self._takeovers[0]:
             self._take_over()
         return prediction._replace(horizon=errors)
-
-    @property
-    def _is_outdated(self) -> bool:
-        """Whether the successor has none of the motion of a draft that is due."""
-        return self._renewal.draft_is_next and self._draft is None and not (
-            self._later is not None and self._later.draft)
 
     def _draft_takes_over(self, draft: Callable[[], Estimator]) -> None:
         """It has learnt what came since the end of the initial window; the hyperparameters are estimated yet."""

@@ -245,8 +245,7 @@ class Learner:
         successor = self.switcher.successor
         if successor is None:
             return True
-        outdated = (self._renewal.draft_is_next and same_model(successor.settings, self.built)
-                    and not (self._later is not None and self._later.draft))
+        outdated = self._renewal.outdates(self._later) and same_model(successor.settings, self.built)
         if outdated:
             self._taken_over()
             self.switcher.retire_successor()

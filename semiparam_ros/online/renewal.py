@@ -171,6 +171,13 @@ class Renewal:
         """Of what is due."""
         return not self._is_due(self._whole) or (has_draft(self._wanted) and not self._whole_drafted)
 
+    def outdates(self, later: LaterWindow | None) -> bool:
+        """Whether a model that is being built has none of the motion of a draft that is due.
+
+        :param later: the window that it is built from; None for the initial one.
+        """
+        return self.draft_is_next and not (later is not None and later.draft)
+
     def _is_due(self, watch: Watch) -> bool:
         return 0 < self._enough(watch) <= watch.gathered
 
