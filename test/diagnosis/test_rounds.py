@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from conftest import SHARED_DATA
+from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.rest import counted_outputs, resting
 from semiparam_ros.diagnosis.data.splits import carries_over, fold_errors, improves, telling_errors, unseen_score
 from semiparam_ros.diagnosis.diagnose import diagnose
@@ -22,7 +24,10 @@ from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step, _first_that_helps, search, starting_fit
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.effects.base import Start
+from semiparam_ros.settings import load_params
+from semiparam_ros.settings.build import build_rigid_body
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.plain_calibration import further_calibrated_error
 from support.plain_model import nmse, plain_model
 
 BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
@@ -274,7 +279,6 @@ def test_a_force_beyond_the_weight_of_the_arm_is_no_finding():
 def test_a_measured_franka_is_explained_as_well_as_by_a_plain_model(shared_data):
     """All base parameters, and offset, viscous and dry friction of each joint, its cut-off chosen on the fit."""
     from semiparam_ros.bags.reader import open_bag
-    from semiparam_ros.core.samples import Samples
 
     with open_bag(SHARED_DATA / 'panda_arm' / 'panda_exciting_trajectory.db3') as bag:
         messages = list(bag.messages(['/joint_states']))
@@ -292,6 +296,17 @@ def test_a_measured_franka_is_explained_as_well_as_by_a_plain_model(shared_data)
     judged = found.held_out[:, None] & counted
     assert found.after.nmse == pytest.approx(nmse(found.final.residual, first.samples.outputs, judged))
     assert found.after.nmse.mean() < 1.05 * plain.nmse(first.samples, judged).mean()
+
+
+@pytest.mark.slow
+def test_zeros_tilt_and_crosstalk_gain_nothing_beyond_what_is_found_on_a_measured_icub(measured_icub):
+    """Both recordings in one diagnosis, every third sample of them."""
+    settings = load_params(measured_icub / 'icub.yaml')
+    bags = [load_samples(measured_icub / f'{name}.mcap', settings) for name in ('train', 'test')]
+    body = build_rigid_body(settings, bags[0].robot_description)
+    found = diagnose(body, Samples.joined([bag.samples[::3] for bag in bags]))
+    assert found.after.nmse.mean() < 0.75 * found.before.nmse.mean()
+    assert found.after.nmse.mean() < 1.01 * further_calibrated_error(found)
 
 
 def test_a_delay_is_settled_beside_strong_friction():
