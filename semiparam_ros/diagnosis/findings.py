@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.diagnosis.search.stepwise import Step
@@ -116,7 +115,7 @@ def _index_in(fit: Fit, effect: Effect, taken: list[int]) -> int | None:
 
 def _parameters(fit: Fit, index: int, sure: Deviations) -> dict[str, Quantity]:
     effect = fit.effects[index]
-    block = CoupledColumns(fit.body, fit.effects).blocks[str(index)]
+    block = fit.assembly.blocks[str(index)]
     learnt = {coefficient.name: Quantity(float(value), float(std), coefficient.unit)
               for coefficient, value, std in zip(effect.coefficients(fit.body), fit.theta[block],
                                                  sure.coefficients[block], strict=True)}

@@ -21,7 +21,7 @@ from semiparam_ros.effects import Effect
 
 LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'felt', 'at_prior')
+OF_COLUMNS = ('assembly', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'felt', 'at_prior')
 """What neither its weights nor its outputs change."""
 
 
@@ -43,7 +43,7 @@ class Block(NamedTuple):
 class Channel(NamedTuple):
     """What one output feels: a joint feels few bodies of a robot with limbs, and nothing of what rubs in other joints.
 
-    ``columns`` (N, p_k) holds the samples in use first; ``gram`` (p_k, p_k) are the products of these, not divided by
+    ``columns`` (p_k, N) holds the samples in use first; ``gram`` (p_k, p_k) are the products of these, not divided by
     the channel's scale.
     """
 
@@ -110,9 +110,14 @@ class Fit:
     nuisance: Array | None = None
 
     @cached_property
+    def assembly(self) -> CoupledColumns:
+        """The rigid body's columns, the offset's and those of the effects."""
+        return CoupledColumns(self.body, self.effects)
+
+    @cached_property
     def corrected(self) -> tuple[RigidBody, Samples]:
         """The body and the inputs as the declared effects correct them."""
-        body, inputs, _ = CoupledColumns(self.body, self.effects).corrected(self.samples)
+        body, inputs, _ = self.assembly.corrected(self.samples)
         return body, inputs
 
     @cached_property
@@ -122,7 +127,7 @@ class Fit:
 
     def blocks_with(self, known: Sequence[Block]) -> list[Block]:
         """The same, where some of them may be ``known`` already."""
-        assembly, (body, inputs) = CoupledColumns(self.body, self.effects), self.corrected
+        assembly, (body, inputs) = self.assembly, self.corrected
         sources: list[tuple[Effect | str, Callable[[], Array]]] = [
             (RIGID, partial(assembly.rigid, body, inputs)), (OFFSET, partial(assembly.offset, len(inputs)))]
         sources += [(effect, partial(assembly.of_effect, index, body, inputs))
@@ -167,20 +172,20 @@ class Fit:
         blocks = [block for block in self.blocks if len(block.felt[number])]
         if known is not None and list(map(id, known.blocks)) == list(map(id, blocks)):
             return known
-        places = _places(blocks, number)
-        columns = np.empty((len(order), sum(len(block.felt[number]) for block in blocks)))
         there = {} if known is None else _places(known.blocks, number)
+        places = _places(blocks, number)
+        columns = np.empty((sum(map(len, places.values())), len(order)))
         for block in blocks:
             if known is not None and id(block) in there:
-                columns[:, places[id(block)]] = known.columns[:, there[id(block)]]
+                columns[places[id(block)]] = known.columns[there[id(block)]]
             else:
-                columns[:, places[id(block)]] = block.columns[order, number][:, block.felt[number]]
-        return Channel(blocks, columns, columns[:used].T @ columns[:used])
+                columns[places[id(block)]] = block.columns[:, number].T[block.felt[number]][:, order]
+        return Channel(blocks, columns, _products_of(columns[:, :used], places, there, known))
 
     @property
     def rows(self) -> list[Array]:
         """(M_k, p_k) of each channel k the columns in use that it feels, not divided by its scale."""
-        return [channel.columns[:len(used)] for channel, used in zip(self.channels, self.in_use, strict=True)]
+        return [channel.columns[:, :len(used)].T for channel, used in zip(self.channels, self.in_use, strict=True)]
 
     @cached_property
     def derivatives(self) -> dict[object, Array]:
@@ -191,7 +196,7 @@ class Fit:
         """(N, n) C theta."""
         outputs = np.empty(self.samples.outputs.shape)
         for number, (channel, order, felt) in enumerate(zip(self.channels, self.order, self.felt, strict=True)):
-            outputs[order, number] = channel.columns @ theta[felt]
+            outputs[order, number] = theta[felt] @ channel.columns
         return outputs
 
     @cached_property
@@ -335,7 +340,7 @@ class Fit:
 
     def known_precision(self) -> tuple[Array, Array]:
         """(p,) precision of coefficients whose values or sizes are known, zero elsewhere; and its pull on theta."""
-        mean, assembly = self.prior_mean(), CoupledColumns(self.body, self.effects)
+        mean, assembly = self.prior_mean(), self.assembly
         known = np.where(mean != 0.0, self._precision(), 0.0)
         known[:assembly.n_own] = 0.0
         known[assembly.n_columns:] = 1.0
@@ -343,10 +348,10 @@ class Fit:
 
     def prior_mean(self) -> Array:
         """(p,) of theta; zero for the nuisance columns."""
-        return self._with_nuisance(CoupledColumns(self.body, self.effects).prior_mean, 0.0)
+        return self._with_nuisance(self.assembly.prior_mean, 0.0)
 
     def _precision(self) -> Array:
-        return self._with_nuisance(CoupledColumns(self.body, self.effects).prior_scale ** -2.0, 1.0)
+        return self._with_nuisance(self.assembly.prior_scale ** -2.0, 1.0)
 
     def _with_nuisance(self, values: Array, each: float) -> Array:
         """Values of the coupled columns, followed by the same for each of the nuisance columns."""
@@ -384,19 +389,36 @@ def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counte
     if _correcting(effects) == _correcting(fit.effects):
         other.__dict__['corrected'] = fit.corrected
         shaped = _shaping(effects) == _shaping(fit.effects)
-        other.__dict__['blocks'] = other.blocks_with([
-            block for block in fit.__dict__.get('blocks', ()) if (shaped or not _of_bodies(block.cause))
-            and (block.cause != NUISANCE or nuisance is fit.nuisance)])
+        known = [block for block in fit.__dict__.get('blocks', ()) if (shaped or not _of_bodies(block.cause))
+                 and (block.cause != NUISANCE or nuisance is fit.nuisance)]
+        other.__dict__['blocks'] = other.blocks_with(known)
+        if known and other.blocks[0] is known[0] and not (other.assembly.known.any() or fit.assembly.known.any()):
+            other.__dict__['at_prior'] = fit.at_prior  # only the rigid body's columns have another prior mean than zero
     if counted is fit.counted and 'channels' in fit.__dict__:
         other.__dict__.update(in_use=fit.in_use, order=fit.order)
         other.__dict__['channels'] = [other.channel(number, known) for number, known in enumerate(fit.channels)]
     return reweighted(other, fit.scale)
 
 
-def _places(blocks: Sequence[Block], channel: int) -> dict[int, slice]:
-    """Where the columns of each block stand among those that a channel feels, by the block's identity."""
+def _places(blocks: Sequence[Block], channel: int) -> dict[int, Indices]:
+    """Numbers of the columns of each block among those that a channel feels, by the block's identity."""
     ends = np.cumsum([len(block.felt[channel]) for block in blocks]).tolist()
-    return {id(block): slice(end - len(block.felt[channel]), end) for block, end in zip(blocks, ends, strict=True)}
+    return {id(block): np.arange(end - len(block.felt[channel]), end) for block, end in zip(blocks, ends, strict=True)}
+
+
+def _products_of(columns: Array, places: dict[int, Indices], there: dict[int, Indices],
+                 known: Channel | None) -> Array:
+    """(p_k, p_k) products of columns (p_k, M) with one another, where those of some blocks are ``known``."""
+    same = [name for name in places if name in there]
+    if known is None or not same:
+        return np.asarray(columns @ columns.T)
+    gram = np.empty((len(columns), len(columns)))
+    here, before = (np.concatenate([numbers[name] for name in same]) for numbers in (places, there))
+    gram[np.ix_(here, here)] = known.gram[np.ix_(before, before)]
+    fresh = np.setdiff1d(np.arange(len(columns)), here)
+    gram[:, fresh] = columns @ columns[fresh].T
+    gram[fresh] = gram[:, fresh].T
+    return gram
 
 
 def _correcting(effects: Sequence[Effect]) -> list[Effect]:

@@ -7,7 +7,8 @@ import pytest
 
 from semiparam_ros.core.robot import rigid_body
 from semiparam_ros.core.robot import urdf as urdf_tree
-from semiparam_ros.core.robot.frames import FEW, felt_links, force_maps, frame_motion, loaded_links
+from semiparam_ros.core.robot.arm_motion import FEW
+from semiparam_ros.core.robot.frames import felt_links, force_maps, frame_motion, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
@@ -215,6 +216,15 @@ def test_regressors_of_many_samples_are_those_of_each():
     for row, sample in zip(stacked, motion, strict=True):
         np.testing.assert_array_equal(row, body.regressor(sample.position, sample.velocity, sample.acceleration))
     assert body.regressors(motion[:0]).shape == (0, 6, body.n_parameters)
+
+
+@pytest.mark.parametrize('options', [('wrench', 'mid_link_ft', 'reaction'), ('effort',)])
+@pytest.mark.parametrize('joints', [ODD_JOINTS, ODD_JOINTS[::-1]])
+def test_regressors_all_at_once_are_those_of_each_sample(joints, options):
+    body = RigidBody.from_urdf(ODD_ARM, joints, *options).with_gravity(np.array([1.0, -0.5, -9.0]))
+    motion = smooth_motion(len(joints), 2 * FEW)
+    each = [body.full_regressor(sample.position, sample.velocity, sample.acceleration) for sample in motion]
+    np.testing.assert_allclose(body.full_regressors(motion), each, atol=1e-12)
 
 
 @pytest.mark.parametrize(('joints', 'options'), [

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core.robot.arm_motion import FEW, ArmMotion, arm_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -15,8 +16,6 @@ from semiparam_ros.errors import SemiparamError
 
 LINKS_APART = 0.005
 MOST_LINKS = 6
-FEW = 30
-"""Up to so many samples, a loop over them is faster than arithmetic on all at once."""
 
 
 class FrameMotion(NamedTuple):
@@ -110,13 +109,14 @@ def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     if body.distal is None:
         force, couple = (-np.swapaxes(part[:, :, body.arm_columns], 1, 2) for part in (linear, angular))
     else:
-        sensor = _one_by_one(body, samples, body.sensor_index)[:2] if arm is None else arm.placement(body.sensor_index)
+        sensor = (_one_by_one(body, samples, body.sensor_index) if arm is None
+                  else _together(arm, body.sensor_index))[:2]
         force, couple = _on_sensor(body, position, *sensor)
     return FrameMotion(position, velocity, turning, rotation, force, couple)
 
 
 def _one_by_one(body: RigidBody, samples: Samples, frame: int) -> tuple[Array, Array, Array, Array]:
-    """Rotation, position, and Jacobians as in :class:`_ArmMotion`, of few samples."""
+    """Rotation, position, and Jacobians (N, 3, n) of few samples."""
     model, data, rows = body.arm, body.arm.createData(), []
     for q in body.arm_vector(samples.position):
         pin.computeJointJacobians(model, data, q)
@@ -127,61 +127,21 @@ def _one_by_one(body: RigidBody, samples: Samples, frame: int) -> tuple[Array, A
     return rotation, position, jacobian[:, :3], jacobian[:, 3:]
 
 
-def _together(arm: _ArmMotion, frame: int) -> tuple[Array, Array, Array, Array]:
+def _together(arm: ArmMotion, frame: int) -> tuple[Array, Array, Array, Array]:
     """The same of many samples."""
     rotation, position = arm.placement(frame)
-    return rotation, position, *arm.jacobian(frame, position)
+    linear, angular = arm.jacobian(frame, position)
+    return _by_sample(rotation), _by_sample(position), _by_sample(linear), _by_sample(angular)
 
 
-class _ArmMotion(NamedTuple):
-    """Where every joint of a model is over N samples, in the base: placements after its turn, and its own motion."""
-
-    model: pin.Model
-    rotation: list[Array]  # (N, 3, 3) of each joint
-    position: list[Array]  # (N, 3)
-    slides: list[Array]  # (N, 3) velocity of all behind it while the joint moves at 1 along itself
-    turns: list[Array]  # (N, 3) the same, about itself
-
-    def placement(self, frame: int) -> tuple[Array, Array]:
-        """Rotation (N, 3, 3) and position (N, 3) of a frame."""
-        carrier, inside = self.model.frames[frame].parentJoint, self.model.frames[frame].placement
-        rotation = self.rotation[carrier]
-        return rotation @ inside.rotation, self.position[carrier] + rotation @ inside.translation
-
-    def jacobian(self, frame: int, position: Array) -> tuple[Array, Array]:
-        """(N, 3, n) velocity and angular velocity of a frame at positions (N, 3), for a unit speed of each joint."""
-        linear, angular = np.zeros((2, len(position), 3, self.model.nv))
-        for joint in list(self.model.supports[self.model.frames[frame].parentJoint])[1:]:
-            column = self.model.joints[joint].idx_v
-            angular[:, :, column] = self.turns[joint]
-            linear[:, :, column] = self.slides[joint] + np.cross(self.turns[joint],
-                                                                 position - self.position[joint])
-        return linear, angular
+def _by_sample(values: Array) -> Array:
+    """Values (..., N) as (N, ...)."""
+    return np.ascontiguousarray(np.moveaxis(values, -1, 0))
 
 
 @lru_cache(maxsize=4)
-def _arm_motion(body: RigidBody, samples: Samples) -> _ArmMotion:
-    """All samples at once, joint after joint: a loop over samples takes ten times as long."""
-    model, travel = body.arm, body.arm_vector(samples.position)
-    count = len(samples)
-    motion = _ArmMotion(model, [np.broadcast_to(np.eye(3), (count, 3, 3))], [np.zeros((count, 3))],
-                        [np.zeros((count, 3))], [np.zeros((count, 3))])
-    for number in range(1, model.njoints):
-        joint, parent, before = model.joints[number], model.parents[number], model.jointPlacements[number]
-        own = joint.createData()
-        joint.calc(own, pin.neutral(model))
-        along, about = np.array(own.S).ravel()[:3], np.array(own.S).ravel()[3:]
-        angle = travel[:, joint.idx_v]
-        cross = pin.skew(about)
-        turned = (np.eye(3) + np.sin(angle)[:, None, None] * cross
-                  + (1.0 - np.cos(angle))[:, None, None] * (cross @ cross))
-        base = motion.rotation[parent] @ before.rotation
-        motion.position.append(motion.position[parent] + motion.rotation[parent] @ before.translation
-                               + (base @ along) * angle[:, None])
-        motion.rotation.append(base @ turned)
-        motion.slides.append(motion.rotation[-1] @ along)
-        motion.turns.append(motion.rotation[-1] @ about)
-    return motion
+def _arm_motion(body: RigidBody, samples: Samples) -> ArmMotion:
+    return arm_motion(body.arm, body.arm_vector(samples.position).T)
 
 
 def _on_sensor(body: RigidBody, position: Array, rotation: Array, sensor: Array) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from scipy.linalg import null_space
 
 from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, MATRIX, PART, compiled
 from semiparam_ros.core.robot import urdf as urdf_tree
+from semiparam_ros.core.robot.arm_motion import FEW, effort_regressors
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
@@ -274,20 +275,37 @@ class RigidBody:
         model, bodies = self._whole(), inertial.reshape(-1, 10)
         for joint, parameters in enumerate(bodies, start=model.njoints - len(bodies)):
             model.inertias[joint] = pin.Inertia.FromDynamicParameters(parameters)
-        motion = [self.arm_vector(values).T for values in (samples.position, samples.velocity, samples.acceleration)]
-        if self.distal is not None:
-            still = np.zeros((6, len(samples)))
-            ahead = np.vstack([still, np.ones((1, len(samples)))])  # a quaternion of no rotation
-            motion = [np.vstack([values, rest, values[self._distal_from]])
-                      for values, rest in zip(motion, (ahead, still, still), strict=True)]
+        still = np.zeros((6, len(samples)))
+        ahead = np.vstack([still, np.ones((1, len(samples)))])  # a quaternion of no rotation
+        motion = self._whole_motion(samples, ahead, still, still)
         efforts = np.zeros((model.nv, len(samples)), order='F')
         pin.rneaInParallel(1, pin.ModelPool(model, 1), *(np.asfortranarray(values) for values in motion), efforts)
-        rows = self.arm_columns if self.distal is None else np.arange(self.arm.nv, self.arm.nv + 6)
-        return np.asarray(efforts[rows].T)
+        return np.asarray(efforts[self._output_rows].T)
+
+    @property
+    def _output_rows(self) -> Indices:
+        """(n,) efforts of :meth:`_whole` that are the outputs."""
+        return self.arm_columns if self.distal is None else np.arange(self.arm.nv, self.arm.nv + 6)
+
+    def _whole_motion(self, samples: Samples, *at_sensor: Array) -> list[Array]:
+        """Positions, velocities and accelerations (.., N) of :meth:`_whole`, with those (.., N) of the free joint."""
+        motion = [self.arm_vector(values).T for values in (samples.position, samples.velocity, samples.acceleration)]
+        if self.distal is None:
+            return motion
+        return [np.vstack([values, rest, values[self._distal_from]])
+                for values, rest in zip(motion, at_sensor, strict=True)]
 
     def full_regressors(self, samples: Samples) -> Array:
         """(N, n, 10 n_bodies) before the reduction to base parameters; the latest one is remembered."""
         return _full_regressors(self, samples)
+
+    def _together(self, samples: Samples) -> Array:
+        """The same as (n, 10 n_bodies, N), of many samples."""
+        still = np.zeros((6, len(samples)))
+        travel, velocity, acceleration = self._whole_motion(samples, still, still, still)
+        first = 1 if self.distal is None else self.arm.njoints
+        rows = effort_regressors(self._whole(), travel, velocity, acceleration, self._output_rows.tolist(), first)
+        return rows if self.sign == 1.0 else self.sign * rows
 
     def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(n, 10 n_bodies) matrix before the reduction to base parameters."""
@@ -389,9 +407,8 @@ def _with_gravity(body: RigidBody, gravity: tuple[float, ...]) -> RigidBody:
 
 @lru_cache(maxsize=2)
 def _regressors(body: RigidBody, samples: Samples) -> Array:
-    full = body.full_regressors(samples)
-    rows = full.reshape(len(full) * body.n_outputs, len(body._from_base))
-    reduced = (rows @ body._from_base).reshape(len(full), body.n_outputs, body.n_parameters)  # one product
+    full = np.moveaxis(body.full_regressors(samples), 0, 2)
+    reduced = np.moveaxis(body._from_base.T @ full, 2, 0)
     reduced.flags.writeable = False
     return reduced
 
@@ -401,6 +418,8 @@ def _full_regressors(body: RigidBody, samples: Samples) -> Array:
     if samples.position.shape[1] != body.n_joints:
         raise SemiparamError(f'the samples hold {samples.position.shape[1]} joints; the robot description is used with '
                              f'{body.n_joints} joints: {", ".join(body.joints)}.')
+    if len(samples) > FEW:
+        return np.moveaxis(body._together(samples), 2, 0)
     motion = (body.arm_vector(values) for values in (samples.position, samples.velocity, samples.acceleration))
     full = np.empty((len(samples), body.n_outputs, len(body.basis)))
     for index, (q, dq, ddq) in enumerate(zip(*motion, strict=True)):

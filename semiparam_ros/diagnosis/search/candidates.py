@@ -87,7 +87,7 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
 def predicted_with(fit: Fit, effects: list[Effect]) -> Array:
     """(N, n) outputs of the whole model, as the effects correct and shape it."""
     outputs = _prediction(fit, effects, whole=True)[:, :, 0]
-    unmoved, assembly = fit.theta.copy(), CoupledColumns(fit.body, fit.effects)
+    unmoved, assembly = fit.theta.copy(), fit.assembly
     unmoved[:fit.body.n_parameters] = unmoved[assembly.n_own:assembly.n_columns] = 0.0
     return np.asarray(outputs + fit.predicted(unmoved))  # a wrench's offset, and errors of the inputs
 
@@ -123,7 +123,7 @@ def _shaped_load(fit: Fit, effects: list[Effect], body: RigidBody, inputs: Sampl
 
 def _of_effects(fit: Fit, body: RigidBody, inputs: Samples, loads: bool) -> Array:
     """(N, n, 1) outputs of the loads that the model holds, or of its other effects."""
-    blocks = CoupledColumns(fit.body, fit.effects).blocks
+    blocks = fit.assembly.blocks
     outputs = np.zeros((len(inputs), body.n_outputs))
     for index, effect in enumerate(fit.effects):
         if effect.is_load == loads and not effect.is_calibration:

@@ -6,7 +6,6 @@ from collections.abc import Collection
 
 import numpy as np
 
-from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.splits import carries_over, unseen_score
 from semiparam_ros.diagnosis.regression import Fit, with_effects
@@ -62,7 +61,7 @@ def worth_at_once(fit: Fit) -> Array:
     """(effects,) evidence [nat] of each effect from its coefficients over their covariance (Wald); -inf where that
     does not tell, as of calibrations."""
     covariance = fit.theta_covariance()
-    blocks = CoupledColumns(fit.body, fit.effects).blocks
+    blocks = fit.assembly.blocks
     correlation, count = float(fit.correlation.mean()), float((fit.counts / fit.correlation).sum())
     worth = np.full(len(fit.effects), -np.inf)
     for index, effect in enumerate(fit.effects):

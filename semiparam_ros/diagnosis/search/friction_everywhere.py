@@ -10,7 +10,6 @@ from collections.abc import Collection
 
 import numpy as np
 
-from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.diagnosis.data.splits import improves, unseen_score
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held
@@ -118,7 +117,7 @@ def _pruned(fit: Fit, kinds: Collection[str], declared: Collection[Place]) -> Fi
 def _physical(fit: Fit, declared: Collection[Place]) -> Fit:
     """The model without effects whose coefficients their causes cannot have."""
     while True:
-        blocks = CoupledColumns(fit.body, fit.effects).blocks
+        blocks = fit.assembly.blocks
         kept = [effect for index, effect in enumerate(fit.effects) if (effect.kind, effect.where) in declared
                 or effect.is_calibration or effect.physical(fit.theta[blocks[str(index)]])]
         if len(kept) == len(fit.effects):

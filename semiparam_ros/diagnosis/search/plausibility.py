@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
@@ -21,7 +20,7 @@ def all_plausible(before: Fit, after: Fit) -> bool:
 
 def _plausible(fit: Fit, index: int) -> bool:
     effect = fit.effects[index]
-    block = CoupledColumns(fit.body, fit.effects).blocks[str(index)]
+    block = fit.assembly.blocks[str(index)]
     theta = fit.theta[block]
     if not effect.possible or not effect.physical(theta):
         return False

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, others
@@ -98,8 +97,7 @@ def _with_own_load(fit: Fit) -> Fit:
 
 def _relocated(fit: Fit) -> Fit:
     """The same model with every effect at the place that its coefficients tell, such as a load's nearest link."""
-    effects = list(fit.effects)
-    blocks = CoupledColumns(fit.body, effects).blocks
+    effects, blocks = list(fit.effects), fit.assembly.blocks
     for index, effect in enumerate(effects):
         effects[index] = effect.relocated(fit.body, fit.theta[blocks[str(index)]])
     return fit if effects == list(fit.effects) else with_effects(fit, effects)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns
@@ -50,7 +49,7 @@ def shapes_of(fit: Fit, found: Collection[int]) -> list[Shape]:
 
 def shape_columns(fit: Fit, shapes: list[Shape]) -> Array:
     """(N, n, len(shapes)) derivatives of the prediction by the values, at the fitted coefficients."""
-    blocks, slopes = CoupledColumns(fit.body, fit.effects).blocks, []
+    blocks, slopes = fit.assembly.blocks, []
     for number, name, low, high in shapes:
         effect, step = fit.effects[number], DIFFERENCE * (high - low)
         ahead, behind = (_columns(fit, effect.with_values(**{name: effect.value(name) + change}))
@@ -97,6 +96,6 @@ def _columns(fit: Fit, effect: Effect) -> Array:
 
 
 def _possible(fit: Fit, found: Collection[int]) -> bool:
-    blocks = CoupledColumns(fit.body, fit.effects).blocks
+    blocks = fit.assembly.blocks
     return all(fit.effects[number].possible and fit.effects[number].physical(fit.theta[blocks[str(number)]])
                for number in found if not fit.effects[number].is_calibration)
