@@ -22,7 +22,7 @@ except ImportError:
 else:
     AVAILABLE = True
 
-VECTOR, MATRIX = 'float64[::1]', 'float64[:,::1]'
+VECTOR, MATRIX, STACK = 'float64[::1]', 'float64[:,::1]', 'float64[:,:,::1]'
 """Types of arguments: arrays without gaps, by rows; one by columns is passed as its transpose."""
 STRIDED, PART = 'float64[:]', 'float64[:,:]'
 """Those that may have gaps: a vector, and a part of a matrix."""

@@ -111,9 +111,10 @@ def test_noise_that_drifts(monkeypatch, steps, step):
 
 
 @pytest.mark.parametrize('width', [2, 8])
-def test_a_banded_system(monkeypatch, width):
+def test_a_block_tridiagonal_system(monkeypatch, width):
     rng = np.random.default_rng(4)
-    full = np.triu(np.tril(rng.standard_normal((30, 30)), width - 1)) + 3.0 * np.eye(30)
+    block = np.arange(30) // (width // 2)
+    full = np.triu(rng.standard_normal((30, 30))) * (block <= block[:, None] + 1) + 3.0 * np.eye(30)
     full = full.T @ full
     diagonals = np.array([[full[row, row + k] if row + k < 30 else 0.0 for k in range(width)] for row in range(30)])
     right = rng.standard_normal(30)
@@ -127,6 +128,15 @@ def test_a_banded_system(monkeypatch, width):
         with pytest.raises(np.linalg.LinAlgError):
             smoothing._solved(diagonals - 100.0 * (np.arange(width) == 0), right.copy())
         monkeypatch.setattr(smoothing, 'AVAILABLE', False)
+
+
+def test_how_far_states_leave_their_transitions(monkeypatch):
+    rng = np.random.default_rng(6)
+    states, transition = rng.standard_normal((20, 4)), np.triu(rng.standard_normal((19, 4, 4)))
+    precision = rng.standard_normal((19, 4, 4))
+    told = smoothing._jumps(states, transition, precision)
+    monkeypatch.setattr(smoothing, 'AVAILABLE', False)
+    np.testing.assert_allclose(told, smoothing._jumps(states, transition, precision), **TOLERANCE)
 
 
 @pytest.mark.parametrize('count', [2, 30])

@@ -18,7 +18,7 @@ import numpy as np
 import scipy  # it loads scipy.optimize, which takes a fifth of a second, with the first use
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, VECTOR, compiled
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, STACK, VECTOR, compiled
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 
@@ -136,8 +136,9 @@ class _Problem:
             return logs
 
         first = start[searched]
+        # Rounding may leave more than any tolerance between likelihoods of the same ratios: those alone tell the end.
         found = scipy.optimize.minimize(lambda ratios: self.cost(at(ratios))[0], first, method='Nelder-Mead', options={
-            'fatol': 0.01, 'xatol': 0.001, 'initial_simplex': np.vstack([first, first + np.eye(len(first))])})
+            'fatol': np.inf, 'xatol': 0.001, 'initial_simplex': np.vstack([first, first + np.eye(len(first))])})
         best = at(found.x)
         return best + self.cost(best)[1]
 
@@ -164,8 +165,7 @@ class _Problem:
         smooth, and then praises states that are wrong by more than the motion.
         """
         snap, weights = np.exp(-2.0 * logs[0]), np.exp(-2.0 * logs[1:])
-        jumps = states[1:] - np.einsum('tij,tj->ti', self._transition, states[:-1])
-        return float(snap * np.sum(jumps * np.einsum('tij,tj->ti', self._precision, jumps))
+        return float(snap * _jumps(states, self._transition, self._precision)
                      + sum(weight * np.sum((values - states[:, order]) ** 2)
                            for order, (weight, values) in enumerate(zip(weights, self.motion, strict=True))))
 
@@ -235,8 +235,34 @@ def _diagonals(before: Array, across: Array, after: Array) -> Array:
     return diagonals
 
 
+def _jumps(states: Array, transition: Array, precision: Array) -> float:
+    """Sum of squares, over their variance at a white derivative of 1, of what the states (N, order) do beside their
+    transitions (N-1, order, order)."""
+    if AVAILABLE:
+        return float(_sum_of_jumps(states, transition, precision))
+    jumps = states[1:] - np.einsum('tij,tj->ti', transition, states[:-1])
+    return float(np.sum(jumps * np.einsum('tij,tj->ti', precision, jumps)))
+
+
+@compiled(MATRIX, STACK, STACK, returns=NUMBER)
+def _sum_of_jumps(states: Array, transition: Array, precision: Array) -> float:
+    """:func:`_jumps`."""
+    order, total = states.shape[1], 0.0
+    jump = np.empty(order)
+    for step in range(len(transition)):
+        for i in range(order):
+            jump[i] = states[step + 1, i]
+            for j in range(i, order):
+                jump[i] -= transition[step, i, j] * states[step, j]
+        for i in range(order):
+            for j in range(order):
+                total += jump[i] * precision[step, i, j] * jump[j]
+    return total
+
+
 def _solved(diagonals: Array, right: Array) -> tuple[Array, Array]:
     """Cholesky factor U of A = U'U, both by their diagonals, and the solution of A x = right; overwrites its arguments.
+    A is block tridiagonal, with blocks of half as many rows as there are diagonals.
 
     LAPACK has the same, but takes four times as long where there are so few diagonals.
     Raises LinAlgError where A is not positive definite.
@@ -253,22 +279,24 @@ def _solved(diagonals: Array, right: Array) -> tuple[Array, Array]:
 def _factor_and_solve(diagonals: Array, right: Array) -> int:
     """:func:`_solved` in place; 0, or 1 where it fails."""
     count, width = diagonals.shape
+    order = width // 2
     for row in range(count):
+        reach = width - row % order  # further right all is zero
         pivot = diagonals[row, 0]
         if not pivot > 0.0:
             return 1
         inverse = 1.0 / np.sqrt(pivot)
         right[row] *= inverse
-        for column in range(width):
+        for column in range(reach):
             diagonals[row, column] *= inverse
-        for below in range(1, min(width, count - row)):
+        for below in range(1, min(reach, count - row)):
             share = diagonals[row, below]
             right[row + below] -= share * right[row]
-            for column in range(below, width):
+            for column in range(below, reach):
                 diagonals[row + below, column - below] -= share * diagonals[row, column]
     for row in range(count - 1, -1, -1):
         total = right[row]
-        for after in range(1, min(width, count - row)):
+        for after in range(1, min(width - row % order, count - row)):
             total -= diagonals[row, after] * right[row + after]
         right[row] = total / diagonals[row, 0]
     return 0
