@@ -22,7 +22,7 @@ from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.rest import counted_outputs
-from semiparam_ros.diagnosis.data.splits import fold_losses
+from semiparam_ros.diagnosis.data.splits import fold_errors
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
 from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
@@ -93,7 +93,7 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
                         counted_outputs(body, prepared, config))
         if not losses:
             scale = refit_weights(fit).scale
-        losses[name] = float(fold_losses(fit, scale).sum())
+        losses[name] = float((fold_errors(fit, scale) / scale**2).sum())
     return options[min(losses, key=lambda name: losses[name])]
 
 

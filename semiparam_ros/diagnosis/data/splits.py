@@ -77,11 +77,6 @@ def telling_errors(fit: Fit, scale: Array) -> Array:
     return np.minimum(fold_errors(fit, scale), most)
 
 
-def fold_losses(fit: Fit, scale: Array) -> Array:
-    """(folds,) the same over ``scale``^2, all channels together."""
-    return np.asarray((fold_errors(fit, scale) / scale**2).sum(axis=1))
-
-
 _scores: WeakKeyDictionary[Fit, float] = WeakKeyDictionary()
 """Those asked for before; a fit that nobody needs any longer is not kept for its score."""
 
