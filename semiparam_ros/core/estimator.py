@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from semiparam_ros.core.band_calibration import BandCalibration, calibrate
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
 from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.effect_doubt import EffectDoubt, belief, believe
 from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex, advance
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
@@ -23,7 +24,7 @@ from semiparam_ros.core.initial_window import InitialWindow, Remembered
 from semiparam_ros.core.input_range import beyond, widened
 from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
-from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn
+from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn, solve_corner
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
@@ -60,6 +61,7 @@ class Model:
                  prior_scale: Array, prior_mean: Array | None = None, forgetting: float = 1.0,
                  n_effects: int = 0) -> None:
         self.variant, self.hyperparameters, self.features = variant, hyperparameters, features
+        self.n_effects = n_effects
         own, everything = len(prior_scale) - n_effects, len(prior_scale)
         learnt = variant.pi == 'learnt'
         self.gamma = hyperparameters.gamma if learnt else EFFECT_GAMMA
@@ -91,10 +93,6 @@ class Model:
         """Coefficients of a block of columns; empty where the model has none for it."""
         start = self.covered.start
         return self.theta[block.start - start:block.stop - start] if block.start >= start else np.zeros(0)
-
-    def contribution(self, columns: Array) -> Array:
-        """(n,) what columns (n, p) in N and N m bring about."""
-        return np.asarray(columns[:, self.covered] @ self.theta)
 
     @property
     def noise_std(self) -> Array:
@@ -291,14 +289,38 @@ class Estimator:
         return Seen(sample, x, columns, memory, motion, outside)
 
     def _answer(self, seen: Seen) -> Prediction:
-        prior = self.model.predict(seen.x, seen.columns)
-        mean = prior.mean if self.wandering is None else prior.mean + self.wandering.offset
+        prior = self._predict(seen.x, seen.columns)
+        mean = prior.mean if self.wandering is None else prior.mean + self.offset
         motion, off = seen.motion, False
         if self.ready and motion.still > 1:
             off = bool(np.abs(seen.sample.outputs).max() < OFF_SHARE * np.abs(prior.mean).max())
             motion = motion._replace(is_news=motion.is_news and not off)
         return Prediction(mean, self.calibration.factor * prior.std, prior.mean, prior.std, self.ready,
                           seen.sample, prior, seen.columns, seen.memory, motion, seen.beyond, (), off)
+
+    def _predict(self, x: Array, columns: Array) -> Prior:
+        """What the model says at x (m,) with columns (n, p), as far as its effects are believed."""
+        model = self.model
+        prior = model.predict(x, columns)
+        if self.doubt is None:
+            return prior
+        return model.recursion.averaged(prior, model.n_effects, self.doubt.probability)
+
+    @property
+    def offset(self) -> Array:
+        """(n,) the wandering offset; zeros where there is none."""
+        if self.wandering is None:
+            return np.zeros(self.body.n_outputs)
+        if self.doubt is None or self.doubt.wandering is None:
+            return self.wandering.offset
+        return self.doubt.between(self.wandering.offset, self.doubt.wandering.offset)
+
+    def _believed(self) -> Array:
+        """Coefficients that the recursion predicts with, as far as effects are believed."""
+        recursion = self.model.recursion
+        if self.doubt is None:
+            return recursion.theta
+        return self.doubt.between(recursion.theta, recursion.theta_without(self.model.n_effects))
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -318,12 +340,13 @@ class Estimator:
 
     def _desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
         model = self.model
-        prior = model.predict(x, shown)
+        prior = self._predict(x, shown)
+        theta = self._believed() if model.pi is None else np.concatenate([model.pi, self._believed()])
         outputs = prior.mean
-        of_sensor = model.contribution(shown - needed)
+        of_sensor = (shown - needed)[:, model.covered] @ theta
         if self.wandering is not None:
-            outputs = outputs + self.wandering.offset
-            of_sensor = of_sensor + self.wandering.offset * self.columns.has_offset
+            outputs = outputs + self.offset
+            of_sensor = of_sensor + self.offset * self.columns.has_offset
         covariance = prior.covariance * np.multiply.outer(self.calibration.factor, self.calibration.factor)
         ratio = float((prior.std / model.noise_std).max()) ** 2 - 1.0
         return DesiredOutputs(outputs, outputs - of_sensor, covariance, ratio)
@@ -364,17 +387,19 @@ class Estimator:
             self.horizon.make_room()
             eps = np.empty((2, len(outputs)))
             recursion.has_learnt(_learn_and_follow(
-                *recursion.learning(prior), *self.horizon.advancing, outputs, prediction.model_mean,
-                prediction.model_std, self.wandering.table, self.calibration.table,
-                self.horizon.nothing if errors is None else errors, eps))
+                *recursion.learning(prior), *self.horizon.advancing, outputs, prior.mean, prior.std,
+                self.wandering.table, self.calibration.table, *self._doubted(prior),
+                recursion.n_columns - self.model.n_effects, self.horizon.nothing if errors is None else errors, eps))
             return self.horizon.moved_on(sample.stamp, eps)
         innovations = recursion.learn(prior, outputs) if due else None
         if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
         if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
-            self._follow(outputs, prediction.model_mean, prediction.model_std, learn)
+            self._follow(outputs, prior, learn)
         parts = None if self.wandering is None else self.wandering.parts
-        return self.horizon.advance(sample.stamp, prior, outputs, recursion.theta, innovations, parts, errors)
+        if self.doubt is not None and self.doubt.wandering is not None and parts is not None:
+            parts = self.doubt.between(parts, self.doubt.wandering.parts)
+        return self.horizon.advance(sample.stamp, prior, outputs, self._believed(), innovations, parts, errors)
 
     def _is_due(self, prior: Prior) -> bool:
         """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.
@@ -440,10 +465,10 @@ class Estimator:
     def _learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
         """Learn a sample of the window; mean and standard deviation (n,) that were predicted for it, in N and N m."""
         model, (inputs, outputs, columns) = self.model, remembered
-        prior = model.predict(inputs, columns)
-        mean = prior.mean if self.wandering is None else prior.mean + self.wandering.offset
+        prior = self._predict(inputs, columns)
+        mean = prior.mean if self.wandering is None else prior.mean + self.offset
         said = mean, self.calibration.factor * prior.std
-        self._follow(outputs, prior.mean, prior.std, learn=True)
+        self._follow(outputs, prior, learn=True)
         model.recursion.learn(prior, outputs)
         return said
 
@@ -469,6 +494,8 @@ class Estimator:
     def state(self) -> EstimatorState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
         wandering = {} if self.wandering is None else self.wandering.state()
+        if self.doubt is not None:
+            wandering |= self.doubt.state()
         return EstimatorState(self.model.recursion.state(), self.horizon.state(), self.calibration.state(), wandering,
                               self._window_left, (self._since_learnt, self.passed_over), self.window.state(),
                               self.origin, self._newest, self._memory, self.inputs_learnt, self.motion)
@@ -491,6 +518,8 @@ class Estimator:
         self.calibration.restore(state.calibration)
         if self.wandering is not None:
             self.wandering.restore(state.wandering)
+        if self.doubt is not None:
+            self.doubt.restore(state.wandering)
         self._window_left = state.window_left
         self._since_learnt, self.passed_over = state.passed_over
 
@@ -571,60 +600,96 @@ class Estimator:
     def _provisional(self) -> Model:
         hyperparameters = Hyperparameters(gamma=PROVISIONAL_GAMMA, rho=1.0, tau=(1.0,), sigma=PROVISIONAL_SIGMA,
                                           output_scale=(1.0,) * self.body.n_outputs, pi=None)
-        return Model(VARIANTS['P'], hyperparameters, None, self.columns.prior_scale, self.columns.prior_mean)
+        return Model(VARIANTS['P'], hyperparameters, None, self.columns.prior_scale, self.columns.prior_mean,
+                     n_effects=self.columns.n_effects)
 
     def _begin_following(self) -> None:
         """What follows the model's errors starts anew with each model."""
         recursion, n_outputs = self.model.recursion, self.body.n_outputs
         self.calibration = BandCalibration(n_outputs)
         self.wandering = WanderingOffset(n_outputs) if self.options.forgetting == AUTO else None
+        self.doubt = EffectDoubt(n_outputs, self.wandering is not None) if self.columns.n_effects else None
         self.horizon = HorizonIndex(self.options.horizon, n_outputs, recursion.n_features, recursion.n_columns,
                                     None if self.wandering is None else DECAY)
 
-    def _follow(self, outputs: Array, model_mean: Array, model_std: Array, learn: bool) -> None:
-        """Let the wandering offset and the bands follow what the model (n,) left of a sample (n,), in N and N m."""
+    def _doubted(self, prior: Prior) -> tuple[Array, Array, Array]:
+        """What compiled functions need where effects are doubted: both sides of the prior, the wandering offset
+        without effects, and the evidence; all empty where there are none."""
+        nothing = self.horizon.nothing
+        if self.doubt is None or self.doubt.wandering is None or prior.beside is None:
+            return nothing, nothing, nothing[:, 0]
+        return prior.beside, self.doubt.wandering.table, self.doubt.evidence
+
+    def _follow(self, outputs: Array, prior: Prior, learn: bool) -> None:
+        """Let wandering offset, doubt and bands follow what ``prior`` left of a sample (n,), in N and N m."""
         self._window_left -= min(self._window_left, learn)
         if AVAILABLE and learn and self.wandering is not None:
-            _follow(outputs, model_mean, model_std, self.wandering.table, self.calibration.table)
+            _follow(outputs, prior.mean, prior.std, self.wandering.table, self.calibration.table,
+                    *self._doubted(prior))
             return
-        innovation = residual = outputs - model_mean
-        std = self.calibration.factor * model_std
-        if self.wandering is not None:
-            innovation = residual - self.wandering.offset
-            if learn:
-                self.wandering.learn(residual, std)
-            else:
-                self.wandering.rest()
+        innovation = outputs - prior.mean - self.offset
+        sides = (prior.mean, prior.std) if prior.beside is None else prior.beside
+        means, widths = np.reshape(sides, (-1, 2, len(outputs))).swapaxes(0, 1)
+        residuals, widths = outputs - means, self.calibration.factor * widths
+        followers = [self.wandering] if self.doubt is None else [self.wandering, self.doubt.wandering]
+        if self.doubt is not None and learn:
+            offsets = [0.0 if each is None else each.offset for each in followers]
+            self.doubt.learn(np.array([left - offset for left, offset in zip(residuals, offsets, strict=True)]), widths)
+        for each, residual, width in zip(followers, residuals, widths, strict=True):
+            if each is not None and learn:
+                each.learn(residual, width)
+            elif each is not None:
+                each.rest()
         if learn or not self._window_left:
-            self.calibration.learn(innovation, model_std)
+            self.calibration.learn(innovation, prior.std)
 
 
-@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, calls=(follow, calibrate))
-def _follow(outputs: Array, mean: Array, std: Array, wandering: Array, calibration: Array) -> None:
+@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, VECTOR, calls=(follow, calibrate, belief, believe))
+def _follow(outputs: Array, mean: Array, std: Array, wandering: Array, calibration: Array, beside: Array,
+            without: Array, evidence: Array) -> None:
     """See :meth:`Estimator._follow`, of a sample that is learnt."""
-    residual, innovation, width = np.empty_like(mean), np.empty_like(mean), np.empty_like(mean)
-    for k in range(len(mean)):
-        residual[k] = outputs[k] - mean[k]
-        innovation[k] = residual[k] - wandering[-1, k]
-        width[k] = calibration[-1, k] * std[k]
-    follow(residual, width, wandering)
+    n, sides = len(mean), 1 + len(evidence)
+    residual, width, errors = np.empty((sides, n)), np.empty((sides, n)), np.empty((sides, n))
+    innovation = np.empty(n)
+    p = belief(evidence) if sides > 1 else 1.0
+    for k in range(n):
+        residual[0, k], width[0, k] = outputs[k] - mean[k], calibration[-1, k] * std[k]
+        innovation[k] = residual[0, k] - wandering[-1, k]
+        if sides > 1:
+            innovation[k] = residual[0, k] - p * wandering[-1, k] - (1.0 - p) * without[-1, k]
+            for side in range(sides):
+                residual[side, k] = outputs[k] - beside[2 * side, k]
+                width[side, k] = calibration[-1, k] * beside[2 * side + 1, k]
+            errors[0, k], errors[1, k] = residual[0, k] - wandering[-1, k], residual[1, k] - without[-1, k]
+    follow(residual[0], width[0], wandering)
+    if sides > 1:
+        believe(errors, width, evidence)
+        follow(residual[1], width[1], without)
     calibrate(innovation, std, calibration)
 
 
 @compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
-          INTEGER, MATRIX, INTEGER, INTEGER, MATRIX, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX,
-          returns=INTEGER, calls=(learn, follow, calibrate, advance))
+          INTEGER, MATRIX, INTEGER, INTEGER, MATRIX, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, VECTOR,
+          INTEGER, MATRIX, MATRIX, returns=INTEGER,
+          calls=(learn, solve_corner, follow, calibrate, belief, believe, advance))
 def _learn_and_follow(
         features: Array, s: float, columns: Array, regressed: Array, scale: Array, sigma: float, information: Array,
         theta: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
         placed: int, rows: Array, start: int, filled: int, decay: Array, outputs: Array, mean: Array, std: Array,
-        wandering: Array, calibration: Array, errors: Array, eps: Array) -> int:
+        wandering: Array, calibration: Array, beside: Array, without: Array, evidence: Array, own: int, errors: Array,
+        eps: Array) -> int:
     """See :meth:`Estimator._take_in`, of a sample that is learnt and followed; what :func:`learn` gives."""
     innovations = np.empty_like(regressed)
     placed = learn(features, s, columns, regressed, scale, sigma, information, theta, left_changes, right_changes,
                    waiting, inflation, places, placed, outputs, innovations)
-    _follow(outputs, mean, std, wandering, calibration)
+    _follow(outputs, mean, std, wandering, calibration, beside, without, evidence)
     paces = len(decay)
-    advance(rows, start, filled, decay, features, s, columns, regressed, outputs, theta, innovations,
-            wandering[2 * paces:3 * paces], errors, eps)
+    believed, parts = theta, wandering[2 * paces:3 * paces]
+    if len(evidence):
+        p, believed = belief(evidence), np.empty_like(theta)
+        solve_corner(information, own, believed)
+        believed = p * theta + (1.0 - p) * believed
+        parts = p * parts + (1.0 - p) * without[2 * paces:3 * paces]
+    advance(rows, start, filled, decay, features, s, columns, regressed, outputs, believed, innovations, parts, errors,
+            eps)
     return placed

@@ -24,6 +24,15 @@ def test_effects_that_the_window_does_not_excite_do_no_harm(variant, monkeypatch
         assert declared_effects.harm(found, plain) < declared_effects.MOST_HARM, found
 
 
+def test_a_late_effect_does_not_take_drift_for_its_own(monkeypatch):
+    """With its coefficients taken for certain, 1.27 times the error without it."""
+    monkeypatch.setattr(declared_effects, 'FEATURES', 40)
+    plain = declared_effects.outcome(('drifting', 'SP-ML', None))
+    *_, late = declared_effects.declared('drifting', ('external_force',))
+    assert late.start_s is not None and late.where == 'r_hand'
+    assert declared_effects.harm(declared_effects.outcome(('drifting', 'SP-ML', late)), plain) < 1.05
+
+
 def test_what_is_plausible_follows_the_robots_size():
     wrench, effort = icub(), BODIES['effort']
     size = size_of(wrench)

@@ -100,7 +100,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    14: {
+    15: {
         'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns within',
@@ -117,6 +117,7 @@ LAYOUT = {
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
         'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
+        'wandering.evidence_of_effects': 'f8 (1,)', 'wandering.without_effects': 'f8 (16, 6)',
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (6,)',  # level, mean, ratio of a closure
         'gate.3': 'f8 (0, 6)', 'gate.4': 'f8 (0, 6)',  # tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 2 else 'f8 (6,)' for number in range(5, 23)},  # six bands

@@ -5,7 +5,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
-from semiparam_ros.ros.estimator.diagnostics import stage_of
+from semiparam_ros.ros.estimator.diagnostics import Tally, model_report, stage_of
 from semiparam_ros.ros.estimator.publishers import HorizonMessage
 from support.learner_stage import Stage
 from support.node_helpers import SETTINGS, motion
@@ -80,3 +80,12 @@ def test_every_part_of_the_nodes_life_has_a_line():
     assert list(dict.fromkeys(lines)) == [
         'gathering the initial window of 60 samples of motion.', 'estimating the hyperparameters of SPK-ML.',
         'ready: SPK-ML predicts and learns.', 'paused: predicting without learning.']
+
+
+def test_the_health_of_a_model_tells_how_far_declared_effects_are_believed():
+    told = []
+    for effects in ((), ('sensor_drift',)):
+        stage = Stage(replace(SETTINGS, effects=effects))
+        told.append(model_report(stage.learner, Tally(stage.learner.body.joints)).values)
+    assert 'probability of the declared effects' not in told[0]
+    assert told[1]['probability of the declared effects'] == '0.900'

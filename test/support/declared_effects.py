@@ -24,6 +24,7 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np
+from scipy.signal import lfilter
 
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.estimator import Estimator, ModelOptions
@@ -41,7 +42,7 @@ from semiparam_ros.simulation.simulate import simulate
 REPOSITORY = Path(__file__).resolve().parents[2]
 MEASURED = REPOSITORY.parent / 'shared' / 'data'
 MOST_HARM = 1.1
-FEATURES, SAMPLES = 100, 1500
+FEATURES, SAMPLES, DRIFTING = 100, 1500, 600
 WINDOW_SHARE, LATE_SHARE = 1 / 3, 0.5
 UR3_JOINTS = {'shoulder_pan': 'Base', 'shoulder_lift': 'Shoulder', 'elbow': 'Elbow', 'wrist_1': 'Wrist 1',
               'wrist_2': 'Wrist 2', 'wrist_3': 'Wrist 3'}
@@ -80,6 +81,15 @@ def one_way() -> Recording:
                       -0.6 * rate**2 * np.sin(angle), np.zeros((SAMPLES, 4)), 0)
     outputs = body.regressors(samples) @ (1.2 * body.base_parameters) + 0.05 * np.tanh(samples.velocity / 0.02)
     return Recording(body, replace(samples, outputs=outputs + 0.005 * rng.standard_normal(outputs.shape)))
+
+
+def drifting() -> Recording:
+    """Efforts of the same arm whose model leaves what drifts for seconds, as on real arms; little of it is white."""
+    body, samples = simulated()
+    samples, rng = samples[:DRIFTING], np.random.default_rng(4)
+    drift = lfilter([np.sqrt(1.0 - 0.99**2)], [1.0, -0.99], rng.standard_normal(samples.outputs.shape), axis=0)
+    noise = drift + 0.1 * rng.standard_normal(drift.shape)
+    return Recording(body, replace(samples, outputs=samples.outputs + 0.3 * samples.outputs.std(axis=0) * noise))
 
 
 def ur3(name: str) -> Recording:
@@ -128,7 +138,7 @@ def thinned(samples: Samples, every: int) -> Samples:
 
 RECORDINGS: dict[str, Callable[[], Recording]] = {
     **{name: lambda name=name: bundled(name) for name in ('icub_xy', 'icub_xz', 'icub_undeclared')},
-    'simulated_efforts': simulated, 'one_way': one_way}
+    'simulated_efforts': simulated, 'one_way': one_way, 'drifting': drifting}
 MEASURED_RECORDINGS: dict[str, Callable[[], Recording]] = {
     'icub_train': lambda: icub('train'), 'icub_test': lambda: icub('test'), 'ur3_id1': lambda: ur3('id1'),
     'ur3_id2': lambda: ur3('id2'), 'panda': panda}
