@@ -8,7 +8,7 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.linalg import cho_factor, cho_solve
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.hyperparameters.window import residual_scale
@@ -440,8 +440,8 @@ def _block(cause: Effect | str, columns: Array) -> Block:
 
 
 def predicted(columns: Array, coefficients: Array) -> Array:
-    """(N, n) ``columns @ coefficients`` of columns (N, n, c) as one product; one for each sample is much slower."""
-    return np.asarray((columns.reshape(-1, columns.shape[2]) @ coefficients).reshape(columns.shape[:2]))
+    """(N, n) ``columns @ coefficients`` of columns (N, n, c), in products over all samples: much faster."""
+    return np.asarray((coefficients @ columns.transpose(1, 2, 0)).T)
 
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
@@ -467,7 +467,7 @@ def with_values(fit: Fit, theta: Array, residual: Array, scale: Array | None = N
 def _solve(inner: Array, right: Array, power: Array, absorbed: float) -> tuple[Array, Array, int]:
     """Least squares from normal equations, leaving out directions absorbed by others (``power``: squared columns)."""
     size = np.sqrt(np.maximum(power, 1e-300))
-    values, vectors = eigh(inner / np.outer(size, size))
+    values, vectors = np.linalg.eigh(inner / np.outer(size, size))
     keep = values > absorbed
     inverse = (vectors[:, keep] / values[keep]) @ vectors[:, keep].T / np.outer(size, size)
     return inverse @ right, inverse, int(keep.sum())

@@ -335,9 +335,9 @@ def channel_units(body: RigidBody, per: str = '') -> tuple[Coefficient, ...]:
 
 def on_joint(body: RigidBody, where: str | None, values: Array) -> Array:
     """(N, n, c) columns that act on the channel of joint ``where`` alone, from values (N, c)."""
-    columns = np.zeros((len(values), body.n_outputs, values.shape[1]))
-    columns[:, joint_index(body, where)] = values
-    return columns
+    columns = np.zeros((body.n_outputs, *values.T.shape))
+    columns[joint_index(body, where)] = values.T
+    return columns.transpose(2, 0, 1)  # each column lies in one piece: most are zero, and soon seen to be
 
 
 def joint_index(body: RigidBody, where: str | None) -> int:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, STACK, compiled
 from semiparam_ros.core.types import Array
 
 FEW = 30
@@ -86,7 +87,7 @@ def effort_regressors(model: pin.Model, travel: Array, velocity: Array, accelera
     """
     motion, count = arm_motion(model, travel), travel.shape[1]
     result = np.zeros((len(rows), 10 * (model.njoints - first_body), count))
-    moving = _accelerations(motion, velocity, acceleration)
+    moving, write = _accelerations(motion, velocity, acceleration), _write_compiled if AVAILABLE else _write
     for body in range(first_body, model.njoints):
         rotation = motion.rotation[body]
         turning, change, gain = (_seen_from(rotation, values) for values in moving[body])
@@ -94,19 +95,55 @@ def effort_regressors(model: pin.Model, travel: Array, velocity: Array, accelera
         for joint in list(model.supports[body])[1:]:
             for column, slide, turn in motion.columns(joint):
                 if column in rows:
-                    lever = cross(turn, motion.position[body] - motion.position[joint])
-                    along, about = (_seen_from(rotation, axis) for axis in (slide + lever, turn))
-                    result[rows.index(column), entries] = _entries(along, about, turning, change, gain)
+                    lever = motion.position[body] - motion.position[joint]
+                    write(rotation, slide, turn, lever, turning, change, gain, result[rows.index(column), entries])
     return result
 
 
-def _entries(along: Array, about: Array, turning: Array, change: Array, gain: Array) -> Array:
-    """(10, N) effort by m, mc, and inertias xx, xy, yy, xz, yz, zz of a body that moves ``along`` and turns ``about``
-    axes (3, N) at a unit speed of the column."""
+def _write(rotation: Array, slide: Array, turn: Array, lever: Array, turning: Array, change: Array, gain: Array,
+           effort: Array) -> None:
+    """Into ``effort`` (10, N) that of one column by m, mc, and inertias xx, xy, yy, xz, yz, zz of a body.
+
+    :param slide: and ``turn`` (3, N) of the column, in the base. :param lever: (3, N) from its joint to the body's.
+    :param turning: and ``change``, ``gain`` (3, N) of the body in its own axes ``rotation`` (3, 3, N).
+    """
+    along, about = (_seen_from(rotation, axis) for axis in (slide + cross(turn, lever), turn))
     (x, y, z), (p, q, r), (u, v, w), (dp, dq, dr) = about, turning, cross(about, turning), change
-    first = cross(along, change) + cross(turning, cross(turning, along)) + cross(gain, about)
-    return np.stack([(along * gain).sum(axis=0), *first, x * dp + u * p, x * dq + y * dp + u * q + v * p,
-                     y * dq + v * q, x * dr + z * dp + u * r + w * p, y * dr + z * dq + v * r + w * q, z * dr + w * r])
+    effort[0] = (along * gain).sum(axis=0)
+    effort[1:4] = cross(along, change) + cross(turning, cross(turning, along)) + cross(gain, about)
+    effort[4:] = (x * dp + u * p, x * dq + y * dp + u * q + v * p, y * dq + v * q, x * dr + z * dp + u * r + w * p,
+                  y * dr + z * dq + v * r + w * q, z * dr + w * r)
+
+
+@compiled(STACK, *[MATRIX] * 7)
+def _write_compiled(rotation: Array, slide: Array, turn: Array, lever: Array, turning: Array, change: Array,
+                    gain: Array, effort: Array) -> None:
+    """:func:`_write`."""
+    for t in range(effort.shape[1]):
+        tx, ty, tz = turn[0, t], turn[1, t], turn[2, t]
+        lx, ly, lz = lever[0, t], lever[1, t], lever[2, t]
+        mx, my, mz = slide[0, t] + ty * lz - tz * ly, slide[1, t] + tz * lx - tx * lz, slide[2, t] + tx * ly - ty * lx
+        a = rotation[0, 0, t] * mx + rotation[1, 0, t] * my + rotation[2, 0, t] * mz
+        b = rotation[0, 1, t] * mx + rotation[1, 1, t] * my + rotation[2, 1, t] * mz
+        c = rotation[0, 2, t] * mx + rotation[1, 2, t] * my + rotation[2, 2, t] * mz
+        x = rotation[0, 0, t] * tx + rotation[1, 0, t] * ty + rotation[2, 0, t] * tz
+        y = rotation[0, 1, t] * tx + rotation[1, 1, t] * ty + rotation[2, 1, t] * tz
+        z = rotation[0, 2, t] * tx + rotation[1, 2, t] * ty + rotation[2, 2, t] * tz
+        p, q, r = turning[0, t], turning[1, t], turning[2, t]
+        dp, dq, dr = change[0, t], change[1, t], change[2, t]
+        gx, gy, gz = gain[0, t], gain[1, t], gain[2, t]
+        u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
+        i, j, k = q * c - r * b, r * a - p * c, p * b - q * a
+        effort[0, t] = a * gx + b * gy + c * gz
+        effort[1, t] = b * dr - c * dq + q * k - r * j + gy * z - gz * y
+        effort[2, t] = c * dp - a * dr + r * i - p * k + gz * x - gx * z
+        effort[3, t] = a * dq - b * dp + p * j - q * i + gx * y - gy * x
+        effort[4, t] = x * dp + u * p
+        effort[5, t] = x * dq + y * dp + u * q + v * p
+        effort[6, t] = y * dq + v * q
+        effort[7, t] = x * dr + z * dp + u * r + w * p
+        effort[8, t] = y * dr + z * dq + v * r + w * q
+        effort[9, t] = z * dr + w * r
 
 
 def _accelerations(motion: ArmMotion, velocity: Array, acceleration: Array) -> list[tuple[Array, Array, Array]]:

@@ -13,7 +13,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.regression import Fit, predicted
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Values
 
@@ -127,7 +127,7 @@ def _of_effects(fit: Fit, body: RigidBody, inputs: Samples, loads: bool) -> Arra
     outputs = np.zeros((len(inputs), body.n_outputs))
     for index, effect in enumerate(fit.effects):
         if effect.is_load == loads and not effect.is_calibration:
-            outputs += effect.columns(body, inputs, None)[0] @ fit.theta[blocks[str(index)]]
+            outputs += predicted(effect.columns(body, inputs, None)[0], fit.theta[blocks[str(index)]])
     return outputs[:, :, None]
 
 
@@ -143,7 +143,7 @@ def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[i
     count = len(fitting)
 
     def gains(starts: Indices) -> list[float]:
-        return [_explained(fit, *sums) for sums in zip(*_sums_from(fit, columns, fitting[starts]), strict=True)]
+        return _explained(fit, *_sums_from(fit, columns, fitting[starts])).tolist()
 
     margin = max(int(fit.config.start_margin * count), 1)
     low, high = margin, count - margin
@@ -179,12 +179,14 @@ def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array,
     return _suffix(gram), _suffix(right), _suffix(cross)
 
 
-def _explained(fit: Fit, gram: Array, right: Array, cross: Array) -> float:
-    """Squares in scaled units that columns explain beside the declared ones, from :func:`_sums_from`."""
-    size = 1.0 / np.sqrt(np.diag(gram) + 1e-300)
-    inner = gram - cross.T @ cho_solve(fit.factor, cross)
-    scaled = inner * np.outer(size, size) + START_RIDGE * np.eye(len(size))
-    return float(right * size @ np.linalg.solve(scaled, right * size))
+def _explained(fit: Fit, gram: Array, right: Array, cross: Array) -> Array:
+    """(s,) squares in scaled units that columns explain beside the declared ones, from :func:`_sums_from`."""
+    size = 1.0 / np.sqrt(np.diagonal(gram, axis1=1, axis2=2) + 1e-300)
+    solved = cho_solve(fit.factor, np.hstack(list(cross))).reshape(fit.n_columns, *right.shape)
+    inner = gram - np.swapaxes(cross, 1, 2) @ np.swapaxes(solved, 0, 1)
+    scaled = inner * size[:, :, None] * size[:, None, :] + START_RIDGE * np.eye(right.shape[1])
+    target = right * size
+    return np.asarray((target * np.linalg.solve(scaled, target[:, :, None])[:, :, 0]).sum(axis=1))
 
 
 def _suffix(values: Array) -> Array:

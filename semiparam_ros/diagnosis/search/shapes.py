@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, with_effects
+from semiparam_ros.diagnosis.regression import Fit, predicted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.refit import calibrations_moved, declare
 from semiparam_ros.effects import Effect
@@ -54,7 +54,7 @@ def shape_columns(fit: Fit, shapes: list[Shape]) -> Array:
         effect, step = fit.effects[number], DIFFERENCE * (high - low)
         ahead, behind = (_columns(fit, effect.with_values(**{name: effect.value(name) + change}))
                          for change in (step, -step))
-        slopes.append((ahead - behind) @ fit.theta[blocks[str(number)]] / (2.0 * step))
+        slopes.append(predicted(ahead - behind, fit.theta[blocks[str(number)]]) / (2.0 * step))
     return np.stack(slopes, axis=2)
 
 

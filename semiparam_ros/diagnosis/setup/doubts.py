@@ -52,7 +52,8 @@ def velocity_lag(samples: Samples, moving: Mask, config: DiagnosisConfig = DEFAU
     time, step = samples.time, typical_step(samples.time)
     span = max(config.span_s, 2.0 * step)
     pieces = 0.5 * (samples.velocity[1:] + samples.velocity[:-1]) * np.diff(time)[:, None]
-    total = np.concatenate([np.zeros((1, samples.velocity.shape[1])), np.cumsum(pieces, axis=0)])
+    total = np.zeros(samples.velocity.shape, order='F')  # interpolated joint by joint
+    total[1:] = np.cumsum(pieces, axis=0)
     starts = np.linspace(time[0], time[-1] - span - config.longest_lag_s, config.most_spans // 2)
     if time[-1] - time[0] < 4.0 * (span + config.longest_lag_s):
         return 0.0
