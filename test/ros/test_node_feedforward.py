@@ -9,8 +9,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.effect_doubt import MOST_EVIDENCE
+from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.robot import feedforward
 from semiparam_ros.core.robot.feedforward import joint_torques
 from semiparam_ros.core.samples import Sample
