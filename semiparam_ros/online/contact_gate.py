@@ -127,7 +127,7 @@ class Band:
         self.peaks = np.zeros((0, n_outputs))
         self.usual: Array | None = None
         self.blocks = 0
-        """So many were finished; those of a lasting change count on."""
+        """So many were finished, since the last change that lasted; the peaks of that are those beyond them."""
         self.clear()
 
     @property
@@ -349,6 +349,8 @@ class ContactGate:
             return True
         self._rest(innovation, seconds, moving)
         ratios = self._bands[at].add(size, ratio, seconds)
+        if at and self._bands[at].blocks == SCALE_BLOCKS:
+            self._drop_stale()
         if ratios is not None and familiar:
             tail.add(ratios)
         return False
@@ -462,6 +464,13 @@ class ContactGate:
         for band in self._bands[1:] if self._closed_at else self._bands[:1]:
             usual = 0.0 if band.usual is None else band.usual
             band.restore(np.maximum(self._meanwhile.peaks, usual))
+            band.blocks = 0
+
+    def _drop_stale(self) -> None:
+        """At some speed the robot is known again after a change: those at which it was not since follow that."""
+        for band in self._bands[1:]:
+            if band.blocks < min(len(band.peaks), FEWEST_BLOCKS):
+                band.restore(band.peaks[:0])
 
 
 def explained(ratio: Array, maps: Array) -> Array:
