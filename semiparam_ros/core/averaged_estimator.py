@@ -97,7 +97,7 @@ class AveragedEstimator(Estimator):
             return own
         return self._averaged((own, *(other._answer(seen) for other in self._others)))
 
-    def finish_window(self, draft: bool = False) -> None:
+    def finish_window(self, draft: bool = False, learn: bool = True) -> None:
         """See :meth:`Estimator.finish_window`; every member has its own hyperparameters of the same window."""
         others = []
         for name in MEMBERS[1:]:
@@ -108,7 +108,7 @@ class AveragedEstimator(Estimator):
         self._begin_variant(draft)
         self._others = tuple(others)
         self._begin_averaging()
-        for remembered in self.window:
+        for remembered in self.window if learn else ():
             said = np.array([each._learn_again(remembered) for each in self._members])
             self._weights.learn(remembered.outputs - said[:, 0], said[:, 1])
         for each in self._members:

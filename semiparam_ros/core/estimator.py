@@ -365,17 +365,30 @@ class Estimator:
         sample = prediction.sample
         self.model.recursion.require_current(prediction.prior)
         require_finite('outputs', sample.outputs)
-        self.origin, self._newest = self._origin_at(sample.stamp), sample.stamp
-        self._memory = prediction.memory
+        self._go_on_from(prediction)
         if learn and (prediction.beyond or not len(self.inputs_learnt)):
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
         complete = self._take_in(prediction, learn)
-        self.motion = prediction.motion
         if learn and not self.ready and not self.window.full:
             self.window.append(sample, prediction.columns)
         if finish and self.window_full:
             self.finish_window()
         return complete
+
+    def gather(self, sample: Sample, learn: bool = True) -> None:
+        """Take a sample into the initial window alone: the rigid body neither answers nor learns it.
+
+        :param learn: False: it only goes by.
+        """
+        seen = self._see(sample)
+        self._go_on_from(seen)
+        if learn:
+            self.window.append(sample, seen.columns)
+
+    def _go_on_from(self, seen: Seen | Prediction) -> None:
+        stamp = seen.sample.stamp
+        self.origin, self._newest = self._origin_at(stamp), stamp
+        self._memory, self.motion = seen.memory, seen.motion
 
     def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
         """What a sample changes of what is learnt. :param errors: see :meth:`HorizonIndex.advance`."""
@@ -439,15 +452,16 @@ class Estimator:
         twin._begin_following()
         return twin
 
-    def finish_window(self, draft: bool = False) -> None:
+    def finish_window(self, draft: bool = False, learn: bool = True) -> None:
         """End the initial window now: estimate hyperparameters from it, learn it, and let the variant take over.
 
         :param draft: estimate from a few hundred of its samples and two starts, in about a tenth of the time.
+        :param learn: False: the hyperparameters are all that is wanted of it.
 
         Raises SemiparamError, with nothing changed, when the window holds too little to estimate from.
         """
         self._begin_variant(draft)
-        for remembered in self.window:
+        for remembered in self.window if learn else ():
             self._learn_again(remembered)
         self._leave_window()
 

@@ -55,6 +55,8 @@ EstimatorJob = Callable[..., Estimator]
 OLDER = 5
 """One of so many samples from before a later window is learnt: hyperparameters of that window make a model that fits
 other motion less well than it believes, and where that is most of what it learns the new motion is fitted the worse."""
+OLDER_OF_DRAFT = 1000
+"""Of a draft, which is wanted soon, so many at most."""
 
 SAMPLES_AT_MOST = 5000
 
@@ -340,14 +342,15 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     begin = int(window.argmax())
     start = 0 if settings.effects else begin  # they may remember all that was before
     for (sample, _), chosen in zip(batch.part(start).pairs(), window[start:].tolist(), strict=True):
-        gathering.observe(gathering.predict(sample), chosen, finish=False)
-    gathering.finish_window(later.draft)
+        gathering.gather(sample, chosen)
+    gathering.finish_window(later.draft, learn=False)
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
     compared = later_window(learnt, judged(later.samples))
-    learnt[:begin] &= np.arange(begin) % OLDER == 0
+    every = max(OLDER, -(-begin // OLDER_OF_DRAFT)) if later.draft else OLDER
+    learnt[:begin] &= np.arange(begin) % every == 0
     each = enumerate(zip(batch.pairs(), learnt.tolist(), compared.tolist(), strict=True))
     for number, ((sample, _), learns, chosen) in each:
-        if number < start and number % OLDER:
+        if number < start and number % every:
             continue
         prediction = estimator.predict(sample)
         if chosen:
