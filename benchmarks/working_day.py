@@ -190,8 +190,9 @@ def live(day: Day, folder: Path, rate: float) -> Path:
                            '--topics', *topics)
         for part in (['--until', f'{restart}'], ['--start-offset', f'{restart}']):
             node = started(log, 'run', '--params', folder / 'day.yaml')
+            # The delay: on a busy machine the recorder meets the node a second after the replay does.
             subprocess.run(command('replay', folder / 'day.mcap', '--rate', f'{rate}', '--wait-for-subscribers', '2',
-                                   '--wait-timeout', '120', '--quiet', '--disable-keyboard-controls',
+                                   '--wait-timeout', '120', '--delay', '3', '--quiet', '--disable-keyboard-controls',
                                    '--follow', f'/estimator/residual={topic}', '--window', '100000', *part),
                            check=True, stdout=log, stderr=log)
             time.sleep(2.0)
