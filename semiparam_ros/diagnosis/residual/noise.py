@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy  # it loads scipy.signal, and all of scipy.stats for that, with the first use
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter, savgol_filter
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -67,7 +67,7 @@ def coloured_noise(residual: Array, count: int, seed: int = 0, config: Diagnosis
     drawn = rng.standard_normal((count, config.noise_settling + len(residual), residual.shape[1]))
     for channel, values in enumerate(residual.T):
         weights, deviation = _autoregression(values, config.noise_order)
-        drawn[:, :, channel] = lfilter([deviation], np.append(1.0, -weights), drawn[:, :, channel], axis=1)
+        drawn[:, :, channel] = scipy.signal.lfilter([deviation], np.append(1.0, -weights), drawn[:, :, channel], axis=1)
     return drawn[:, config.noise_settling:]
 
 
@@ -101,7 +101,7 @@ def without_input_errors(body: RigidBody, samples: Samples, residual: Array, tra
 
 def resmoothed(samples: Samples, window: int, degree: int) -> Samples:
     """The motion by a moving polynomial over ``window`` samples; accelerations are the derivative of velocities."""
-    step = typical_step(samples.time)
-    return replace(samples, position=savgol_filter(samples.position, window, degree, axis=0),
-                   velocity=savgol_filter(samples.velocity, window, degree, axis=0),
-                   acceleration=savgol_filter(samples.velocity, window, degree, deriv=1, delta=step, axis=0))
+    step, smooth = typical_step(samples.time), scipy.signal.savgol_filter
+    return replace(samples, position=smooth(samples.position, window, degree, axis=0),
+                   velocity=smooth(samples.velocity, window, degree, axis=0),
+                   acceleration=smooth(samples.velocity, window, degree, deriv=1, delta=step, axis=0))
