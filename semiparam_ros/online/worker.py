@@ -348,10 +348,10 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     compared = later_window(learnt, judged(later.samples))
     every = max(OLDER, -(-begin // OLDER_OF_DRAFT)) if later.draft else OLDER
     learnt[:begin] &= np.arange(begin) % every == 0
-    each = enumerate(zip(batch.pairs(), learnt.tolist(), compared.tolist(), strict=True))
-    for number, ((sample, _), learns, chosen) in each:
-        if number < start and number % every:
-            continue
+    parts = [*batch.part(0, start, every).rows, *batch.part(start).rows]
+    numbers = np.r_[0:start:every, start:len(batch)]
+    each = zip(replace(batch, rows=parts).pairs(), learnt[numbers].tolist(), compared[numbers].tolist(), strict=True)
+    for (sample, _), learns, chosen in each:
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)
