@@ -1,6 +1,6 @@
 """Every variant with every kind of effect declared, beside the same variant without it, on recordings.
 
-    python test/support/declared_effects.py                         all kinds, variants and recordings: an hour
+    python test/support/declared_effects.py            all kinds, variants and recordings: four hours of one core
     python test/support/declared_effects.py --kinds payload --variants SP-ML --recordings icub_xy
 
 A declared effect may be of no use, and the initial window may not excite it; it must never do harm. Each model learns
@@ -209,11 +209,13 @@ def main() -> int:
     parser.add_argument('--recordings', nargs='+', default=list(everything), choices=everything)
     parser.add_argument('--variants', nargs='+', default=list(VARIANTS), choices=VARIANTS)
     parser.add_argument('--kinds', nargs='+', default=[])
+    parser.add_argument('--late', action='store_true', help='effects that begin late alone: most harm is theirs')
     parser.add_argument('--jobs', type=int, default=os.cpu_count())
     parser.add_argument('--json', type=Path, metavar='FILE')
     args = parser.parse_args()
     cases = [(name, variant, effect) for name in args.recordings for variant in args.variants
-             for effect in (None, *declared(name, tuple(args.kinds)))]
+             for effect in (None, *declared(name, tuple(args.kinds)))
+             if effect is None or effect.start_s is not None or not args.late]
     plain: dict[object, dict[str, object]] = {}
     results: list[dict[str, object]] = []
     with ProcessPoolExecutor(args.jobs) as pool:
