@@ -11,6 +11,7 @@ moved before, and all move twice as fast. The inertias are up to a fifth off the
 Told are: how many samples were answered and how late; the pushes found and the contacts told of where there were none;
 and the largest ratio of the error, over five seconds, to that of a model that was started in motion (it learns the same
 samples from the first full motion on, none of a push), from five seconds after each change of phase.
+Exits with 1 unless all of ``asked`` holds on each day.
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ PUSHES, FORCES_N, PUSH_S = 30, (5.0, 80.0), (0.3, 2.0)
 BLOCK_S, SETTLED_S, CHANGE_S = 5.0, 5.0, 10.0
 NOISE_SHARE = 0.01
 FOUND_AFTER_S = 0.3
+PUSHES_FOUND, FALSE_PER_HOUR, WORST_RATIO = 0.95, 2.0, 2.0
 
 
 class Phase(NamedTuple):
@@ -364,6 +366,16 @@ def figures(day: Day, given: Answers, other: Array) -> dict[str, Any]:
         'hours': float((~known).sum() / len(known) * day.times[-1] / 3600), 'worst_error_over_reference': ratios}
 
 
+def asked(told: dict[str, Any]) -> dict[str, bool]:
+    """What a day must hold, and whether it did."""
+    ratios = [ratio for ratio in told['worst_error_over_reference'].values() if ratio is not None]
+    return {'every sample answered': told['answered'] == told['samples'],
+            f'{PUSHES_FOUND:.0%} of the pushes found': told['found'] >= PUSHES_FOUND * told['pushes'],
+            f'at most {FALSE_PER_HOUR:g} false contacts an hour':
+                len(told['false_contacts_s']) <= FALSE_PER_HOUR * told['hours'],
+            f'error at most {WORST_RATIO:g} times that of the reference': max(ratios) <= WORST_RATIO}
+
+
 def near(day: Day, mask: Mask, seconds: float) -> Mask:
     """With what follows within so many seconds."""
     step = day.times[1] - day.times[0]
@@ -412,11 +424,12 @@ def main() -> int:
             found = offline(day, given.folder, given.takeover_after)
         else:
             found = answers(day, live(day, given.folder, given.speed))
-        days.append({'seed': seed, **figures(day, found, reference(day, given.folder))})
+        told = figures(day, found, reference(day, given.folder))
+        days.append({'seed': seed, **told, 'asked': asked(told)})
         print(json.dumps(days[-1], indent=1), flush=True)
     if given.json:
         given.json.write_text(json.dumps(days, indent=1) + '\n', encoding='utf-8')
-    return 0
+    return not all(all(day['asked'].values()) for day in days)
 
 
 if __name__ == '__main__':
