@@ -276,6 +276,44 @@ class SemiParametricRecursion:
         self._update_information(row)
 
 
+@compiled(MATRIX, INTEGER, VECTOR)
+def solve_corner(information: Array, own: int, theta: Array) -> None:
+    """See :meth:`SemiParametricRecursion.theta_without`."""
+    theta[:] = 0.0
+    for c in range(own - 1, -1, -1):
+        value = information[c, len(theta)]
+        for j in range(c + 1, own):
+            value -= information[c, j] * theta[j]
+        theta[c] = value / information[c, c]
+
+
+@compiled(MATRIX, INTEGER, VECTOR, MATRIX, MATRIX, VECTOR, NUMBER, VECTOR, MATRIX, VECTOR)
+def _moments(information: Array, own: int, theta: Array, columns: Array, regressed: Array, scale: Array, s: float,
+             mean: Array, covariance: Array, std: Array) -> None:
+    """Mean, covariance and std of a :class:`Prior` by the first ``own`` columns and their corner of R."""
+    n, p = columns.shape
+    half = np.empty((own, n))  # (E_C R^-1)'
+    covariance[:] = 0.0
+    for k in range(n):
+        mean[k] = regressed[k, p]
+        covariance[k, k] = s * scale[k] * scale[k]
+        for c in range(own):
+            left = columns[k, c] - regressed[k, c]
+            mean[k] += left * theta[c]
+            half[c, k] = left
+    for c in range(own):
+        for k in range(n):
+            half[c, k] /= information[c, c]
+        for k in range(n):
+            for j in range(n):
+                covariance[k, j] += half[c, k] * half[c, j]
+        for later in range(c + 1, own):
+            for k in range(n):
+                half[later, k] -= information[c, later] * half[c, k]
+    for k in range(n):
+        std[k] = np.sqrt(covariance[k, k])
+
+
 @compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS, VECTOR, MATRIX, VECTOR, VECTOR, NUMBER, MATRIX, VECTOR,
           MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, returns=NUMBER, calls=(project,))
 def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
@@ -290,39 +328,10 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
     s = sigma * sigma
     for i in range(len(f)):
         s += f[i] * f[i]
-    half = np.empty((p, n))  # (E_C R^-1)'
-    covariance[:] = 0.0
     for k in range(n):
         regressed[k, p] += known[k]
-        mean[k] = regressed[k, p]
-        covariance[k, k] = s * scale[k] * scale[k]
-        for c in range(p):
-            left = columns[k, c] - regressed[k, c]
-            mean[k] += left * theta[c]
-            half[c, k] = left
-    for c in range(p):
-        for k in range(n):
-            half[c, k] /= information[c, c]
-        for k in range(n):
-            for j in range(n):
-                covariance[k, j] += half[c, k] * half[c, j]
-        for later in range(c + 1, p):
-            for k in range(n):
-                half[later, k] -= information[c, later] * half[c, k]
-    for k in range(n):
-        std[k] = np.sqrt(covariance[k, k])
+    _moments(information, p, theta, columns, regressed, scale, s, mean, covariance, std)
     return s
-
-
-@compiled(MATRIX, INTEGER, VECTOR)
-def solve_corner(information: Array, own: int, theta: Array) -> None:
-    """See :meth:`SemiParametricRecursion.theta_without`."""
-    theta[:] = 0.0
-    for c in range(own - 1, -1, -1):
-        value = information[c, len(theta)]
-        for j in range(c + 1, own):
-            value -= information[c, j] * theta[j]
-        theta[c] = value / information[c, c]
 
 
 @compiled(MATRIX, INTEGER, MATRIX, MATRIX, VECTOR, NUMBER, NUMBER, VECTOR, MATRIX, VECTOR, MATRIX)
@@ -330,29 +339,13 @@ def _average(information: Array, own: int, columns: Array, regressed: Array, sca
              mean: Array, covariance: Array, std: Array, beside: Array) -> None:
     """See :meth:`SemiParametricRecursion.averaged`; mean, covariance and std become those of the mixture."""
     n, p = columns.shape
-    theta, half, without = np.empty(p), np.empty((own, n)), np.zeros((n, n))
-    solve_corner(information, own, theta)
+    theta, without = np.empty(p), np.empty((n, n))
     other = 1.0 - probability
+    beside[0], beside[1] = mean, std
+    solve_corner(information, own, theta)
+    _moments(information, own, theta, columns, regressed, scale, s, beside[2], without, beside[3])
     for k in range(n):
-        beside[0, k], beside[1, k], beside[2, k] = mean[k], std[k], regressed[k, p]
-        without[k, k] = s * scale[k] * scale[k]
-        for c in range(own):
-            left = columns[k, c] - regressed[k, c]
-            beside[2, k] += left * theta[c]
-            half[c, k] = left
-    for c in range(own):
-        for k in range(n):
-            half[c, k] /= information[c, c]
-        for k in range(n):
-            for j in range(n):
-                without[k, j] += half[c, k] * half[c, j]
-        for later in range(c + 1, own):
-            for k in range(n):
-                half[later, k] -= information[c, later] * half[c, k]
-    for k in range(n):
-        beside[3, k] = np.sqrt(without[k, k])
         mean[k] = probability * beside[0, k] + other * beside[2, k]
-    for k in range(n):
         for j in range(n):
             apart = (beside[0, k] - beside[2, k]) * (beside[0, j] - beside[2, j])
             covariance[k, j] = probability * covariance[k, j] + other * without[k, j] + probability * other * apart
@@ -400,9 +393,5 @@ def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Ar
             information[c, j] -= along
             for k in range(n):
                 rows[j, k] -= along * rows[c, k]
-    for c in range(size - 2, -1, -1):
-        value = information[c, size - 1]
-        for j in range(c + 1, size - 1):
-            value -= information[c, j] * theta[j]
-        theta[c] = value / information[c, c]
+    solve_corner(information, size - 1, theta)
     return placed
