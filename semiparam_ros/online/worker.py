@@ -8,19 +8,20 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
+import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
-from multiprocessing.connection import Connection
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import transport
 from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.renewal import MOST_WORSE, Errors, LaterWindow, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
@@ -98,7 +100,10 @@ class ProcessBackground:
         self._closed = False
         self._queue: deque[_ProcessJob] = deque()
         self._running: _ProcessJob | None = None
-        self._pool = self._new_pool()
+        self._handed: SimpleQueue[_ProcessJob | None] = SimpleQueue()
+        self._process: BaseProcess | None = None
+        self._thread = threading.Thread(target=self._serve, name='background', daemon=True)
+        self._thread.start()
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
         """See :class:`Background`."""
@@ -112,91 +117,46 @@ class ProcessBackground:
         """See :class:`Background`."""
         self._later(function)
 
-    def _give_up(self, job: _ProcessJob) -> None:
-        """Those behind a job that was cancelled need not wait for its end."""
-        if job is self._running:
-            for pid in self._pool._processes or {}:
-                with suppress(OSError):
-                    os.kill(pid, signal.SIGUSR1)
-
-    def _hear(self, sentence: str) -> None:
-        if not self._closed:
-            self._later(self._told, sentence)
-
     def close(self) -> None:
         """End the process, whatever it is doing."""
         self._closed = True
         self._queue.clear()
-        for process in list((self._pool._processes or {}).values()):
-            process.kill()  # a stopped one would not hear anything less
-        # Waiting costs nothing now, and spares the interpreter's end a pool that is half closed.
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._handed.put(None)
+        if self._process is not None:
+            self._process.kill()  # a stopped one would not hear anything less
+        self._thread.join()
+
+    def _give_up(self, job: _ProcessJob) -> None:
+        """Those behind a job that was cancelled need not wait for its end."""
+        if job is self._running and self._process is not None and self._process.pid is not None:
+            with suppress(OSError):
+                os.kill(self._process.pid, signal.SIGUSR1)
+
+    def _hear(self, sentence: str) -> None:
+        if not self._closed:
+            self._told(sentence)
 
     def _start_next(self) -> None:
         while self._running is None and self._queue and not self._closed:
             job = self._queue.popleft()
             if not job.cancelled:
                 self._running = job
-                future = self._submitted(job)
-                future.add_done_callback(partial(self._later, self._finish))
+                self._handed.put(job)
 
-    def _submitted(self, job: _ProcessJob) -> Future[object]:
-        """The process may have died while it had nothing to do; the next one, while it starts, dies of this job."""
-        for _ in range(2):
-            try:
-                return self._pool.submit(_run, job.function, *job.arguments)
-            except BrokenProcessPool as error:
-                died = error
-                self._pool = self._new_pool()
-        future: Future[object] = Future()
-        future.set_exception(died)
-        return future
-
-    def _new_pool(self) -> ProcessPoolExecutor:
-        spawn = multiprocessing.get_context('spawn')
-        # Not a queue: its lock would stay locked where the process is killed while it writes.
-        reader, writer = spawn.Pipe(duplex=False)
-        pool = ProcessPoolExecutor(1, spawn, initializer=_prepare, initargs=(writer,))
-        # The process inherits this: a Ctrl-C while it is still importing is not for it.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-        try:
-            pool.submit(_warm)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        # The process has its own: when it ends so does the thread, and half a result is waited for no longer.
-        writer.close()
-        pool._result_queue._writer.close()  # type: ignore[attr-defined]
-        (process,) = pool._processes.values()
-        threading.Thread(target=self._watch, args=(reader, process), name='progress', daemon=True).start()
-        return pool
-
-    def _watch(self, reader: Connection, process: BaseProcess) -> None:
-        """Pass on what a process tells, and kill it when it stands still over a job.
-
-        Looks are counted, not seconds, so that a time in which nothing ran at all is no reason.
-        """
-        still, used = 0, -1
-        with reader, suppress(EOFError, OSError):
-            while True:
-                if reader.poll(self._still_s / LOOKS):
-                    self._hear(reader.recv())
-                before, (state, used) = used, _activity(process)
-                still = still + 1 if self._running is not None and state != 'R' and used == before else 0
-                if still > LOOKS:
-                    process.kill()
-
-    def _finish(self, future: Future[object]) -> None:
+    def _finish(self, outcome: _Outcome | None) -> None:
         job, self._running = self._running, None
-        if job is None or self._closed or future.cancelled():
+        if job is None or self._closed:
             return
-        error = future.exception()
         try:
-            if isinstance(error, BrokenProcessPool):
+            if outcome is None:
                 self._died(job)
             elif not job.cancelled:
+                error = outcome.error
                 if isinstance(error, MemoryError):
                     error = SemiparamError('the background process had not memory enough for it.')
-                job.done(None if error else future.result(), error)
+                elif error is not None:
+                    error.__cause__ = RuntimeError(outcome.traceback)
+                job.done(outcome.result, error)
         finally:
             self._start_next()
 
@@ -209,6 +169,66 @@ class ProcessBackground:
         else:
             job.done(None, SemiparamError(f'the background process died {job.deaths} times over it; it was killed, or '
                                           'memory ran out.'))
+
+    # In the thread that talks with the process
+
+    def _serve(self) -> None:
+        resource_tracker.ensure_running()  # which would unblock the signal
+        # The process inherits this: a Ctrl-C while it is still importing is not for it.
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        process, line = self._new_process()
+        while (job := self._handed.get()) is not None:
+            if not process.is_alive():
+                line.close()
+                process, line = self._new_process()
+            self._later(self._finish, self._ask(process, line, job))
+            del job  # it holds a history
+        line.close()
+        process.kill()
+        process.join()
+
+    def _new_process(self) -> tuple[BaseProcess, Connection]:
+        spawn = multiprocessing.get_context('spawn')
+        ours, theirs = spawn.Pipe()
+        process = spawn.Process(target=_work, args=(theirs,), daemon=True)
+        process.start()
+        theirs.close()  # the process has its own: when it ends, nobody waits for the other half of a result
+        self._process = process
+        if self._closed:
+            process.kill()
+        threading.Thread(target=self._watch, args=(process,), name='watch', daemon=True).start()
+        return process, ours
+
+    def _ask(self, process: BaseProcess, line: Connection, job: _ProcessJob) -> _Outcome | None:
+        """What comes of a job; None: the process died."""
+        outcome = None
+        try:
+            transport.send(line, (job.function, job.arguments))
+            while True:
+                answer = transport.receive(line)
+                if isinstance(answer, _Outcome):
+                    return answer
+                self._later(self._hear, answer)
+        except (EOFError, OSError):
+            pass
+        except Exception as error:
+            outcome = _Outcome(error=error, traceback=traceback.format_exc())
+        process.kill()  # who knows how much has gone either way
+        process.join()
+        return outcome
+
+    def _watch(self, process: BaseProcess) -> None:
+        """Kill a process that stands still over a job.
+
+        Looks are counted, not seconds, so that a time in which nothing ran at all is no reason.
+        """
+        still, used = 0, -1
+        with suppress(OSError):
+            while not wait([process.sentinel], self._still_s / LOOKS):
+                before, (state, used) = used, _activity(process)
+                still = still + 1 if self._running is not None and state != 'R' and used == before else 0
+                if still > LOOKS:
+                    process.kill()
 
 
 @dataclass
@@ -249,25 +269,46 @@ def _activity(process: BaseProcess) -> tuple[str, int]:
     return fields[0], int(fields[11]) + int(fields[12])
 
 
+class _Outcome(NamedTuple):
+    """Of a job: its result, or what it raised and where."""
+
+    result: object = None
+    error: Exception | None = None
+    traceback: str = ''
+
+
 def tell(sentence: str) -> None:
     """Tell of a job's progress, from within the job; nobody hears it where no background runs the job."""
-    if _teller is not None:
+    global _working
+    if _line is not None:
+        _working = False  # one that is given up half-way through a sentence could send nothing more
         with suppress(OSError):
-            _teller.send(sentence)
+            transport.send(_line, sentence)
+        _working = True
 
 
-_teller: Connection | None = None
+_line: Connection | None = None
 """In a background's process: the way back to the node."""
 
 
-def _prepare(teller: Connection) -> None:
-    """In the process: leave Ctrl-C to the node, yield to it, and end when it ends."""
-    global _teller
-    _teller = teller
+def _work(line: Connection) -> None:
+    """The process: leave Ctrl-C to the node, yield to it, work on one job after the other, and end when it ends."""
+    global _line
+    _line = line
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGUSR1, _give_up)
     os.nice(NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    # This module's imports, which unpickling this function needs, bring the numerics but for the optimiser.
+    import scipy.optimize  # noqa: F401
+    with suppress(EOFError, OSError):
+        while True:
+            outcome = _run(transport.receive(line))
+            try:
+                transport.send(line, outcome)
+            except (pickle.PicklingError, TypeError, AttributeError) as error:
+                transport.send(line, _Outcome(error=error, traceback=traceback.format_exc()))
+            del outcome  # while it waits for the next one
 
 
 def _end_with_parent() -> None:
@@ -285,26 +326,25 @@ _working = False
 """In the process: whether it is within a job."""
 
 
-def _run(function: Callable[..., object], *arguments: object) -> object:
+def _run(job: object) -> _Outcome:
     """In the process: a job, which may be given up."""
     global _working
     try:
-        _working = True
-        return function(*arguments)
+        try:
+            _working = True
+            function, arguments = cast('tuple[Callable[..., object], Sequence[object]]', job)
+            return _Outcome(function(*arguments))
+        except Exception as error:
+            return _Outcome(error=error, traceback=traceback.format_exc())
+        finally:
+            _working = False
     except _GivenUp:
-        return None
-    finally:
-        _working = False
+        return _Outcome()
 
 
 def _give_up(*_: object) -> None:
     if _working:
         raise _GivenUp
-
-
-def _warm() -> None:
-    """This module's imports, which unpickling this function needs, bring the numerics but for the optimiser."""
-    import scipy.optimize  # noqa: F401
 
 
 class Known(NamedTuple):

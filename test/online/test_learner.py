@@ -702,7 +702,7 @@ def append_and_perhaps_die(path):
     if len(path.read_text()) == 1:
         if path.name == 'killed while it sends':
             half = struct.pack('!i', 1000) + b'half a result'
-            os.write(sys._getframe(2).f_locals['result_queue']._writer.fileno(), half)
+            os.write(sys._getframe(2).f_locals['line'].fileno(), half)
         if path.name.startswith('killed'):
             os.kill(os.getpid(), signal.SIGKILL)
         if path.name == 'stopped':
