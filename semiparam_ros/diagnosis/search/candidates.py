@@ -170,12 +170,15 @@ def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array,
     cross = np.zeros((len(starts), fit.n_columns, size))
     for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
         used, rows, felt = fit.in_use[channel], fit.rows[channel], fit.felt[channel]
-        own, residual, weight = columns[used, channel], fit.residual[used, channel], fit.scale[channel] ** -2.0
-        for number, (start, end) in enumerate(pairwise([*np.searchsorted(used, starts).tolist(), len(used)])):
-            part = own[start:end] * weight
-            gram[number] += own[start:end].T @ part
-            right[number] += residual[start:end] @ part
-            cross[number, felt] += rows[start:end].T @ part
+        own, residual, weight = columns[used, channel], fit.residual[used, channel, None], fit.scale[channel] ** -2.0
+        # One product a start: a few samples lie between most of them, and then a call costs more than its sums.
+        left, part, sums = np.hstack([own, residual, rows]).T, own * weight, []
+        for start, end in pairwise([*np.searchsorted(used, starts).tolist(), len(used)]):
+            sums.append(left[:, start:end] @ part[start:end])
+        channel_gram, channel_right, channel_cross = np.split(np.stack(sums), [size, size + 1], axis=1)
+        gram += channel_gram
+        right += channel_right[:, 0]
+        cross[:, felt] += channel_cross
     return _suffix(gram), _suffix(right), _suffix(cross)
 
 
