@@ -35,7 +35,7 @@ test: setup
 
 # Three at a time on two cores: tests of live nodes mostly wait. What numba compiles is compiled once before, not by each.
 suite: setup
-	$(BIN)/python -c 'import semiparam_ros.diagnosis.diagnose, semiparam_ros.online.learner'
+	$(BIN)/python -c 'import semiparam_ros.diagnosis.diagnose, semiparam_ros.ros.estimator.node'
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(PYTEST)
 
 # Every pair of settings with 20000 samples each, where `make test` takes a few hundred: about 40 minutes of one core.

@@ -374,8 +374,8 @@ def test_findings_on_the_bundled_recordings(repository, tmp_path):
     params, result = tmp_path / 'arm.yaml', tmp_path / 'result.json'
     settings = load_params(repository / 'config/icub_right_arm.yaml')
     dump_params(replace(settings, features_count=100, initial_samples=500), params)
-    assert main(['compare', *bags, '--params', str(params), '--seeds', '5', '--starts', '1', '--train-samples', '2500',
-                 '--subsets', '2', '--subset-samples', '1400', '-o', str(tmp_path / 'p.html'), '--json',
+    assert main(['compare', *bags, '--params', str(params), '--seeds', '5', '--starts', '1', '--train-samples', '1500',
+                 '--subsets', '2', '--subset-samples', '900', '-o', str(tmp_path / 'p.html'), '--json',
                  str(result)]) == 0
     document = json.loads(result.read_text())
     assert document['seeds'] == [0, 1, 2, 3, 4]

@@ -45,7 +45,7 @@ def test_an_impossible_pair_is_refused_with_a_sentence(effect, factor, value):
 def test_live_offline_and_loaded_are_the_same_and_finite(variant):
     mine = [number for number, row in enumerate(matrix.rows()) if row['variant'] == variant]
     assert len(mine) > 20
-    mine = mine[::5 if variant == AVERAGED else 2]  # an average costs its members' time; `make matrix` runs all
-    found = [matrix.outcome(number, SAMPLES) for number in mine]
+    # The first rows have most of the pairs. An average costs its members' time; `make matrix` runs all.
+    found = [matrix.outcome(number, SAMPLES) for number in mine[:6 if variant == AVERAGED else 10]]
     failed = [result for result in found if 'error' in result]
     assert not failed, '\n'.join(f"{result['error']} in {result['settings']}" for result in failed)

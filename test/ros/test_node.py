@@ -28,7 +28,7 @@ from support.node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, valu
 from support.node_faults import Fuzzer, counts_in, with_gaps
 from support.node_helpers import BODY, JOINTS, PERIOD_NS, SETTINGS, URDF, faster, motion, write_bag
 
-LIVE = replace(SETTINGS, acceleration_source='measured', features_count=500)
+LIVE = replace(SETTINGS, acceleration_source='measured')
 pytestmark = pytest.mark.usefixtures('module_domain')
 
 

@@ -7,9 +7,9 @@ from support import node_fuzz
 
 @pytest.mark.slow
 def test_a_node_under_fire_equals_one_that_gets_only_the_good_samples(ros_domain):
-    assert node_fuzz.main(['--seconds', '8', '--seed', '2', '--features', '100', '--window', '300']) == 0
+    assert node_fuzz.main(['--seconds', '5', '--seed', '2', '--features', '100', '--window', '300']) == 0
 
 
 @pytest.mark.slow
 def test_a_node_whose_settings_are_changed_at_random_answers_every_good_sample(ros_domain):
-    assert node_fuzz.main(['--settings', '--seconds', '15', '--seed', '2', '--features', '20', '--window', '60']) == 0
+    assert node_fuzz.main(['--settings', '--seconds', '10', '--seed', '2', '--features', '20', '--window', '60']) == 0

@@ -39,7 +39,7 @@ def in_turn(*recordings):
 @pytest.mark.timeout(600)
 def test_every_variant_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_path, ros_domain, repository):
     """No sample lost, no prediction missing, each model as if it had been there from the start."""
-    settings = replace(load_params(repository / 'config/icub_right_arm.yaml'), features_count=100, initial_samples=100)
+    settings = replace(load_params(repository / 'config/icub_right_arm.yaml'), features_count=40, initial_samples=100)
     dump_params(settings, tmp_path / 'p.yaml')
     circles = load_samples(repository / 'bags/icub_xy.mcap', settings)
     # Longer than a busy machine needs, and all in one plane: in another one hyperparameters are estimated again.

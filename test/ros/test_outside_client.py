@@ -32,11 +32,11 @@ def change(robot, **values):
 @pytest.mark.timeout(300)
 def test_an_outside_client_gets_an_answer_to_every_call_and_cannot_end_the_node(ros_domain, tmp_path):
     dump_params(replace(LIVE, state_folder=str(tmp_path)), tmp_path / 'p.yaml')
-    minutes = 90 * 10**9 // PERIOD_NS
+    minute = 60 * 10**9 // PERIOD_NS
     with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
         client.connect()
         client.offer('joint_states', 'joint_accelerations', 'wrench')
-        robot = Robot(client, motion(150 + minutes + 60 * BETWEEN), JOINTS)
+        robot = Robot(client, motion(150 + minute + 60 * BETWEEN), JOINTS)
         robot.move(150)
         for variant in [*VARIANTS, 'SPK-ML']:
             assert change(robot, variant=variant)[0].successful
@@ -47,7 +47,7 @@ def test_an_outside_client_gets_an_answer_to_every_call_and_cannot_end_the_node(
         (unknown,) = change(robot, effects=['no_such_kind'])
         assert not unknown.successful and 'names no known kind' in unknown.reason
         assert change(robot, effects=[], variant='P', forgetting=0.9)[2].successful
-        robot.move(minutes)
+        robot.move(minute)
         for name in ('reset', 'tare', 'save_state', 'load_state', 'apply_diagnosis', 'diagnose'):
             assert client.trigger(name).message.endswith('.')
         robot.move(BETWEEN)

@@ -385,7 +385,7 @@ def other_joint_names(folder, full):
 
 def ten_kilohertz(folder, full):
     """``joint_states`` at 10 kHz, wrenches at 100 Hz."""
-    seconds, rate, every = (60 if full else 5), 10_000, 100
+    seconds, rate, every = (60 if full else 3), 10_000, 100
     settings = replace(LIVE, acceleration_source='filter')
     samples = _at(seconds * rate, rate)
     state = bytearray(serialize_message(TYPES['joint_states'](name=list(JOINTS), position=[1.5, 2.5],

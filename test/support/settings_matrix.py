@@ -23,7 +23,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from unittest.mock import patch
 
 os.environ.setdefault('OMP_NUM_THREADS', '1')
@@ -34,7 +34,6 @@ from covertable import make
 
 from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
-from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
@@ -49,6 +48,7 @@ from semiparam_ros.settings.build import build_rigid_body
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
 
+from support.estimates import Estimates
 from support.node_helpers import JOINTS, URDF, DelayedBackground
 
 OUTPUTS = 'wrench', 'effort'
@@ -367,19 +367,10 @@ def _offer_with_tares(stage: Live, samples: list[Sample], tares: list[int]) -> N
 
 # What must hold
 
-ESTIMATES: dict[object, Hyperparameters] = {}
+ESTIMATES = Estimates(starts=1)
 
 
-def estimated(*positional: Any, **named: Any) -> Hyperparameters:
-    """The hyperparameters of a window; of the same one, to the last bit, those that were estimated before."""
-    key = tuple((value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
-                for value in (*positional, *named.values()))
-    if key not in ESTIMATES:
-        ESTIMATES[key] = estimate(*positional, **named)
-    return ESTIMATES[key]
-
-
-@patch('semiparam_ros.core.estimator.estimate', estimated)
+@patch('semiparam_ros.core.estimator.estimate', ESTIMATES)
 @patch('semiparam_ros.online.renewal.SHARE', 2.0)
 def check(row: Row, count: int) -> dict[str, object]:
     """Run one row; AssertionError says what does not hold. Returns figures.
@@ -388,7 +379,7 @@ def check(row: Row, count: int) -> dict[str, object]:
     the background's affair, so there are none; test/online/test_renewal.py compares them.
     """
     started = time.perf_counter()
-    ESTIMATES.clear()
+    ESTIMATES.known.clear()
     settings, outputs = settings_of(row, count), str(row['outputs'])
     motion = raw_motion(outputs, str(row['still']), count)
     recorded = samples_of(motion, settings, outputs, str(row['motion']))
