@@ -30,6 +30,7 @@ from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts
+from semiparam_ros.diagnosis.uncertainty import Deviations, deviations
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError, listed
@@ -60,7 +61,7 @@ class Diagnosis:
 
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
     recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
-    what is told of the effects and declared comes from it.
+    what is told of the effects and declared comes from it, and the ``deviations`` are those of its values.
     """
 
     config: DiagnosisConfig
@@ -71,6 +72,7 @@ class Diagnosis:
     first: Fit
     final: Fit
     everything: Fit
+    deviations: Deviations
     held_out: Mask
     before: Evaluation
     after: Evaluation
@@ -92,7 +94,8 @@ class Diagnosis:
     def declared(self) -> list[Finding]:
         """The effects that were declared beforehand, with their fitted values."""
         offsets = own_offsets(self.first.body, self.recorded.samples)
-        return [finding for finding in declared_findings(self.everything, [*self.findings, *self.refinements])
+        return [finding for finding in declared_findings(
+                    self.everything, [*self.findings, *self.refinements], self.deviations)
                 if finding.effect not in offsets]
 
     @property
@@ -202,17 +205,18 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     fast = [] if setup else too_fast(body, samples, inputs, final)
     if fast and structure is not None and structure.share < config.large_structure_share:
         structure = replace(structure, significant=False)  # errors of the inputs explain more than that
-    everything = final
+    everything, new = final, [index for index, _, _ in places_in(final, steps)]
     if steps and other is None:
-        everything = fitted_to_all(final, fitting | held_out, [index for index, _, _ in places_in(final, steps)])
-    found, refinements = split_off_refinements(findings(final, steps, everything), steps)
+        everything = fitted_to_all(final, fitting | held_out, new)
+    sure = deviations(everything, new, inputs.disturbed(samples) if everything.effects else ())
+    found, refinements = split_off_refinements(findings(final, steps, everything, sure), steps)
     touches = [] if setup else contacts(final)
     for fit in (first, final, everything):
         fit.forget()
     return Diagnosis(
         config=config, verdict=verdict(first, final, steps, structure, setup),
         findings=found, refinements=refinements, steps=steps, first=first, final=final, everything=everything,
-        held_out=held_out, before=before,
+        deviations=sure, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *fast,

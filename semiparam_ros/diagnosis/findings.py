@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.diagnosis.search.stepwise import Step
-from semiparam_ros.diagnosis.uncertainty import Deviations, deviations
+from semiparam_ros.diagnosis.uncertainty import Deviations
 from semiparam_ros.effects import Effect, kinds
 
 
@@ -43,12 +43,12 @@ class Finding:
                      'separated_by': kinds()[rival.kind].separated_by} for rival in self.rivals]}
 
 
-def findings(fit: Fit, steps: list[Step], everything: Fit) -> list[Finding]:
+def findings(fit: Fit, steps: list[Step], everything: Fit, sure: Deviations) -> list[Finding]:
     """Every effect that a step added and the final model still holds, in that order.
 
     :param everything: the final model fitted to all samples, its effects in the same order; the values are its own.
+    :param sure: the deviations of these.
     """
-    sure = deviations(everything, [index for index, _, _ in places_in(fit, steps)])
     return [Finding(everything.effects[index], number, steps[number - 1].added[place].evidence,
                     _parameters(everything, index, sure), steps[number - 1].rivals[place])
             for index, number, place in places_in(fit, steps)]
@@ -99,9 +99,8 @@ def _explained(step: Step, channels: list[int]) -> float:
     return float(((step.before.squares - step.after.squares) / variance)[channels].sum())
 
 
-def declared_findings(fit: Fit, found: list[Finding]) -> list[Finding]:
-    """The effects of the model that were declared beforehand, with their fitted values."""
-    sure = deviations(fit, ())
+def declared_findings(fit: Fit, found: list[Finding], sure: Deviations) -> list[Finding]:
+    """The effects of the model that were declared beforehand, with their fitted values and the deviations of these."""
     return [Finding(effect, 0, 0.0, _parameters(fit, index, sure), ())
             for index, effect in enumerate(fit.effects) if effect not in [finding.effect for finding in found]]
 

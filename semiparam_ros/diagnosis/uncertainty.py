@@ -6,20 +6,26 @@ reach several outputs at once, the stretches contradict one another by more than
 covariance of clustered samples (Liang and Zeger 1986, Biometrika 73), with stretches of time as clusters. The larger
 of the two is told: with few stretches the sandwich itself is uncertain, and one stretch may hold all that tells of a
 value.
+
+What errors of a smoothed motion do alike in every stretch, no stretch contradicts: they make an inertia too small and a
+spring too stiff by up to a deviation. The same errors put on the smoothed motion once more shift the values by about
+as much again, and that shift is counted as a deviation too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.refit import calibrated_values, moved_by
-from semiparam_ros.diagnosis.search.shapes import shape_columns, shapes_of
+from semiparam_ros.diagnosis.search.shapes import Shape, shape_columns, shapes_of
 from semiparam_ros.effects import Effect
 
 GAIN_STEP = 1e-6
@@ -33,20 +39,25 @@ class Deviations(NamedTuple):
     calibrations: dict[int, Array]
 
 
-def deviations(fit: Fit, found: Collection[int]) -> Deviations:
+def deviations(fit: Fit, found: Collection[int], disturbed: Sequence[Samples] = ()) -> Deviations:
     """Those of a fitted model, where its calibrations and the nonlinear values of the effects with the numbers
-    ``found`` are open too."""
+    ``found`` are open too.
+
+    :param disturbed: the samples with the errors of their motion once more.
+    """
     calibrated = [number for number, effect in enumerate(fit.effects) if effect.is_calibration]
-    further = [added_columns(fit, fit.effects[number]) for number in calibrated]
     shapes = shapes_of(fit, found)
-    further += [shape_columns(fit, shapes)] if shapes else []
-    columns = np.concatenate([np.zeros((*fit.residual.shape, 0)), *further], axis=2)
+    further = _further(fit, calibrated, shapes)
+    columns = np.concatenate(further, axis=2)
     edges = len(fit.theta) + np.cumsum([0, *(part.shape[2] for part in further)])
     parts = {number: slice(start, end) for number, start, end in zip(calibrated, edges, edges[1:], strict=False)}
     told = np.eye(edges[-1])
     for number, part in parts.items() if not fit.knows_mass else ():
         told[part, part] = _without_common_gain(fit.effects[number])
     deviation = _deviations(fit, columns, told)
+    if disturbed:
+        shifts = [told @ _shift(fit, samples, calibrated, shapes) for samples in disturbed]
+        deviation = np.hypot(deviation, np.mean(shifts, axis=0))
     return Deviations(deviation[:edges[0]], {number: deviation[part] for number, part in parts.items()})
 
 
@@ -60,19 +71,52 @@ def _without_common_gain(effect: Effect) -> Array:
     return np.column_stack([(told(step) - told(-step)) / (2.0 * GAIN_STEP) for step in steps])
 
 
+def _further(fit: Fit, calibrated: Sequence[int], shapes: list[Shape]) -> list[Array]:
+    """(N, n, c) each, the derivatives of the prediction by the calibrations of the effects with these numbers, and by
+    the shapes."""
+    further = [added_columns(fit, fit.effects[number]) for number in calibrated]
+    return [*further, shape_columns(fit, shapes) if shapes else np.zeros((*fit.residual.shape, 0))]
+
+
+class _Rows(NamedTuple):
+    """Of a channel's samples in use (M,) the columns that act there (a,), over the channel's scale (M, a)."""
+
+    channel: int
+    used: Indices
+    acting: Indices
+    weighed: Array
+
+
+def _rows(fit: Fit, columns: Array) -> Iterator[_Rows]:
+    """Those of theta's columns and further ones (N, n, c)."""
+    further = fit.n_columns + np.arange(columns.shape[2])
+    for channel, (used, felt, rows) in enumerate(zip(fit.in_use, fit.felt, fit.rows, strict=True)):
+        weighed = np.hstack([rows, columns[used, channel]]) / fit.scale[channel]
+        yield _Rows(channel, used, np.append(felt, further), weighed)
+
+
 def _deviations(fit: Fit, columns: Array, told: Array) -> Array:
     """(p + c,) standard deviations of theta and of the coefficients of further columns (N, n, c), or of what is linear
     in them by ``told`` (p + c, p + c)."""
-    covariance, count = fit.covariance_with(columns), fit.n_columns
+    covariance = fit.covariance_with(columns)
     stretches = np.array_split(np.flatnonzero(fit.train_mask), fit.config.deviation_stretches)
     repeated, scores = np.zeros_like(covariance), np.zeros((len(stretches), len(covariance)))
-    for channel, (used, felt, rows) in enumerate(zip(fit.in_use, fit.felt, fit.rows, strict=True)):
-        own = np.append(felt, count + np.arange(columns.shape[2]))
-        weighed = np.hstack([rows, columns[used, channel]]) / fit.scale[channel]
-        repeated[np.ix_(own, own)] += (fit.correlation[channel] - 1.0) * (weighed.T @ weighed)
+    for channel, used, acting, weighed in _rows(fit, columns):
+        repeated[np.ix_(acting, acting)] += (fit.correlation[channel] - 1.0) * (weighed.T @ weighed)
         weighed *= fit.residual[used, channel, None] / fit.scale[channel]
         ends = np.searchsorted(used, [stretch[-1] for stretch in stretches], side='right')
-        scores[:, own] += np.diff(np.cumsum(weighed, axis=0)[ends - 1], axis=0, prepend=0.0)
+        scores[:, acting] += np.diff(np.cumsum(weighed, axis=0)[ends - 1], axis=0, prepend=0.0)
     changes, repeated = scores @ covariance @ told.T, covariance + covariance @ repeated @ covariance
     clustered = (changes**2).sum(axis=0) * len(stretches) / (len(stretches) - 1)
     return np.asarray(np.sqrt(np.maximum(np.diag(told @ repeated @ told.T), clustered)))
+
+
+def _shift(fit: Fit, disturbed: Samples, calibrated: Sequence[int], shapes: list[Shape]) -> Array:
+    """(p + c,) by which a fit on the disturbed samples would miss what the fit predicts on its own."""
+    there = replace(fit, samples=disturbed)
+    columns = np.concatenate(_further(there, calibrated, shapes), axis=2)
+    missed = (fit.samples.outputs - fit.residual - there.predicted(fit.theta)) / fit.scale
+    moments = np.zeros(there.n_columns + columns.shape[2])
+    for channel, used, acting, weighed in _rows(there, columns):
+        moments[acting] += weighed.T @ missed[used, channel]
+    return there.covariance_with(columns) @ moments

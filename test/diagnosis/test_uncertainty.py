@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.data.preparation import Inputs
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
 from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
 from semiparam_ros.diagnosis.uncertainty import deviations
@@ -50,6 +51,25 @@ def test_deviations_are_as_large_as_the_scatter_of_the_values(disturbed):
     rng = np.random.default_rng(1)
     off, std = np.array([told(disturbed(rng)) for _ in range(DRAWS)]).T
     assert 0.6 < np.sqrt(np.mean(off**2) / np.mean(std**2)) < 1.25
+
+
+def test_errors_of_a_smoothed_motion_widen_deviations_by_what_they_shift_values():
+    """They make every spring too soft here: off by 2.3 of the deviations that outputs alone give, by less than one of
+    these."""
+    truth, inputs = smooth_motion(4, 1500, rate=20.0, seed=2, speed=0.6), Inputs('smoothed more', 1)
+    exact, used = BODY.regressors(truth) @ BODY.base_parameters, inputs.mask(np.ones(len(truth), dtype=bool))
+    off = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        seen = replace(truth, position=truth.position + 3e-3 * white(rng), velocity=truth.velocity + 5e-2 * white(rng),
+                       acceleration=np.zeros_like(exact), outputs=exact + 1e-4 * exact.std(axis=0) * white(rng))
+        spring = kinds()['joint_spring'](BODY.joints[3])
+        fit = refit_weights(fit_model(BODY, inputs.prepare(seen), [spring], used, np.ones(4)))
+        stiffness = fit.assembly.blocks['0'].start
+        off.append(fit.theta[stiffness] / [deviations(fit, [0], disturbed).coefficients[stiffness]
+                                           for disturbed in ((), inputs.disturbed(seen))])
+    without, with_errors = np.sqrt(np.mean(np.square(off), axis=0))
+    assert without > 1.7 and 0.5 < with_errors < 1.2
 
 
 def test_a_calibration_and_what_it_cannot_be_told_from_have_deviations():

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from math import factorial
 
 import numpy as np
@@ -48,20 +49,61 @@ def smoothed(samples: Samples, measured: int = 2, order: int = ORDER) -> Samples
     :param order: which derivative of the positions is white noise; the higher, the smoother the motion.
     """
     if samples.breaks:
-        parts = [smoothed(replace(samples[part], breaks=()), measured, order) for part in samples.recordings]
-        position, velocity, acceleration = (np.concatenate([getattr(part, name) for part in parts])
-                                            for name in ('position', 'velocity', 'acceleration'))
-        return replace(samples, position=position, velocity=velocity, acceleration=acceleration)
-    columns = [_smooth_joint(samples.time, list(motion[:measured]), order) for motion in zip(
-        samples.position.T, samples.velocity.T, samples.acceleration.T, strict=True)]
+        return _joined(samples, [smoothed(replace(samples[part], breaks=()), measured, order)
+                                 for part in samples.recordings])
+    return _with_noise(samples, samples, np.zeros((measured, 1, samples.position.shape[1])), measured, order)
+
+
+def smoothed_again(samples: Samples, smooth: Samples, measured: int = 2, order: int = ORDER,
+                   seed: int = 0) -> tuple[Samples, Samples]:
+    """The smoothed motion seen through noise as large as that of the recording, and smoothed once more: with drawn
+    noise and with its opposite, between which whatever is linear in the noise cancels.
+
+    What errors of the motion do to a fit shows between the fits on ``smooth`` and on these, as far as the errors are
+    those of the model (Cook and Stefanski 1994, Journal of the American Statistical Association 89).
+
+    :param smooth: :func:`smoothed` of the recording with the same ``measured`` and ``order``.
+    """
+    if samples.breaks:
+        pairs = [smoothed_again(replace(samples[part], breaks=()), replace(smooth[part], breaks=()), measured, order,
+                                seed) for part in samples.recordings]
+        return _joined(smooth, [one for one, _ in pairs]), _joined(smooth, [other for _, other in pairs])
+    noise = np.random.default_rng(seed).standard_normal((measured, *samples.position.shape))
+    return (_with_noise(samples, smooth, noise, measured, order),
+            _with_noise(samples, smooth, -noise, measured, order))
+
+
+def _joined(whole: Samples, parts: Sequence[Samples]) -> Samples:
+    """The samples with the motion of their parts."""
+    position, velocity, acceleration = (np.concatenate([getattr(part, name) for part in parts])
+                                        for name in ('position', 'velocity', 'acceleration'))
+    return replace(whole, position=position, velocity=velocity, acceleration=acceleration)
+
+
+def _with_noise(samples: Samples, motion: Samples, noise: Array, measured: int, order: int) -> Samples:
+    """A motion smoothed with the hyperparameters of the recording, after noise (measured, N, n_joints), in units of the
+    recording's own, was added to what is measured of it."""
+    columns = []
+    for joint, logs in enumerate(_hyperparameters(samples, measured, order)):
+        problem, step, centre = _problem(motion.time, _measured(motion, joint, measured), order)
+        for values, log, drawn in zip(problem.motion, logs[1:], noise[:, :, joint], strict=True):
+            values += np.exp(log) * drawn
+        states = problem.states(logs)
+        columns.append((states[:, 0] + centre, states[:, 1] / step, states[:, 2] / step**2))
     position, velocity, acceleration = (np.column_stack(part) for part in zip(*columns, strict=True))
-    return replace(samples, position=position, velocity=velocity, acceleration=acceleration)
+    return replace(motion, position=position, velocity=velocity, acceleration=acceleration)
 
 
-def _smooth_joint(time: Array, motion: list[Array], order: int) -> tuple[Array, Array, Array]:
-    problem, step, centre = _problem(time, motion, order)
-    states = problem.states(problem.liveliest(TUNING_SAMPLES).best())
-    return states[:, 0] + centre, states[:, 1] / step, states[:, 2] / step**2
+@lru_cache(maxsize=8)
+def _hyperparameters(samples: Samples, measured: int, order: int) -> list[Array]:
+    """Of each joint :meth:`_Problem.best`."""
+    return [_problem(samples.time, _measured(samples, joint, measured), order)[0].liveliest(TUNING_SAMPLES).best()
+            for joint in range(samples.position.shape[1])]
+
+
+def _measured(samples: Samples, joint: int, count: int) -> list[Array]:
+    """(N,) each, the first ``count`` of a joint's positions, velocities and accelerations."""
+    return [values[:, joint] for values in (samples.position, samples.velocity, samples.acceleration)[:count]]
 
 
 def _problem(time: Array, motion: list[Array], order: int) -> tuple[_Problem, float, float]:
@@ -86,9 +128,8 @@ def acceleration_errors(samples: Samples, measured: int = 2, order: int = ORDER,
     :param measured: and ``order`` as for :func:`smoothed`.
     """
     errors = []
-    for motion in zip(samples.position.T, samples.velocity.T, samples.acceleration.T, strict=True):
-        problem, step, _ = _problem(samples.time, list(motion[:measured]), order)
-        logs = problem.liveliest(TUNING_SAMPLES).best()
+    for joint, logs in enumerate(_hyperparameters(samples, measured, order)):
+        problem, step, _ = _problem(samples.time, _measured(samples, joint, measured), order)
         errors.append([problem.acceleration_error(logs, each) / step**2 for each in times])
     return np.array(errors).T
 

@@ -18,7 +18,7 @@ import numpy as np
 from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed
+from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, smoothed_again
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.rest import counted_outputs
@@ -53,6 +53,13 @@ class Inputs(NamedTuple):
     def prepare(self, samples: Samples) -> Samples:
         """Another recording of the same robot, prepared alike."""
         return _prepared(self, samples)
+
+    def disturbed(self, samples: Samples) -> tuple[Samples, ...]:
+        """The prepared recording with the errors of smoothing once more, see :func:`smoothed_again`; none where its
+        motion is the recorded one, of which nobody knows the errors."""
+        if self.motion not in SMOOTHED:
+            return ()
+        return smoothed_again(averaged(samples, self.factor), self.prepare(samples), *SMOOTHED[self.motion])
 
     def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true.
@@ -176,6 +183,7 @@ def moved(samples: Samples, motion: str) -> Samples:
     return samples if motion == 'recorded' else smoothed(samples, *SMOOTHED[motion])
 
 
+@lru_cache(maxsize=2)
 def averaged(samples: Samples, factor: int) -> Samples:
     """Means of ``factor`` neighbouring samples, stamped in the middle; a remainder at the end is left out."""
     if factor == 1:
