@@ -301,7 +301,7 @@ class DiagnosisConfig:
     # --- search: ambiguity ---
 
     rival_nats: float = 6.0
-    """Calls effects rivals that differ by less than this log evidence [nat], odds of 400 to 1 (chosen)."""
+    """Names effects as rivals that differ by less than this log evidence [nat], odds of 400 to 1 (chosen)."""
     rival_share: float = 0.02
     """Widens that by this share of the evidence for each further sample over which the residual stays correlated
     (chosen)."""
@@ -398,7 +398,8 @@ class DiagnosisConfig:
     some_recordings_ratio: float = 1.1
     """Believes in some recordings rather than in all when these explain so many times more (chosen)."""
     better_odds: float = 20.0
-    """Names a rival that was passed over for a plainer cause as the better one above these odds (chosen)."""
+    """Prefers a plainer cause up to these odds against it, where what it leaves is white, and names a rival passed over
+    for it as the better one above them: strong evidence (Kass and Raftery 1995)."""
 
     # --- residual: contacts ---
 
