@@ -4,6 +4,7 @@ import fcntl
 import os
 from contextlib import ExitStack
 from pathlib import Path
+from unittest.mock import patch
 
 # One linear algebra thread, set before numpy is loaded: two workers on two cores must not fight.
 os.environ.setdefault('OMP_NUM_THREADS', '1')
@@ -14,6 +15,7 @@ import pytest
 
 from semiparam_ros.cli.main import main
 from support.browser import browse  # noqa: F401  (fixtures)
+from support.estimates import Estimates
 from support.mcap_core import node_modules  # noqa: F401  (fixtures)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -32,6 +34,16 @@ estimator:
 hypothesis.settings.register_profile('steady', deadline=None)
 hypothesis.settings.register_profile('full', deadline=None, max_examples=2000)
 hypothesis.settings.load_profile('steady')
+
+
+@pytest.fixture(scope='session', autouse=True)
+def searched_once():
+    """Many tests give their models the same window: its hyperparameters are searched once in this process.
+
+    That another search gives the same is tested where it says so.
+    """
+    with patch('semiparam_ros.core.estimator.estimate', Estimates()):
+        yield
 
 
 @pytest.fixture(scope='session')

@@ -16,7 +16,9 @@ from semiparam_ros.settings.parameter_table import BY_NAME
 from support.doc_blocks import RUN, SHOWN, WRITTEN, Workshop, blocks, check_parses, commands
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md', *sorted((REPOSITORY / 'docs').rglob('*.md'))]
+# Those with a program in the background last: what stands on another page too is known by then.
+PAGES = sorted([REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md', *sorted((REPOSITORY / 'docs').rglob('*.md'))],
+               key=lambda page: '\n# terminal 1' in page.read_text(encoding='utf-8'))
 NAMES = [str(page.relative_to(REPOSITORY)) for page in PAGES]
 PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md', 'diagnosis.md'}
 """Pages of reference, whose commands take minutes or name files of yours: they are parsed."""

@@ -4,13 +4,14 @@ import copy
 import pickle
 import re
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from semiparam_ros.core.averaged_estimator import estimator_of
 from semiparam_ros.core.estimator import Estimator, ModelOptions, information_gain, log_density
-from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.motion import STILL_SAMPLES, at_start
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -158,6 +159,7 @@ def test_without_learning_the_answers_stay_but_horizons_go_on(trained, recording
     np.testing.assert_allclose(late[-1].horizon.eps, error / power, rtol=1e-9)
 
 
+@patch('semiparam_ros.core.estimator.estimate', estimate)  # another search, see conftest
 def test_it_is_deterministic(trained, arm, recording):
     model, predictions = trained
     again = run(estimator(arm, model.options.variant), recording)
@@ -300,9 +302,9 @@ def test_a_window_of_standstill_says_what_is_missing(arm):
             model.observe(model.predict(sample))
 
 
-@pytest.mark.parametrize('rate_hz', [20, 1000])
-def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz):
-    """The first sample held for 20 s, with noise."""
+@pytest.mark.parametrize(('rate_hz', 'seconds'), [(20, 20), (1000, 4)])
+def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz, seconds):
+    """The first sample held for seconds, with noise."""
     recording = measured(arm, 900)
     rng, period = np.random.default_rng(3), 10**9 // rate_hz
 
@@ -312,8 +314,8 @@ def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz):
                                acceleration=first.acceleration + 0.02 * rng.standard_normal(4),
                                outputs=first.outputs + 0.02 * rng.standard_normal(6)) for index in range(count)]
 
-    start = recording.stamps[0] - 20 * 10**9
-    before = rest(recording[0], int(start), 20 * rate_hz)
+    start = recording.stamps[0] - seconds * 10**9
+    before = rest(recording[0], int(start), seconds * rate_hz)
     model, reference = (estimator(arm, 'SPK-ML', initial_samples=400) for _ in range(2))
     run(model, before)
     assert len(model.window) == STILL_SAMPLES and not model.ready
@@ -322,10 +324,10 @@ def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz):
     assert [each.ready for each in found] == [False] * (400 - STILL_SAMPLES + 1) + [True] * (499 + STILL_SAMPLES)
     assert relative_error(found[400:], recording) < 1.5 * relative_error(wanted[400:], recording)
     kept = model.model.recursion.state()
-    after = run(model, rest(recording[899], int(recording.stamps[-1]) + period, 20 * rate_hz))
+    after = run(model, rest(recording[899], int(recording.stamps[-1]) + period, seconds * rate_hz))
     assert np.isfinite([each.mean for each in after]).all()
     first = model.model.recursion.state()
-    run(model, rest(recording[899], int(recording.stamps[-1]) + 21 * 10**9, 20 * rate_hz))
+    run(model, rest(recording[899], int(recording.stamps[-1]) + 21 * 10**9, seconds * rate_hz))
     assert all(np.array_equal(values, model.model.recursion.state()[name]) for name, values in first.items())
     assert not np.array_equal(kept['theta'], first['theta']), 'the first second of a stop is learnt'
 

@@ -88,7 +88,7 @@ def test_noise_that_is_correlated_over_many_samples_has_no_structure(memory):
     """A function of the motion predicts a little of such noise on the next block, though nothing is missing."""
     samples, body = smooth_motion(4, 3000), icub()
     train_mask = np.ones(3000, dtype=bool)
-    coloured = [lfilter([1.0], [1.0, -memory], noise(samples, seed), axis=0) for seed in range(4)]
+    coloured = [lfilter([1.0], [1.0, -memory], noise(samples, seed), axis=0) for seed in range(2)]
     found = [remaining_structure(body, samples, each / each.std(axis=0), train_mask, np.ones(6)) for each in coloured]
     assert max(each.share for each in found) > 0.06  # the plain share alone would be an alarm
     assert not any(each.significant for each in found)

@@ -6,7 +6,6 @@ import pickle
 import threading
 from dataclasses import replace
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.worker import InlineBackground
 from semiparam_ros.settings.build import build_rigid_body
-from support.estimates import Estimates
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, motion
 
@@ -33,13 +31,6 @@ REMEMBERS = {
     'averaged': replace(SETTINGS, variant='auto', effects=('sensor_drift',)),
     'forgetting': replace(SETTINGS, variant='P', forgetting=0.99),
 }
-
-
-@pytest.fixture(autouse=True, scope='module')
-def searched_once():
-    """The windows of most tests here are the same ones."""
-    with patch('semiparam_ros.core.estimator.estimate', Estimates()):
-        yield
 
 
 def stage_of(settings, samples=()):

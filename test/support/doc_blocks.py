@@ -222,6 +222,13 @@ def options_of(script: tuple[str, ...]) -> set[str]:
     return set(re.findall(r'--[a-z-]+', printed.getvalue()))
 
 
+@lru_cache
+def look_at_rules(arguments: tuple[str, ...], repository: Path) -> None:
+    """`make` knows what to do; it looks for an interpreter each time, which takes seconds."""
+    subprocess.run([shutil.which('make') or 'make', '-n', *arguments], cwd=repository, check=True,
+                   stdout=subprocess.DEVNULL)
+
+
 def check_command(words: list[str], repository: Path) -> None:
     """One command: ours against its own parser, a script against its --help, a test against its file."""
     program, arguments = words[0], words[1:]
@@ -243,7 +250,6 @@ def check_command(words: list[str], repository: Path) -> None:
         for name in files:
             assert (repository / name).exists(), name
     elif program == 'make':
-        subprocess.run([shutil.which('make') or 'make', '-n', *arguments], cwd=repository, check=True,
-                       stdout=subprocess.DEVNULL)
+        look_at_rules(tuple(arguments), repository)
     else:
         raise AssertionError(f'{program} is no program of ours: {words}')

@@ -1,5 +1,6 @@
 """Hyperparameters of windows that several models of a test are given: searched once."""
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ class Estimates:
         self.known: dict[object, Hyperparameters] = {}
 
     def __call__(self, *positional: Any, **named: Any) -> Hyperparameters:
-        key = tuple((value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
-                    for value in (*positional, *named.values()))
+        key = tuple((value.shape, hashlib.sha256(value.tobytes()).digest()) if isinstance(value, np.ndarray) else value
+                    for value in (*positional, *named, *named.values()))
         if key not in self.known:
             self.known[key] = estimate(*positional, **named | self.options)
         return self.known[key]
