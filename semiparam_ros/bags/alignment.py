@@ -9,7 +9,7 @@ listens gets the same samples, bit for bit, as a command that reads the recordin
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import isfinite
 from typing import Protocol
 
@@ -102,7 +102,7 @@ class SampleStream:
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
                  tolerance_s: float = 0.02, differentiator: Differentiator | None = None,
                  measured_accelerations: bool = False, capacity: int | None = CAPACITY,
-                 velocity_filter: Differentiator | None = None) -> None:
+                 velocity_filter: Differentiator | None = None, output_joints: Collection[str] = ()) -> None:
         """:param joints: names in the order of the samples' columns; messages may order theirs in any way.
         :param outputs: 'wrench' or 'effort'.
         :param sensor_frame: frame_id that wrenches must have; '' takes any.
@@ -110,6 +110,7 @@ class SampleStream:
         :param differentiator: gives the accelerations, unless ``measured_accelerations`` come on their own topic.
         :param capacity: messages of a topic kept while another is silent; None keeps all.
         :param velocity_filter: gives the velocities of joint states that leave them empty; None refuses such.
+        :param output_joints: those of the joints whose efforts are the outputs; all of them unless given.
         """
         if outputs not in ('wrench', 'effort'):
             raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
@@ -120,6 +121,7 @@ class SampleStream:
         self.last_fault = self.last_stranger = ''
         self.strangers = 0
         self._effort = outputs == 'effort'
+        self._outputs = [index for index, name in enumerate(joints) if name in (output_joints or joints)]
         self._frame = sensor_frame.lstrip('/')
         self._differentiator = None if measured_accelerations else differentiator
         self._velocity_filter = velocity_filter
@@ -167,7 +169,9 @@ class SampleStream:
             del columns['velocity']
         if order is None or not self._right_length(stamp, names, columns):
             return []
-        values = [column[index] for column in columns.values() for index in order]
+        values = [column[index] for name, column in columns.items() if name != 'effort' for index in order]
+        if self._effort:
+            values += [effort[order[index]] for index in self._outputs]
         if not self._acceptable('joint state', stamp, values):
             return []
         n = len(order)

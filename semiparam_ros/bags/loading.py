@@ -14,7 +14,7 @@ from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.parameter_table import Table
-from semiparam_ros.settings.robot_description import moving_joints, robot_description
+from semiparam_ros.settings.robot_description import moving_joints, output_joints, robot_description
 
 if TYPE_CHECKING:
     from semiparam_ros.bags.base import BagReader, Losses
@@ -93,7 +93,8 @@ def sample_stream(settings: Table, joints: tuple[str, ...], measured: bool,
     """The stream that these settings ask for; the node and :func:`load_samples` both get theirs here."""
     accelerations, velocities = (CausalDifferentiator(len(joints), settings.acceleration_cutoff) for _ in range(2))
     return SampleStream(joints, settings.outputs, settings.sensor_frame, settings.alignment_tolerance,
-                        None if measured else accelerations, measured, capacity, velocities)
+                        None if measured else accelerations, measured, capacity, velocities,
+                        output_joints(settings, joints))
 
 
 def recorded_description(bag: BagReader, topic: str = layout.ROBOT_DESCRIPTION) -> str | None:

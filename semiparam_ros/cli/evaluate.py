@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(output, results)
-    channels = output_channels(settings.outputs, bags[0].joints)
+    channels = output_channels(settings, bags[0].joints)
     print_outputs(output, results, *channels)
     if settings.features_count == 'auto':
         chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()
@@ -123,13 +123,15 @@ def takeovers(text: str) -> list[int]:
     return [int(number) for number in numbers]
 
 
-def output_channels(outputs: str, joints: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+def output_channels(settings: Settings, joints: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
     """Names and units of the outputs, as of ``RigidBody.output_names``."""
     from semiparam_ros.core.robot.rigid_body import WRENCH_NAMES
+    from semiparam_ros.settings.robot_description import output_joints
 
-    if outputs == 'wrench':
+    if settings.outputs == 'wrench':
         return WRENCH_NAMES, ('N',) * 3 + ('N m',) * 3
-    return tuple(joints), ('N m',) * len(joints)
+    names = output_joints(settings, joints)
+    return names, ('N m',) * len(names)
 
 
 def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str]:

@@ -84,11 +84,11 @@ def _refines(one: Finding, other: Finding, steps: list[Step]) -> bool:
     same_place = one.effect.where == other.effect.where
     related = one.effect.kind == other.effect.kind or one.effect.kind in other.effect.mistaken_for \
         or other.effect.kind in one.effect.mistaken_for
-    at_joint = body.outputs == 'effort' and one.effect.where in body.joints
+    at_joint = body.outputs == 'effort' and one.effect.where in body.output_names
     if not related and not (same_place and at_joint):
         return False
     own = same_place and at_joint
-    channels = [body.joints.index(str(one.effect.where))] if own else list(range(body.n_outputs))
+    channels = [body.output_names.index(str(one.effect.where))] if own else list(range(body.n_outputs))
     later, earlier = (_explained(steps[finding.round_number - 1], channels) for finding in (one, other))
     return later < (config.own_share if same_place else config.related_share) * earlier
 

@@ -328,16 +328,23 @@ def place(kind: str, where: str | None) -> str:
 
 def channel_units(body: RigidBody, per: str = '') -> tuple[Coefficient, ...]:
     """One coefficient for each output channel, its unit divided by ``per``."""
-    names = CHANNELS if body.outputs == 'wrench' else body.joints
     return tuple(Coefficient(name, unit + (f'/{per}' if per else ''))
-                 for name, unit in zip(names, body.output_units, strict=True))
+                 for name, unit in zip(body.output_names, body.output_units, strict=True))
 
 
 def on_joint(body: RigidBody, where: str | None, values: Array) -> Array:
-    """(N, n, c) columns that act on the channel of joint ``where`` alone, from values (N, c)."""
+    """(N, n, c) columns that act on the effort of joint ``where`` alone, from values (N, c)."""
     columns = np.zeros((body.n_outputs, *values.T.shape))
-    columns[joint_index(body, where)] = values.T
+    columns[channel_index(body, where)] = values.T
     return columns.transpose(2, 0, 1)  # each column lies in one piece: most are zero, and soon seen to be
+
+
+def channel_index(body: RigidBody, where: str | None) -> int:
+    """Number of the output that is a joint's effort; SemiparamError lists the joints when there is none."""
+    if where not in body.output_names:
+        raise SemiparamError(f"the effort of joint '{where}' of an effect is no output; expected one of "
+                             f'{", ".join(body.output_names)}.')
+    return body.output_names.index(where)
 
 
 def joint_index(body: RigidBody, where: str | None) -> int:

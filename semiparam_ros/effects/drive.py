@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
+from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, channel_index, joint_index, on_joint
 from semiparam_ros.effects.friction import JointEffect
 from semiparam_ros.effects.hysteresis import Way, play_place
 from semiparam_ros.effects.periodic import strongest_peaks
@@ -85,7 +86,7 @@ class EffortGain(Effect):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return body.joints
+        return body.output_names
 
     @property
     def possible(self) -> bool:
@@ -93,7 +94,7 @@ class EffortGain(Effect):
 
     def transform(self, body: RigidBody, regressors: Array) -> Array:
         gains = np.ones((body.n_outputs, 1))
-        gains[joint_index(body, self.where)] += self.value('gain')
+        gains[channel_index(body, self.where)] += self.value('gain')
         return np.asarray(gains * regressors)
 
 
@@ -126,7 +127,8 @@ class GearCoupling(Effect):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return body.joints[1:]
+        felt = body.output_names
+        return [name for before, name in pairwise(body.joints) if before not in felt or name in felt]
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         joint = joint_index(body, self.where)
@@ -136,10 +138,11 @@ class GearCoupling(Effect):
         return body, replace(samples, **moved), None
 
     def transform(self, body: RigidBody, regressors: Array) -> Array:
-        if body.outputs == 'wrench':
+        before = body.joints[joint_index(body, self.where) - 1]
+        if before not in body.output_names:  # nor are they of a wrench
             return regressors
-        joint, shaped = joint_index(body, self.where), regressors.copy()
-        shaped[:, joint - 1] += self.value('ratio') * regressors[:, joint]
+        shaped = regressors.copy()
+        shaped[:, channel_index(body, before)] += self.value('ratio') * regressors[:, channel_index(body, self.where)]
         return shaped
 
 
@@ -156,8 +159,8 @@ class TransmissionRipple(JointEffect):
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
-        joint = joint_index(body, where)
-        position, left = samples.position[:, joint], residual[:, joint] - residual[:, joint].mean()
+        joint, channel = joint_index(body, where), channel_index(body, where)
+        position, left = samples.position[:, joint], residual[:, channel] - residual[:, channel].mean()
         reach = max(float(np.ptp(position)), 1e-6)
         orders = ORDERS[ORDERS * reach > 2.0 * np.pi]
         if not len(orders):

@@ -12,7 +12,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_beyond
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, joint_index, on_joint
+from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, channel_index, joint_index, on_joint
 from semiparam_ros.effects.hysteresis import Way, bristle, sticking_bristle
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
@@ -36,7 +36,7 @@ class JointEffect(Effect):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return body.joints
+        return body.output_names
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return self.names
@@ -236,7 +236,7 @@ class LoadFriction(_Sliding):
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         joint = joint_index(body, self.where)
         parameters = np.array(self.reference) if self.reference else body.base_parameters
-        load = body.regressors(samples)[:, joint] @ parameters
+        load = body.regressors(samples)[:, channel_index(body, self.where)] @ parameters
         direction, memory = self.direction(samples, joint, memory)
         return on_joint(body, self.where, (np.abs(load) * direction)[:, None]), memory
 

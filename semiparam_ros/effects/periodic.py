@@ -12,7 +12,7 @@ from semiparam_ros.core.robot.frames import felt_links, frame_motion, loaded_lin
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Values, joint_index
+from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Values, channel_index
 
 PEAKS = 4
 EDGE = 0.95
@@ -60,7 +60,7 @@ class PeriodicDisturbance(Effect):
         return self.value(name) - width, self.value(name) + width
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        if self.where in body.joints:
+        if self.where in body.output_names:
             names = [Coefficient('', 'N m')]
         elif self.where is None:
             names = [Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True)]
@@ -78,8 +78,8 @@ class PeriodicDisturbance(Effect):
         """(N, n, k) outputs of a unit disturbance in each of its k directions."""
         if where is None:
             return np.broadcast_to(np.eye(body.n_outputs), (len(samples), body.n_outputs, body.n_outputs))
-        if where in body.joints:
-            column = np.eye(body.n_outputs)[:, joint_index(body, where), None]
+        if where in body.output_names:
+            column = np.eye(body.n_outputs)[:, channel_index(body, where), None]
             return np.broadcast_to(column, (len(samples), *column.shape))
         motion = frame_motion(body, samples, where)
         return motion.force_map @ motion.rotation if link_axes else motion.force_map
@@ -87,7 +87,7 @@ class PeriodicDisturbance(Effect):
 
 def _own_axes(body: RigidBody) -> Sequence[str | None]:
     """Places that shake the outputs themselves, not a link: the sensor, or the drives of the joints."""
-    return (None,) if body.outputs == 'wrench' else body.joints
+    return (None,) if body.outputs == 'wrench' else body.output_names
 
 
 def spectral_peaks(time: Array, signal: Array) -> list[float]:

@@ -18,8 +18,8 @@ from semiparam_ros.effects.base import (
     Coefficient,
     Effect,
     Values,
+    channel_index,
     channel_units,
-    joint_index,
     on_joint,
 )
 
@@ -153,14 +153,14 @@ class SensorNonlinearity(Effect):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return body.joints
+        return body.output_names
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return Coefficient('quadratic', '1/(N m)'), Coefficient('cubic', '1/(N^2 m^2)')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         parameters = np.array(self.reference) if self.reference else body.base_parameters
-        channel = joint_index(body, self.where)
+        channel = channel_index(body, self.where)
         load = body.regressors(samples)[:, channel] @ parameters
         return on_joint(body, self.where, np.column_stack([load**2, load**3])), None
 

@@ -35,7 +35,7 @@ from semiparam_ros.core.estimator import Prediction
 from semiparam_ros.core.robot.frames import force_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import NANOSECONDS
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.settings.parameter_table import Table
 
 BLOCK_S = 0.5
@@ -245,13 +245,13 @@ class ContactGate:
     must follow, and the innovations that were refused are usual from then on.
     """
 
-    def __init__(self, n_outputs: int, of_joints: bool = False,
+    def __init__(self, n_outputs: int, joints: Indices | None = None,
                  forces: Callable[[Array], Array] | None = None) -> None:
-        """:param of_joints: each output is the effort of a joint, in the order of the velocities.
+        """:param joints: (n_outputs,) numbers of the joints whose efforts are the outputs; None of a wrench.
         :param forces: (n_places, n, 3) outputs caused by unit forces at places on the links, at positions (n_joints,);
             every innovation is plausible without it.
         """
-        self._of_joints, self._forces = of_joints, forces
+        self._joints, self._forces = joints, forces
         self.closed = False
         self._closed_since = self._closed_at = 0
         self.refused = self.contacts = self.changes = 0
@@ -264,14 +264,14 @@ class ContactGate:
     @classmethod
     def of(cls, body: RigidBody) -> ContactGate:
         """The gate of a robot's outputs."""
-        return cls(body.n_outputs, body.outputs == 'effort', partial(force_maps, body))
+        return cls(body.n_outputs, body.output_index if body.outputs == 'effort' else None, partial(force_maps, body))
 
     def forget(self) -> None:
         """Open it, and learn anew what is usual; the counts stay."""
         self._tails = (Tail(self._n_outputs), Tail(self._n_outputs))
         self._bands = [Band(self._n_outputs) for _ in range(len(SPEEDS) + 1)]
         self._meanwhile = Band(self._n_outputs)
-        self._turns = Turns(self._n_outputs) if self._of_joints else None
+        self._turns = Turns(self._n_outputs) if self._joints is not None else None
         self._mean: Array = np.zeros(self._n_outputs)
         self._closures: tuple[int, ...] = ()
         self._closed_ratio: Array = np.zeros(self._n_outputs)
@@ -314,7 +314,7 @@ class ContactGate:
         size = np.abs(change)
         usual = self._usual(at)
         if self._turns is not None:
-            turning = self._turns.follow(prediction.sample.velocity, seconds)
+            turning = self._turns.follow(prediction.sample.velocity[self._joints], seconds)
             if at > 0:
                 self._turns.add(size, turning)
                 usual = None if usual is None else np.maximum(usual, np.where(turning, self._turns.usual, 0.0))

@@ -52,7 +52,7 @@ class Feedforward:
             self.last = listed(found.outside) if found.outside else 'the model is uncertain there'
         if found.limited.any():
             self.last = listed([f'effort of {joint} cut' for joint, cut in
-                                zip(learner.body.joints, found.limited, strict=True) if cut])
+                                zip(learner.body.effort_joints, found.limited, strict=True) if cut])
         return found
 
     def sentence(self, before: Counts) -> str:

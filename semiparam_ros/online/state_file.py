@@ -252,7 +252,8 @@ def _check_robot(path: Path, arrays: Mapping[str, Array], meta: Mapping[str, Any
                                  f'{settings.mapping()[name]}.')
     ours = probe(body)
     if arrays['probe'].shape != ours.shape or not np.allclose(arrays['probe'], ours, rtol=1e-9, atol=1e-9):
-        raise SemiparamError(f'{path} is of another robot: its description, sensor frame or wrench convention differs.')
+        raise SemiparamError(f'{path} is of another robot: its description, outputs, sensor frame or wrench convention '
+                             'differs.')
 
 
 def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> Estimator:

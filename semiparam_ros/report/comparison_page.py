@@ -21,6 +21,7 @@ from semiparam_ros.experiments.comparison import (
 )
 from semiparam_ros.report import comparison_figures
 from semiparam_ros.report.html import Picture, environment, picture
+from semiparam_ros.settings.robot_description import output_joints
 
 SYMBOLS = {'eps_force': 'ε^F', 'eps_torque': 'ε^T', 'eps_effort': 'ε'}
 
@@ -156,7 +157,8 @@ def page(comparison: Comparison, train: str, test: str, command: str) -> str:
 def pictures(comparison: Comparison) -> list[Picture]:
     """All figures with their captions."""
     figures, scenario = comparison.figures, comparison.scenario
-    names = WRENCH_CHANNELS if scenario.settings.outputs == 'wrench' else scenario.settings.joints or tuple(
+    names = WRENCH_CHANNELS if scenario.settings.outputs == 'wrench' else (
+        scenario.settings.joints and output_joints(scenario.settings, scenario.settings.joints)) or tuple(
         f'joint {index + 1}' for index in range(scenario.test.outputs.shape[1]))
     several = f"{_count(len(scenario.subsets), 'subset')} and {_count(len(scenario.seeds), 'feature draw')}"
     return [

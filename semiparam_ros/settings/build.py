@@ -33,7 +33,8 @@ def build_rigid_body(settings: Table, robot_description: str | None = None) -> R
     urdf = description.robot_description(settings, robot_description)
     locked = dict(zip(settings.locked_joints_names, settings.locked_joints_positions, strict=True))
     return RigidBody.from_urdf(urdf, description.moving_joints(settings, urdf), settings.outputs,
-                               settings.sensor_frame or None, settings.wrench_convention, locked)
+                               settings.sensor_frame or None, settings.wrench_convention, locked,
+                               settings.output_joints)
 
 
 def model_options(settings: Table) -> ModelOptions:

@@ -171,6 +171,9 @@ class Table:
     outputs: str = declare(
         'outputs', AUTO, 'What is predicted: the wrench at the sensor frame, or the effort of every joint. auto: the '
         'wrench where sensor_frame is given, else the efforts.', choices=OUTPUTS)
+    output_joints: tuple[str, ...] = declare(
+        'output_joints', (), 'Of joints, those whose efforts are predicted; the others, such as a passive one or a '
+        'gripper, are inputs only, and their efforts may be missing. With outputs effort alone. Empty: all of them.')
     wrench_convention: str = declare(
         'wrench_convention', 'action', 'Whether the measured wrench acts on the distal links (action) or is their '
         'reaction on the sensor (reaction).', choices=('action', 'reaction'))

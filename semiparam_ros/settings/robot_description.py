@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from semiparam_ros.core.robot import urdf as urdf_tree
@@ -43,6 +44,15 @@ def moving_joints(settings: Table, urdf: str) -> tuple[str, ...]:
     if not joints:
         raise SemiparamError('the robot description has no moving joint that is not locked; expected at least one.')
     return joints
+
+
+def output_joints(settings: Table, joints: Sequence[str]) -> tuple[str, ...]:
+    """Those of the joints whose efforts are the outputs, in their order.
+
+    Raises SemiparamError when one is named that is none of the joints.
+    """
+    urdf_tree.check_output_joints(joints, settings.output_joints)
+    return tuple(name for name in joints if name in (settings.output_joints or joints))
 
 
 def resolved(name: str) -> Path:

@@ -47,6 +47,19 @@ def joints_are_distinct(table: Table) -> str | None:
     return None
 
 
+def output_joints_are_joints(table: Table) -> str | None:
+    """Efforts are predicted of joints that move."""
+    names = table.output_joints
+    if names and table.outputs == 'wrench':
+        return 'output_joints is given, but outputs is wrench; expected it with outputs effort alone.'
+    if (repeated := _repeated(names)) is not None:
+        return f"output_joints holds '{repeated}' twice; expected distinct joint names."
+    for name in names if table.joints else ():
+        if name not in table.joints:
+            return f"output_joints names '{name}'; expected some of the joints {', '.join(table.joints)}."
+    return None
+
+
 def locked_joints_have_positions(table: Table) -> str | None:
     """One position for each name."""
     names, positions = table.locked_joints_names, table.locked_joints_positions
@@ -75,7 +88,7 @@ def hyperparameters_have_sizes(table: Table) -> str | None:
     expected: list[tuple[str, Sequence[float], int | None]] = [
         ('gamma', table.hyperparameters_gamma, 1), ('rho', table.hyperparameters_rho, 1),
         ('sigma', table.hyperparameters_sigma, 1), ('tau', table.hyperparameters_tau, _n_length_scales(table)),
-        ('output_scale', table.hyperparameters_output_scale, 6 if table.outputs == 'wrench' else _n_joints(table)),
+        ('output_scale', table.hyperparameters_output_scale, _n_outputs(table)),
         ('input_mean', table.hyperparameters_input_mean, _n_inputs(table)),
         ('input_scale', table.hyperparameters_input_scale, _n_inputs(table))]
     for name, values, size in expected:
@@ -130,8 +143,8 @@ def state_file_is_a_plain_name(table: Table) -> str | None:
 
 
 RULES: tuple[Callable[[Table], str | None], ...] = (
-    sensor_frame_is_named, one_robot_description, joints_are_distinct, locked_joints_have_positions,
-    features_come_in_pairs, shadow_variants_are_distinct, hyperparameters_have_sizes,
+    sensor_frame_is_named, one_robot_description, joints_are_distinct, output_joints_are_joints,
+    locked_joints_have_positions, features_come_in_pairs, shadow_variants_are_distinct, hyperparameters_have_sizes,
     input_scaling_is_whole, hyperparameters_suffice, given_hyperparameters_know_their_features, effects_are_known,
     state_file_is_a_plain_name)
 
@@ -155,6 +168,10 @@ def _effect_refusal(text: str, outputs: str) -> str | None:
     if outputs not in effect.outputs:
         return f"effect '{effect.kind}' does not act on outputs {outputs}; expected one of {', '.join(kinds(outputs))}."
     return None
+
+
+def _n_outputs(table: Table) -> int | None:
+    return 6 if table.outputs == 'wrench' else len(table.output_joints) or _n_joints(table)
 
 
 def _n_joints(table: Table) -> int | None:

@@ -55,6 +55,14 @@ def test_equal_stamps_match_without_waiting():
     assert late.stamp == MS
 
 
+def test_efforts_of_joints_that_are_inputs_only_need_be_no_numbers():
+    samples = stream(outputs='effort', output_joints=['knee'])
+    one, = samples.joint_state(0, ('knee', 'hip'), (1.0, 2.0), (0.1, 0.2), (7.0, math.nan))
+    assert one.outputs.tolist() == [7.0] and one.position.tolist() == [2.0, 1.0]
+    assert samples.joint_state(MS, JOINTS, (1.0, 2.0), (0.1, 0.2), (7.0, math.nan)) == []
+    assert samples.faults == {'not_finite': 1}
+
+
 def test_a_wrench_between_joint_states_gets_the_interpolated_one():
     samples = stream()
     assert feed(samples, state(0, 0.0, 1.0), wrench(3 * MS)) == []

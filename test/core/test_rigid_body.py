@@ -260,6 +260,30 @@ def test_links_move_alike_seen_one_by_one_and_all_at_once(joints, options):
                                                     zip(moved, centres, strict=True)], atol=1e-12)
 
 
+@pytest.mark.parametrize('chosen', [('grip',), ('elbow', 'lift')])
+def test_efforts_of_some_joints_are_those_rows_of_all(chosen):
+    joints = ('turn', 'lift', 'grip', 'elbow')  # in another order than the tree
+    every = RigidBody.from_urdf(ODD_ARM, joints, 'effort')
+    body = RigidBody.from_urdf(ODD_ARM, joints, 'effort', output_joints=chosen)
+    rows = [index for index, name in enumerate(joints) if name in chosen]
+    assert body.output_names == tuple(joints[row] for row in rows) and body.n_outputs == len(body.output_units)
+    np.testing.assert_array_equal(body.effort_limits, every.effort_limits[rows])
+    motion = smooth_motion(4, 2 * FEW)
+    np.testing.assert_allclose(body.regressors(motion) @ body.base_parameters,
+                               (every.regressors(motion) @ every.base_parameters)[:, rows], atol=1e-9)
+    np.testing.assert_allclose(body.outputs_of(motion, body.base_parameters),
+                               every.outputs_of(motion, every.base_parameters)[:, rows], atol=1e-9)
+    state = states(4, 1)[0]
+    np.testing.assert_allclose(predicted(body, state), predicted(every, state)[rows], **EXACT)
+    name = list(loaded_links(every))[-1]
+    np.testing.assert_allclose(frame_motion(body, motion, name).force_map,
+                               frame_motion(every, motion, name).force_map[:, rows], atol=1e-12)
+    place = motion.position[3]
+    np.testing.assert_allclose(force_maps(body, place), force_maps(every, place)[:, rows], atol=1e-12)
+    with pytest.raises(SemiparamError, match="output_joints names 'wrist'; expected some of the joints turn, lift"):
+        RigidBody.from_urdf(ODD_ARM, joints, 'effort', output_joints=['wrist'])
+
+
 def test_a_description_without_inertias_still_has_a_regressor():
     bare = re.sub(r'<inertial>.*?</inertial>', '', ODD_ARM)
     given = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft')

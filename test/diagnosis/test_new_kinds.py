@@ -8,11 +8,13 @@ import pytest
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.recordings import during
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_from_text, kinds
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -59,6 +61,21 @@ def test_torques_of_coupled_gears_are_those_of_another_library():
         torque = pinocchio_efforts(made.urdf, body.joints, {}, *states)
         torque[2] += ratio * torque[3]
         np.testing.assert_allclose(row @ body.base_parameters, torque, atol=1e-9)
+
+
+def test_joints_that_are_inputs_only():
+    """Friction is found where the effort is an output; a load moves the efforts that there are."""
+    made, _, samples = recorded('effort')
+    every = made.joint_names
+    body = RigidBody.from_urdf(made.urdf, every, 'effort', output_joints=(every[1], every[3]))
+    outputs = samples.outputs[:, [1, 3]].copy()
+    outputs[:, 1] += 0.8 * np.tanh(samples.velocity[:, 3] / 0.05)
+    found = diagnose(body, replace(samples, outputs=outputs), only=['coulomb_friction', 'viscous_friction', 'payload'])
+    assert names(found) == [('coulomb_friction', every[3])]
+    assert found.findings[0].parameters['coulomb'].value == pytest.approx(0.8, rel=0.1)
+    assert kinds()['gear_coupling'].places(body) == [every[1], every[3]]
+    with pytest.raises(SemiparamError, match=f'with one of {every[1]}, {every[3]}'):
+        CoupledColumns(body, [effect_from_text(f'viscous_friction@{every[0]}')])
 
 
 def test_an_effort_that_is_not_in_proportion():

@@ -22,8 +22,8 @@ NO_PRIOR = Prior(*[np.zeros(0)] * len(Prior._fields))
 class Stand:
     """A gate with three outputs that is given innovations and speeds, at 20 Hz."""
 
-    def __init__(self, settings=ON, of_joints=False, forces=None):
-        self.gate, self.settings, self.stamp = ContactGate(3, of_joints, forces), settings, 10**9
+    def __init__(self, settings=ON, joints=None, forces=None):
+        self.gate, self.settings, self.stamp = ContactGate(3, joints, forces), settings, 10**9
 
     def judge(self, innovations, speed=0.5, std=1.0, beyond=0.0, ready=True):
         """Whether each of (N, 3) innovations is refused."""
@@ -137,9 +137,9 @@ def test_a_burst_at_each_turn_of_a_joint_is_friction_and_a_push_between_two_turn
     burst = 30.0
     gates, contacts = {}, {}
     for of_joints in (True, False):
-        stand = gates[of_joints] = Stand(of_joints=of_joints)
+        stand = gates[of_joints] = Stand(joints=np.array([1, 2, 3]) if of_joints else None)
         for number, (row, velocity) in enumerate(zip(*swinging(90, burst, seed=3)[:2], strict=True)):
-            stand._one(row, velocity, 1.0, 0.0)
+            stand._one(row, np.array([0.0, *velocity]), 1.0, 0.0)  # the first joint is an input only
             if number == RATE_HZ * 15:
                 known = stand.gate.contacts
         contacts[of_joints] = stand.gate.contacts - known
@@ -149,7 +149,8 @@ def test_a_burst_at_each_turn_of_a_joint_is_friction_and_a_push_between_two_turn
     between = np.abs(velocity[:, 1]) > 0.9
     between[RATE_HZ * 3:] = False
     innovations[between, 1] += burst
-    refused = np.array([gates[True]._one(*row, 1.0, 0.0) for row in zip(innovations, velocity, strict=True)])
+    rows = zip(innovations, np.insert(velocity, 0, 0.0, axis=1), strict=True)
+    refused = np.array([gates[True]._one(*row, 1.0, 0.0) for row in rows])
     assert refused[between].mean() > 0.9
 
 
@@ -254,7 +255,7 @@ def test_an_arm_that_sets_out_does_not_touch():
 
 
 def test_it_goes_on_where_it_was_saved():
-    one, other = Stand(of_joints=True), Stand(of_joints=True)
+    one, other = (Stand(joints=np.arange(3)) for _ in range(2))
     one.judge(coloured(RATE_HZ * 60))
     other.gate.restore(one.gate.state())
     other.stamp = one.stamp

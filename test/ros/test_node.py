@@ -363,8 +363,10 @@ def quiet(tmp_path):
 
 
 def test_efforts_best_effort_publishers_and_a_late_description(quiet):
-    """Outputs effort; a driver that offers best effort only; samples that came before the URDF are answered too."""
-    settings = replace(SETTINGS, outputs='effort', robot_description='', sensor_frame='', initial_samples=60)
+    """Outputs effort, of one joint; a driver that offers best effort only; samples that came before the URDF are
+    answered too."""
+    settings = replace(SETTINGS, outputs='effort', output_joints=('b',), robot_description='', sensor_frame='',
+                       initial_samples=60)
     node = quiet(settings, '-r', '__node:=effort_estimator', '-r', '__ns:=/joints')
     samples = motion(120)
     with Client('effort_estimator', '/joints') as client:
@@ -372,7 +374,7 @@ def test_efforts_best_effort_publishers_and_a_late_description(quiet):
         client.outputs['joint_states'] = client.node.create_publisher(JointState, 'joint_states', BEST_EFFORT)
         client.wait(client.outputs['joint_states'].get_subscription_count, 'the node asks for best effort')
         client.meet()
-        efforts = [sample._replace(outputs=sample.outputs[:2]) for sample in samples]
+        efforts = [sample._replace(outputs=np.array([np.nan, sample.outputs[1]])) for sample in samples]
         for sample in efforts[:20]:
             client.state(sample, JOINTS, effort=sample.outputs.tolist())
             time.sleep(0.005)
@@ -385,9 +387,18 @@ def test_efforts_best_effort_publishers_and_a_late_description(quiet):
             time.sleep(0.005)
         client.wait(lambda: len(client.heard['residual']) >= 120, 'every joint state is answered')
         assert client.stamps('predicted_effort') == [sample.stamp for sample in samples]
-        assert list(client.heard['residual'][0].name) == list(JOINTS)
+        assert list(client.heard['residual'][0].name) == ['b']
         np.testing.assert_allclose(np.array(client.values('predicted_effort')) + client.values('residual'),
-                                   [sample.outputs for sample in efforts], atol=1e-9)
+                                   [sample.outputs[1:] for sample in efforts], atol=1e-9)
+        client.listen(JointTrajectory, 'feedforward_trajectory')
+        client.offer('desired_trajectory')
+        client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+        wish = JointTrajectoryPoint(positions=[0.1, 0.2], velocities=[0.0, 0.0], accelerations=[0.0, 0.0])
+        client.outputs['desired_trajectory'].publish(JointTrajectory(joint_names=['a', 'b'], points=[wish]))
+        client.wait(lambda: client.heard['feedforward_trajectory'], 'the efforts that follow')
+        answer = client.heard['feedforward_trajectory'][0]
+        assert (list(answer.joint_names), list(answer.points[0].positions)) == (['b'], [0.2])
+        assert len(answer.points[0].effort) == 1
     assert node.stop(signal.SIGTERM) == 0 and 'Traceback' not in node.output
 
 

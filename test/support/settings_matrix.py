@@ -34,6 +34,7 @@ from covertable import make
 
 from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
@@ -56,6 +57,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'variant': CHOICES,
     'effect': (*kinds(), 'none'),
     'outputs': OUTPUTS,
+    'efforts': ('all', 'last'),
     'asked': ('by name', 'auto'),
     'values': ('bare', 'all'),
     'start': ('none', 'late', 'stamp'),
@@ -75,6 +77,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
 }
 """What is not a parameter's value:
 
+efforts: of which joints they are outputs; the others are inputs only, and their efforts no numbers. Of a wrench, all.
 asked: for the outputs; auto leaves them to the sensor's frame.
 start: of the effect; none, in seconds since the start of the recording, or as a stamp.
 motion: velocities and accelerations measured; accelerations filtered from the velocities; velocities missing, filtered
@@ -84,9 +87,9 @@ background: hyperparameters are estimated at once, or while further samples come
 """
 
 TRIPLES: tuple[tuple[str, ...], ...] = (
-    ('effect', 'outputs', 'values'), ('effect', 'outputs', 'place'), ('effect', 'values', 'start'),
-    ('variant', 'outputs', 'forgetting', 'still', 'background'), ('variant', 'forgetting', 'gate', 'tare'),
-    ('variant', 'forgetting', 'horizon'), ('variant', 'outputs', 'motion'),
+    ('effect', 'outputs', 'values'), ('effect', 'outputs', 'place'), ('effect', 'outputs', 'efforts'),
+    ('effect', 'values', 'start'), ('variant', 'outputs', 'forgetting', 'still', 'background'),
+    ('variant', 'forgetting', 'gate', 'tare'), ('variant', 'forgetting', 'horizon'), ('variant', 'outputs', 'motion'),
     ('variant', 'noise', 'length_scales'), ('variant', 'forgetting', 'features'))
 """Groups of factors of which any three values meet: they cost hardly a row more, as each variant meets each effect."""
 
@@ -111,6 +114,8 @@ Row = dict[str, object]
 
 def is_possible(row: Row) -> bool:
     """Whether a row, or the part of it that is there, can be."""
+    if (row.get('effect'), row.get('values'), row.get('place')) == ('cable_hysteresis', 'all', 'last'):
+        return False  # its last place is a joint, where a cable has no direction
     return not any((row.get('effect'), factor, row.get(factor)) in IMPOSSIBLE for factor in ('outputs', 'start'))
 
 
@@ -119,6 +124,7 @@ def rows() -> tuple[Row, ...]:
     """Rows in which every possible pair of values occurs; always the same ones."""
     excluded = [{'operator': 'fn', 'requires': ['effect', factor], 'evaluate': is_possible}
                 for factor in ('outputs', 'start')]
+    excluded.append({'operator': 'fn', 'requires': ['effect', 'values', 'place'], 'evaluate': is_possible})
     triples = [{'fields': list(group), 'strength': 3} for group in TRIPLES]
     return tuple(make({name: list(values) for name, values in FACTORS.items()}, constraints=excluded,
                       sub_models=triples))
@@ -138,23 +144,34 @@ def possible_pairs() -> set[tuple[object, ...]]:
 # The model of a row
 
 @cache
-def body_of(outputs: str):
+def body_of(outputs: str, efforts: str = 'all'):
     """The two-joint arm, with a wrench sensor in its hand or torque sensors in its joints."""
     return build_rigid_body(Settings(robot_description=URDF, joints=JOINTS, outputs=outputs,
+                                     output_joints=output_joints_of(outputs, efforts),
                                      sensor_frame='ft' if outputs == 'wrench' else ''))
+
+
+def body_of_settings(settings: Settings):
+    """The same of a row's parameters."""
+    return body_of(settings.outputs, 'last' if settings.output_joints else 'all')
+
+
+def output_joints_of(outputs: object, efforts: object) -> tuple[str, ...]:
+    """The parameter of a row."""
+    return JOINTS[-1:] if (outputs, efforts) == ('effort', 'last') else ()
 
 
 def effect_of(row: Row, duration_s: float) -> Effect | None:
     """The effect of a row: bare or with all of its values, at the first or the last of its places."""
     if row['effect'] == 'none':
         return None
-    kind, body = kinds()[str(row['effect'])], body_of(str(row['outputs']))
+    kind, body = kinds()[str(row['effect'])], body_of(str(row['outputs']), str(row.get('efforts')))
     places = kind.places(body) or kind.permitted(body)
     where = places[0 if row['place'] == 'first' else -1]
     shape = {'sin(q_a)': 1.0} if kind.kind == 'terms' else {}
     reference: tuple[float, ...] = ()
     if row['values'] == 'all':
-        shape = all_values(kind, where, str(row['outputs']))
+        shape = all_values(kind, where, body)
         reference = tuple(body.base_parameters)
     if row['start'] == 'late':
         shape['start_s'] = 0.7 * duration_s
@@ -163,13 +180,12 @@ def effect_of(row: Row, duration_s: float) -> Effect | None:
     return kind.from_values(where, shape, reference)
 
 
-def all_values(kind: type[Effect], where: str | None, outputs: str) -> dict[str, float]:
+def all_values(kind: type[Effect], where: str | None, body: RigidBody) -> dict[str, float]:
     """Every value that the kind knows, those that choose the form of its columns as a search would set them."""
     if kind.kind == 'terms':
         return {'time*abs(dq_a)': 1.2, 'bump(q_b,0.1,0.3)': 1.0, 'q_a^2*sin(q_b)': 0.3}
     moving = samples_of(raw_motion('wrench', 'none', 400), Settings(sensor_frame='ft'), 'wrench', 'measured')
     motion = Samples.from_list(moving)
-    body = body_of(outputs)
     residual = np.random.default_rng(0).standard_normal((len(motion), body.n_outputs))
     found = kind.searches(body, motion, where, residual)
     small = dict.fromkeys((name for name, _ in kind.calibrations), 0.01)
@@ -182,7 +198,8 @@ def settings_of(row: Row, count: int) -> Settings:
     wrench = row['outputs'] == 'wrench'
     return Settings.from_mapping({
         'robot_description': URDF, 'joints': list(JOINTS), 'sensor_frame': 'ft' if wrench else '',
-        'outputs': row['outputs'] if row['asked'] == 'by name' else 'auto', 'variant': row['variant'],
+        'outputs': row['outputs'] if row['asked'] == 'by name' else 'auto',
+        'output_joints': output_joints_of(row['outputs'], row['efforts']), 'variant': row['variant'],
         'effects': [effect_to_text(effect)] if effect else [], 'forgetting': row['forgetting'], 'noise': row['noise'],
         'features.length_scales': row['length_scales'], 'features.count': row['features'],
         'learn.every': row['learn_every'], 'learn.least_gain': row['least_gain'], 'initial.samples': WINDOW,
@@ -235,13 +252,19 @@ def samples_of(motion: Motion, settings: Settings, outputs: str, source: str, bu
         part = _part(stamps, motion, start, burst)
         for stamp, position, velocity, _, measured in part:
             found += stream.joint_state(stamp, JOINTS, position, () if source == 'missing' else velocity,
-                                        measured if outputs == 'effort' else ())
+                                        efforts_of(measured, settings) if outputs == 'effort' else ())
         for stamp, _, _, acceleration, _ in part if source == 'measured' else ():
             found += stream.accelerations(stamp, JOINTS, acceleration)
         for stamp, _, _, _, measured in part if outputs == 'wrench' else ():
             found += stream.wrench(stamp + late, 'ft', measured)
     assert not stream.faults, stream.last_fault
     return found
+
+
+def efforts_of(measured: list[float], settings: Settings) -> list[float]:
+    """Those of the joints that are inputs only are no numbers."""
+    outputs = settings.output_joints or JOINTS
+    return [effort if joint in outputs else np.nan for joint, effort in zip(JOINTS, measured, strict=True)]
 
 
 def _part(stamps: list[int], motion: Motion, start: int, burst: int) -> list[tuple]:
@@ -276,7 +299,7 @@ class Live:
         self.record = Record()
         self._delayed = row['background'] == 'delayed'
         self.background = DelayedBackground() if self._delayed else InlineBackground()
-        self.learner = Learner(settings, body_of(settings.outputs), self.background, self)
+        self.learner = Learner(settings, body_of_settings(settings), self.background, self)
         self._offered = 0
 
     def answered(self, answer: Answer) -> None:
@@ -348,7 +371,7 @@ def live(row: Row, settings: Settings, samples: list[Sample], tares: list[int],
     first.run_background()
     state_file.save(path, first.learner.state())
     second = Live(row, settings)
-    second.learner.restore(state_file.load(path, settings, body_of(settings.outputs)))
+    second.learner.restore(state_file.load(path, settings, body_of_settings(settings)))
     for stage in (first, second):
         _offer_with_tares(stage, samples[half:], [index - half for index in tares])
         stage.run_background()

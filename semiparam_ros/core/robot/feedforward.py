@@ -29,7 +29,8 @@ RANGE_MARGIN = 0.05
 
 
 class Desired(NamedTuple):
-    """What one desired state takes, as of now: ``outputs`` (n,), and ``efforts`` (n_joints,) [N m] for the motors.
+    """What one desired state takes, as of now: ``outputs`` (n,), and ``efforts`` [N m] for the motors, of the body's
+    ``effort_joints``.
 
     A wrench is what the sensor will show, but for a bias that a tare took off. Efforts are what has to be commanded,
     cut to the limits of the URDF; the outputs of an effort model are these. Standard deviations hold the noise; those
@@ -40,7 +41,7 @@ class Desired(NamedTuple):
     outputs_std: Array
     efforts: Array
     efforts_std: Array
-    limited: Array  # (n_joints,) where the effort was cut
+    limited: Array  # like efforts, where one was cut
     outside: tuple[str, ...]  # inputs outside of those learnt
     variance_ratio: float  # see DesiredOutputs
     described: bool  # by the robot description alone

@@ -90,7 +90,7 @@ def force_maps(body: RigidBody, position: Array) -> Array:
     centres = np.array([data.oMi[joint].act(model.inertias[joint].lever) for joint in carriers])
     places = np.concatenate([origins, centres])
     if body.distal is None:
-        motions = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:, body.arm_columns]
+        motions = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:, body.output_rows]
                    for frame in frames] * 2
         arms = places - np.tile(origins, (2, 1))
         return np.array([np.cross(arm, motion[3:].T) - motion[:3].T for arm, motion in zip(arms, motions, strict=True)])
@@ -107,7 +107,7 @@ def frame_motion(body: RigidBody, samples: Samples, link: str) -> FrameMotion:
     moved = body.arm_vector(samples.velocity)[:, None]
     velocity, turning = ((columns * moved).sum(axis=2) for columns in (linear, angular))
     if body.distal is None:
-        force, couple = (-np.swapaxes(part[:, :, body.arm_columns], 1, 2) for part in (linear, angular))
+        force, couple = (-np.swapaxes(part[:, :, body.output_rows], 1, 2) for part in (linear, angular))
     else:
         sensor = (_one_by_one(body, samples, body.sensor_index) if arm is None
                   else _together(arm, body.sensor_index))[:2]

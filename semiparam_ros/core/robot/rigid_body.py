@@ -114,8 +114,11 @@ class RigidBody:
     """
 
     def __init__(self, arm: pin.Model, distal: pin.Model | None, frame: str | None, joints: Sequence[str],
-                 sign: float) -> None:
+                 sign: float, output_joints: Sequence[str] = ()) -> None:
         self.joints = tuple(joints)
+        self.output_index: Indices = np.array([index for index, name in enumerate(joints) if name in output_joints],
+                                              dtype=np.int64)
+        """(n,) numbers of the joints whose efforts are the outputs; of a wrench (0,)."""
         self.outputs = 'effort' if distal is None else 'wrench'
         self.sensor_frame = frame
         self.sign = sign
@@ -125,6 +128,7 @@ class RigidBody:
         self.arm_columns = np.array([arm.joints[arm.getJointId(name)].idx_v for name in joints])
         self._arm_order = self.arm_columns.argsort()
         self._in_order = bool((np.diff(self._arm_order) > 0).all())
+        self._all_rows = self._in_order and len(self.output_index) == len(joints)
         if distal is not None:
             self.sensor_index = arm.getFrameId(SENSOR)
             shared = [arm.joints[arm.getJointId(name)].idx_v for name in list(distal.names)[2:] if name in joints]
@@ -155,12 +159,14 @@ class RigidBody:
 
     @classmethod
     def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
-                  convention: str = 'action', locked: Mapping[str, float] | None = None) -> RigidBody:
+                  convention: str = 'action', locked: Mapping[str, float] | None = None,
+                  output_joints: Sequence[str] = ()) -> RigidBody:
         """Read an arm from URDF text.
 
         :param joints: moving joints, in the order of the inputs; all others stay at ``locked`` [rad] (0 unless given).
         :param outputs: ``wrench`` at ``sensor_frame`` or joint ``effort``.
         :param convention: the wrench is the ``action`` on the distal bodies, or their ``reaction`` on the sensor.
+        :param output_joints: of ``joints``, those whose efforts are the outputs; all of them unless given.
 
         Raises SemiparamError for an unknown joint, frame, output or convention.
         """
@@ -174,7 +180,8 @@ class RigidBody:
         check_locked(joints, locked)
         arm = reduced(build(robot), joints, locked)
         if outputs == 'effort':
-            return cls(arm, None, None, joints, 1.0)
+            urdf_tree.check_output_joints(joints, output_joints)
+            return cls(arm, None, None, joints, 1.0, output_joints or joints)
         if not sensor_frame:
             raise SemiparamError('sensor_frame is empty; a wrench needs the link or joint that carries the sensor.')
         link = urdf_tree.sensor_link(robot, sensor_frame)
@@ -192,8 +199,8 @@ class RigidBody:
 
     @property
     def n_outputs(self) -> int:
-        """Six for a wrench, n_joints for efforts."""
-        return 6 if self.outputs == 'wrench' else self.n_joints
+        """Six for a wrench, one for each joint whose effort is an output."""
+        return 6 if self.outputs == 'wrench' else len(self.output_index)
 
     @property
     def n_parameters(self) -> int:
@@ -202,13 +209,13 @@ class RigidBody:
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Channel labels: fx..tz, or the joints."""
-        return WRENCH_NAMES if self.outputs == 'wrench' else self.joints
+        """Channel labels: fx..tz, or the joints whose efforts are the outputs, in the order of ``joints``."""
+        return WRENCH_NAMES if self.outputs == 'wrench' else tuple(self.joints[index] for index in self.output_index)
 
     @property
     def output_units(self) -> tuple[str, ...]:
         """Unit of each channel."""
-        return ('N',) * 3 + ('N m',) * 3 if self.outputs == 'wrench' else ('N m',) * self.n_joints
+        return ('N',) * 3 + ('N m',) * 3 if self.outputs == 'wrench' else ('N m',) * self.n_outputs
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -217,10 +224,16 @@ class RigidBody:
         names = list(model.names)[1:]
         return tuple(names) if self.distal is None else (str(self.sensor_frame), *names[1:])
 
+    @property
+    def effort_joints(self) -> tuple[str, ...]:
+        """Joints whose efforts follow from the outputs: all of them from a wrench."""
+        return self.joints if self.outputs == 'wrench' else self.output_names
+
     @cached_property
     def effort_limits(self) -> Array:
-        """(n_joints,) largest efforts [N m] that the URDF allows; infinite where it names none above 0."""
-        limits = np.asarray(self.arm.effortLimit)[self.arm_columns]
+        """Largest efforts [N m] of the ``effort_joints`` by the URDF; infinite where it names none above 0."""
+        columns = self.arm_columns if self.outputs == 'wrench' else self.output_rows
+        limits = np.asarray(self.arm.effortLimit)[columns]
         return np.where(limits < float(urdf_tree.NO_LIMIT), limits, np.inf)
 
     @cached_property
@@ -280,12 +293,12 @@ class RigidBody:
         motion = self._whole_motion(samples, ahead, still, still)
         efforts = np.zeros((model.nv, len(samples)), order='F')
         pin.rneaInParallel(1, pin.ModelPool(model, 1), *(np.asfortranarray(values) for values in motion), efforts)
-        return np.asarray(efforts[self._output_rows].T)
+        return np.asarray(efforts[self.output_rows].T)
 
     @property
-    def _output_rows(self) -> Indices:
+    def output_rows(self) -> Indices:
         """(n,) efforts of :meth:`_whole` that are the outputs."""
-        return self.arm_columns if self.distal is None else np.arange(self.arm.nv, self.arm.nv + 6)
+        return self.arm_columns[self.output_index] if self.distal is None else np.arange(self.arm.nv, self.arm.nv + 6)
 
     def _whole_motion(self, samples: Samples, *at_sensor: Array) -> list[Array]:
         """Positions, velocities and accelerations (.., N) of :meth:`_whole`, with those (.., N) of the free joint."""
@@ -304,7 +317,7 @@ class RigidBody:
         still = np.zeros((6, len(samples)))
         travel, velocity, acceleration = self._whole_motion(samples, still, still, still)
         first = 1 if self.distal is None else self.arm.njoints
-        rows = effort_regressors(self._whole(), travel, velocity, acceleration, self._output_rows.tolist(), first)
+        rows = effort_regressors(self._whole(), travel, velocity, acceleration, self.output_rows.tolist(), first)
         return rows if self.sign == 1.0 else self.sign * rows
 
     def full_regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
@@ -325,7 +338,7 @@ class RigidBody:
         full = pin.computeJointTorqueRegressor(self.arm, self._arm_data, q, dq, ddq)
         if full.ndim == 1:  # of one joint
             full = full[None]
-        return full if self._in_order else np.asarray(full[self.arm_columns])
+        return full if self._all_rows else np.asarray(full[self.output_rows])
 
     def _sensor_rows(self, q: Array, dq: Array, ddq: Array) -> Array:
         (whole, data), joints, take = self._whole_data, self.arm.nv, self._distal_from

@@ -71,6 +71,13 @@ def check_joints(robot: ElementTree.Element, joints: Sequence[str]) -> None:
         raise SemiparamError(f'a joint is named twice in {", ".join(joints)}; expected distinct names.')
 
 
+def check_output_joints(joints: Sequence[str], output_joints: Sequence[str]) -> None:
+    """Raise SemiparamError when an effort is to be predicted of a joint that does not move."""
+    for name in output_joints:
+        if name not in joints:
+            raise SemiparamError(f"output_joints names '{name}'; expected some of the joints {', '.join(joints)}.")
+
+
 def sensor_link(robot: ElementTree.Element, frame: str) -> str:
     """The link whose frame is the sensor's: ``frame`` names that link, or the joint that carries it."""
     links = [str(link.get('name')) for link in robot.findall('link')]

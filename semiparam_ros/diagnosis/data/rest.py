@@ -33,6 +33,6 @@ def counted_outputs(body: RigidBody, samples: Samples, config: DiagnosisConfig =
     """
     counted = np.ones(samples.outputs.shape, dtype=bool)
     if body.outputs == 'effort':
-        moving = ~resting(samples, config)
+        moving = ~resting(samples, config)[:, body.output_index]
         counted = moving | (moving.sum(axis=0) < config.least_working_samples)
     return counted

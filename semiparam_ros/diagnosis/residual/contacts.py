@@ -50,7 +50,7 @@ def contacts(fit: Fit) -> list[Contact]:
         largest = left[np.abs(left).argmax(axis=0), np.arange(left.shape[1])]
         channels = {name: float(value) for name, value, shows in zip(
             fit.body.output_names, largest, felt, strict=True) if shows}
-        joint = fit.body.joints[int(np.flatnonzero(felt)[-1])] if fit.body.outputs == 'effort' else None
+        joint = fit.body.output_names[int(np.flatnonzero(felt)[-1])] if fit.body.outputs == 'effort' else None
         found.append(Contact(float(time[start]), float(time[end - 1]), channels, joint))
     total = sum(contact.end_s - contact.start_s for contact in found)
     return found if total < config.most_contact_share * (time[-1] - time[0]) else []

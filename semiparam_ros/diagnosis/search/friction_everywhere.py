@@ -72,8 +72,9 @@ def _completed(fit: Fit, kinds: dict[str, type[Effect]], declared: Collection[Pl
 def _missing(fit: Fit, kinds: dict[str, type[Effect]]) -> list[list[Effect]]:
     """The effects that the model lacks, for each speed within which dry friction may turn over."""
     known = held(fit.effects)
-    top_speed = np.abs(fit.samples.velocity[fit.train_mask]).max(axis=0)
-    everywhere = [[effect for joint, fastest in zip(fit.body.joints, top_speed.tolist(), strict=True) for effect in (
+    top_speed = np.abs(fit.samples.velocity[fit.train_mask][:, fit.body.output_index]).max(axis=0)
+    joints = list(zip(fit.body.output_names, top_speed.tolist(), strict=True))
+    everywhere = [[effect for joint, fastest in joints for effect in (
         ViscousFriction(joint), CoulombFriction(joint, {'turn_speed': share * max(fastest, 1e-6)}),
         EffortOffset(joint))] for share in SPEED_SHARES]
     return [[effect for effect in effects if effect.kind in kinds and (effect.kind, effect.where) not in known]
@@ -91,7 +92,7 @@ def _is_widespread(fit: Fit) -> bool:
     worth = worth_at_once(fit)
     rubbing = {effect.where for index, effect in enumerate(fit.effects)
                if effect.kind in FRICTION and worth[index] > fit.config.least_evidence}
-    return len(rubbing) > max(2, len(fit.body.joints) // 2)
+    return len(rubbing) > max(2, fit.body.n_outputs // 2)
 
 
 def _pruned(fit: Fit, kinds: Collection[str], declared: Collection[Place]) -> Fit:

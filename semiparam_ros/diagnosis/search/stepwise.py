@@ -160,7 +160,7 @@ def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
             best_of_kind.setdefault(trial.effect.kind, trial)
     chosen += [trial for trial in best_of_kind.values()
                if trial not in chosen and trial.evidence > config.least_evidence]
-    for joint in fit.body.joints if fit.body.outputs == 'effort' else ():
+    for joint in fit.body.output_names if fit.body.outputs == 'effort' else ():
         at_joint = [trial for trial in trials if trial.effect.where == joint]
         chosen += [trial for trial in at_joint[:config.refined_at_joint]
                    if trial not in chosen and trial.evidence > 0.0]
@@ -259,7 +259,7 @@ def _other_joints(fit: Fit, first: Trial, ranking: list[Trial]) -> list[list[Tri
     Each has a channel of its own, so one round can take them all; but what one joint lacks also bends the rigid
     body's fit of the others, so each must show again what it is worth once the first is declared.
     """
-    joints = fit.body.joints
+    joints = fit.body.output_names
     if fit.body.outputs != 'effort' or first.effect.where not in joints:
         return []
     at: dict[str | None, list[Trial]] = {}

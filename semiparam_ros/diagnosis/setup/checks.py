@@ -377,8 +377,8 @@ def _mirrored(order: tuple[int, ...], signs: tuple[float, ...]) -> str:
 
 
 def _other_effort_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
-    for joint, name in enumerate(body.joints):
-        negated = replace(samples, outputs=_negated(samples.outputs, joint))
+    for channel, name in enumerate(body.output_names):
+        negated = replace(samples, outputs=_negated(samples.outputs, channel))
         yield Alternative(negated, SetupProblem('effort_sign', name, (
             f"The effort of '{name}' fits the robot description far better with the opposite sign: negate it in the "
             'driver.')))
@@ -393,13 +393,13 @@ def _opposite_efforts(body: RigidBody, samples: Samples, config: DiagnosisConfig
     problems = [SetupProblem('effort_sign', name, (
         f"The effort of '{name}' opposes what the robot description predicts (correlation {like:.2f}), while those of "
         'most other joints follow it: negate it in the driver.'))
-        for name, like, flag in zip(body.joints, likeness, opposed, strict=True) if flag]
+        for name, like, flag in zip(body.output_names, likeness, opposed, strict=True) if flag]
     negated = replace(samples, outputs=samples.outputs * np.where(opposed, -1.0, 1.0))
     yield Alternative(negated, problems[0], likely=True, further=tuple(problems[1:]))
 
 
 def effort_likeness(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
-    """(n_joints,) correlation of each effort with the description's prediction, friction and rotors taken off both."""
+    """(n,) correlation of each effort with the description's prediction, friction and rotors taken off both."""
     free = nuisances(body, samples, config)
     measured, predicted = (_without(free, values) for values in (
         samples.outputs, body.regressors(samples) @ body.base_parameters))
@@ -425,8 +425,8 @@ def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Alternative
         mirrored = replace(samples, position=_negated(samples.position, joint),
                            velocity=_negated(samples.velocity, joint),
                            acceleration=_negated(samples.acceleration, joint))
-        if body.outputs == 'effort':
-            mirrored = replace(mirrored, outputs=_negated(samples.outputs, joint))
+        if name in body.output_names:
+            mirrored = replace(mirrored, outputs=_negated(samples.outputs, body.output_names.index(name)))
         yield Alternative(mirrored, SetupProblem('joint_direction', name, (
             f"The recording fits the robot description far better when '{name}' turns the other way: negate its "
             'position, velocity (and effort) in the driver, or its axis in the robot description.')))
@@ -439,7 +439,10 @@ def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
         swapped = replace(samples, position=samples.position[:, order], velocity=samples.velocity[:, order],
                           acceleration=samples.acceleration[:, order])
         if body.outputs == 'effort':
-            swapped = replace(swapped, outputs=samples.outputs[:, order])
+            if (one in body.output_index) != (other in body.output_index):
+                continue  # the effort of one of them is not known
+            channels = np.searchsorted(body.output_index, order[body.output_index])
+            swapped = replace(swapped, outputs=samples.outputs[:, channels])
         yield Alternative(swapped, SetupProblem('joint_order', body.joints[one], (
             f"The recording fits the robot description far better with '{body.joints[one]}' and "
             f"'{body.joints[other]}' exchanged: correct the names in the joint states (for a bag: semiparam convert "
@@ -567,4 +570,4 @@ def friction_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig
     wrong = (share < config.pushing_share) & (others > config.braking_share)
     return [SetupProblem('effort_sign', name, (
         f"The effort of '{name}' goes with its motion as no friction can: it has the opposite sign of its velocity's; "
-        'negate it in the driver.')) for name, flag in zip(body.joints, wrong, strict=True) if flag]
+        'negate it in the driver.')) for name, flag in zip(body.output_names, wrong, strict=True) if flag]

@@ -71,9 +71,9 @@ def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Arra
 
 
 def dissipation(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
-    """(n_joints,) how much of each joint's effort is friction that goes with its velocity: 1 all of it, -1 all of it
+    """(n,) how much of each joint's effort is friction that goes with its velocity: 1 all of it, -1 all of it
     with the opposite sign, which would feed energy into the joint."""
-    count, moved = body.n_joints, samples.velocity
+    count, moved = body.n_outputs, samples.velocity[:, body.output_index]
     change, _ = _solved(equations(body, samples, config), samples.outputs, False)
     viscous, dry = change[body.n_parameters + count:body.n_parameters + 3 * count].reshape(2, count)
     friction = viscous * moved + dry * np.tanh(moved / _turn(moved, config))
@@ -99,8 +99,9 @@ def nuisances(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Arr
     identity = np.eye(body.n_outputs)
     if body.outputs == 'wrench':
         return np.broadcast_to(identity, (len(samples), *identity.shape))
-    moved = samples.velocity
-    parts = (np.ones_like(moved), moved, np.tanh(moved / _turn(moved, config)), samples.acceleration)
+    moved = samples.velocity[:, body.output_index]
+    parts = (np.ones_like(moved), moved, np.tanh(moved / _turn(moved, config)),
+             samples.acceleration[:, body.output_index])
     return np.concatenate([part[:, :, None] * identity for part in parts], axis=2)
 
 

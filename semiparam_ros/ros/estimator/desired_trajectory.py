@@ -228,11 +228,13 @@ class DesiredTrajectory:
             points.append((stamp, desired_state(point, order, len(trajectory.names), index), point))
             yield
         learner = self._learner()
-        joints, is_wrench = learner.body.joints, learner.body.outputs == 'wrench'
-        value = ValueMessage(None if is_wrench else joints)
-        columns = np.argsort(order)  # our joints as the message orders them
+        body, is_wrench = learner.body, learner.body.outputs == 'wrench'
+        value = ValueMessage(None if is_wrench else body.output_names)
+        # Our joints as the message orders them, those whose efforts follow.
+        columns = [column for column in np.argsort(order).tolist() if body.joints[column] in body.effort_joints]
+        efforts_of = [body.effort_joints.index(body.joints[column]) for column in columns]
         answer, answer_std = (TrajectoryWriter(trajectory.stamp, trajectory.frame_id,
-                                               [joints[column] for column in columns]) for _ in range(2))
+                                               [body.joints[column] for column in columns]) for _ in range(2))
         before = self.feedforward.counts()
         for stamp, state, point in points:
             learner = self._learner()
@@ -244,7 +246,8 @@ class DesiredTrajectory:
             if self._status.get_subscription_count():
                 self._status.publish(self._marks.write(stamp, status(found)))
             for writer, efforts in ((answer, found.efforts), (answer_std, found.efforts_std)):
-                writer.add([part[columns].tolist() for part in (*state, efforts)], point.from_start)
+                motion = [part[columns].tolist() for part in state]
+                writer.add([*motion, efforts[efforts_of].tolist()], point.from_start)
             yield
         self._trajectory.publish(answer.message())
         self._trajectory_std.publish(answer_std.message())

@@ -49,7 +49,7 @@ class ValueMessage:
         self._frame_id: str | None = None
 
     def filled(self, stamp: int, frame_id: str, values: Array) -> bytes:
-        """With a stamp [ns], and a wrench (6,) in N and N m or efforts (n_joints,) in N m."""
+        """With a stamp [ns], and a wrench (6,) in N and N m or efforts (n,) in N m."""
         if frame_id != self._frame_id:
             self._frame_id, self._layout = frame_id, self._laid_out(frame_id)
         return self._layout.write(stamp, values.tolist())
@@ -105,7 +105,7 @@ class Outputs:
     def open(self, body: RigidBody) -> None:
         """The robot is known: prepare the messages."""
         wrench = body.outputs == 'wrench'
-        self._value = ValueMessage(None if wrench else body.joints)
+        self._value = ValueMessage(None if wrench else body.output_names)
         self._errors = HorizonMessage(body.output_names, wrench)
         self._level = joint_state_layout('', body.output_names, body.n_outputs, 0, 0)
         self._parts = joint_state_layout('', [f'{name}_{part}' for part in PARTS for name in body.output_names],
