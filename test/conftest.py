@@ -143,10 +143,11 @@ def measured_icub(shared_data, repository, tmp_path_factory) -> Path:
     return folder
 
 
-LONGEST = ('test_diagnosis.py', 'test_docs.py', 'test_outside_faults.py', 'test_node.py', 'test_other_simulator.py',
-           'test_matrix.py', 'test_compare.py', 'test_outside_client.py', 'test_replay.py', 'test_node_fuzz.py',
+LONGEST = ('test_docs.py', 'test_diagnosis.py', 'test_outside_faults.py', 'test_node.py', 'test_node_fuzz.py',
+           'test_outside_client.py', 'test_compare.py', 'test_other_simulator.py', 'test_matrix.py',
+           'test_structure.py', 'test_node_switching.py', 'test_checkpoints.py', 'test_replay.py', 'test_learner.py',
            'test_estimator.py')
-"""Files of about a minute and more."""
+"""Files of half a minute and more."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

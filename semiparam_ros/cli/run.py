@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,8 +22,10 @@ def run(args: argparse.Namespace) -> int:
     if args.params is not None:
         check_file(args.params, ros_arguments)
         ros_arguments += ['--ros-args', '--params-file', str(args.params)]
+    gc.disable()  # what is loaded stays for good: to look through it meanwhile takes a tenth of the start
     from semiparam_ros.ros.estimator.process import run_estimator  # after the check, which then answers at once
 
+    gc.enable()
     return run_estimator(ros_arguments)
 
 
