@@ -114,6 +114,12 @@ class AveragedEstimator(Estimator):
         for each in self._members:
             each._leave_window()
 
+    def follow_change(self) -> None:
+        """See :meth:`Estimator.follow_change`."""
+        super().follow_change()
+        for other in self._others:
+            other.follow_change()
+
     def clear_horizons(self) -> None:
         """See :meth:`Estimator.clear_horizons`."""
         super().clear_horizons()

@@ -375,6 +375,11 @@ class Estimator:
             self.finish_window()
         return complete
 
+    def follow_change(self) -> None:
+        """The robot has changed: what was learnt before counts for less from now on, see
+        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.discount`."""
+        self.model.recursion.discount()
+
     def gather(self, sample: Sample, learn: bool = True) -> None:
         """Take a sample into the initial window alone: the rigid body neither answers nor learns it.
 

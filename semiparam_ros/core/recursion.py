@@ -20,6 +20,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Mapping
 from itertools import count
+from math import ceil, log
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,10 @@ from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 QR_BLOCK = 8
+
+DISCOUNT, KEPT = 0.99, 500.0
+"""A change of the robot: the past is forgotten at this factor until it counts as so many samples. Over the samples
+after that, one for each feature, the prior is renewed."""
 
 REVISIONS = count(secrets.randbits(60))
 """Numbers the states of all models. It starts at random, so that no two processes give the same number."""
@@ -77,7 +82,8 @@ class SemiParametricRecursion:
         self._check()
         self.theta = np.zeros(self.n_columns) if prior_mean is None else np.array(prior_mean, dtype=float)
         self._weights = SquareRootFilter(n_features, rho, (self.n_columns + 1) * n_outputs)
-        self._renewed = 0
+        self._renewed = self._discounts = 0
+        self._memory = 0.0
         self._information = np.zeros((self.n_columns + 1, self.n_columns + 1))
         diagonal = np.arange(self.n_columns)
         self._information[diagonal, diagonal] = 1.0 / self._prior_std
@@ -134,9 +140,13 @@ class SemiParametricRecursion:
         if self.n_features:
             _, f, reach = prior.features
             self._weights.learn(Projection(f, reach, prior.regressed), self.sigma, innovations.ravel())
-        if self.forgetting < 1.0:
-            self._forget()
+        self._perhaps_forget()
         return innovations
+
+    def discount(self) -> None:
+        """Let the past count less from the next samples on: the robot has changed. No estimate moves by that."""
+        if self._memory > KEPT:
+            self._discounts = ceil(log(KEPT / self._memory) / log(DISCOUNT)) + max(self.n_features, self.n_columns)
 
     def learning(self, prior: Prior) -> tuple[Array, float, Array, Array, Array, float, Array, Array, Array, Array,
                                               int, float, Indices, int]:
@@ -150,8 +160,7 @@ class SemiParametricRecursion:
         """:func:`learn` has run; so many estimates have a place now."""
         if self.n_features:
             self._weights.has_changed(placed)
-        if self.forgetting < 1.0:
-            self._forget()
+        self._perhaps_forget()
 
     def theta_without(self, count: int) -> Array:
         """(p,) theta as if the last ``count`` columns had never been there, for which it is zero: the corner of R
@@ -209,7 +218,8 @@ class SemiParametricRecursion:
 
     def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
-        return {**self._weights.state(), 'renewed': np.array(self._renewed),
+        return {**self._weights.state(), 'renewed': np.array([self._renewed, self._discounts]),
+                'memory': np.array(self._memory),
                 'information': self._information.copy(), 'theta': self.theta.copy()}
 
     def restore(self, state: Mapping[str, Array | Indices]) -> None:
@@ -225,7 +235,8 @@ class SemiParametricRecursion:
                                      f'{self.n_columns} columns.')
         self.revise()
         self._weights.restore(state)
-        self._renewed = int(state['renewed'])
+        self._renewed, self._discounts = np.asarray(state['renewed']).tolist()
+        self._memory = float(state['memory'])
         self._information = np.array(state['information'], dtype=float, order='C')
         self.theta = np.array(state['theta'], dtype=float)
 
@@ -249,29 +260,47 @@ class SemiParametricRecursion:
         block = min(self.n_columns + 1, QR_BLOCK)
         self._information = np.ascontiguousarray(dtpqrt(0, block, self._information, rows)[0])
 
-    def _forget(self) -> None:
-        """Weigh the past less, and renew the prior of one feature weight and one coefficient in turn.
+    def _perhaps_forget(self) -> None:
+        factor = self.forgetting
+        if self._discounts:
+            self._discounts -= 1
+            if self._discounts >= max(self.n_features, self.n_columns):
+                factor = min(factor, DISCOUNT)
+            elif factor == 1.0:
+                self._renew(0.0)
+        self._memory = factor * self._memory + 1.0
+        if factor < 1.0:
+            self._forget(factor)
+
+    def _forget(self, factor: float) -> None:
+        """Weigh the past less, and renew what of the prior is forgotten so."""
+        self._information *= np.sqrt(factor)
+        if self.n_features:
+            self._weights.inflate(1.0 / np.sqrt(factor))
+        self._renew(factor)
+
+    def _renew(self, factor: float) -> None:
+        """Renew the prior of one feature weight and one coefficient in turn, of which each round forgets by ``factor``
+        for each sample; 0: all of it.
 
         What the motion no longer excites would otherwise lose all information, the prior's included: its variance
         would grow without bound while the robot stands still, and the model would burst when it moves again. Each
         renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves.
         """
-        self._information *= np.sqrt(self.forgetting)
         if self.n_features:
-            self._weights.inflate(1.0 / np.sqrt(self.forgetting))
-            self._renew_weight(self._renewed % self.n_features)
+            self._renew_weight(self._renewed % self.n_features, factor)
         if self.n_columns:
-            self._renew_coefficient(self._renewed % self.n_columns)
+            self._renew_coefficient(self._renewed % self.n_columns, factor)
         self._renewed += 1
 
-    def _renew_weight(self, index: int) -> None:
+    def _renew_weight(self, index: int, factor: float) -> None:
         unit = np.zeros(self.n_features)
         unit[index] = 1.0
-        self._weights.learn(self._weights.project(unit), self.rho / np.sqrt(1.0 - self.forgetting**self.n_features))
+        self._weights.learn(self._weights.project(unit), self.rho / np.sqrt(1.0 - factor**self.n_features))
 
-    def _renew_coefficient(self, index: int) -> None:
+    def _renew_coefficient(self, index: int, factor: float) -> None:
         row = np.zeros((1, self.n_columns + 1), order='F')
-        weight = np.sqrt(1.0 - self.forgetting**self.n_columns) / self._prior_std[index]
+        weight = np.sqrt(1.0 - factor**self.n_columns) / self._prior_std[index]
         row[0, index], row[0, -1] = weight, weight * self.theta[index]
         self._update_information(row)
 

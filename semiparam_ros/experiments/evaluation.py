@@ -18,6 +18,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import History, batch_of
+from semiparam_ros.online.learning import learning_of, observe
 from semiparam_ros.online.model_switcher import sentence_of
 from semiparam_ros.online.renewal import LaterWindow, Renewal, has_draft
 from semiparam_ros.online.worker import absorb, finish_window, renew
@@ -155,7 +156,7 @@ class OfflineLearner:
         self._later: LaterWindow | None = None
         self._successor: Callable[[], Estimator] | None = None
         self._draft: Callable[[], Estimator] | None = None
-        self._waiting: list[tuple[Sample, bool]] = []
+        self._waiting: list[tuple[Sample, int]] = []
 
     def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
@@ -186,8 +187,8 @@ class OfflineLearner:
         """One sample: a contact, and a robot at rest, are predicted but not learnt."""
         prediction = self.estimator.predict(sample)
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
-        learn = learning and not contact and prediction.motion.is_news
-        errors = self.estimator.observe(prediction, learn, finish=False)
+        learn = learning_of(learning and not contact and prediction.motion.is_news, self.gate)
+        errors = observe(self.estimator, prediction, learn, finish=False)
         self.history.append(sample, learn, prediction.motion.is_news)
         due = learn and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
         if due and (self._successor is None or (self._draft is None and self._renewal.outdates(self._later))):

@@ -18,7 +18,8 @@ deviation that the model gives them. For each output:
 Blocks in which the gate is closed belong to neither, unless it closes again and again: then they belong to both. An arm
 that sets out is held by friction that the model does not know well. So at rest the scale is at least a fifth of that of
 motion, and for the first second of motion it is at least that of motion at a usual speed. The effort of a joint that
-turns round has a scale of its own, for the same reason. Motors that are off behind brakes are not judged.
+turns round has a scale of its own, for the same reason; that of one which moves for the first time has none yet, and is
+not judged. Motors that are off behind brakes are not judged.
 """
 
 from __future__ import annotations
@@ -66,6 +67,9 @@ START_S = 1.0
 """So long after rest the friction of a joint may have either sign."""
 TURN_SHARE, TURN_S = 0.3, 0.3
 """A joint turns while it is slower than this share of its speed, and for so long after."""
+OTHERS_SHARE, APART = 0.5, 0.001
+"""A joint that has moved for less than this share of the time of the others has rested; once it is so far [rad, m] from
+where it was, its effort is not judged until it has moved for as long as usual peaks are from."""
 REST_SHARE = 0.2
 """Usual peaks at rest are at least this share of those in motion: efforts change before a joint begins to move."""
 SMALLEST_SCALE = 0.25
@@ -184,9 +188,20 @@ class Turns:
         """(n,) turns so far."""
         self.usual: Array = np.zeros(n_outputs)
         """(n,) medians; 0 where fewer than ``FEWEST_BLOCKS`` turns are known."""
+        self.moved: Array = np.zeros(n_outputs)
+        """[s] (n,) that each joint has moved so far."""
+        self.place: Array = np.zeros(n_outputs)
+        """[rad, m] (n,) where each joint was over the last seconds."""
+        self.new: Mask = np.zeros(n_outputs, dtype=bool)
+        """(n,) whether a joint moves that rested while others moved: what is usual of it is from when its friction was
+        not felt."""
 
-    def follow(self, velocity: Array, seconds: float) -> Mask:
+    def follow(self, position: Array, velocity: Array, seconds: float) -> Mask:
         """(n,) whether each joint turns at this sample."""
+        self.moved += seconds * (np.abs(velocity) > SPEEDS[0])
+        self.place += seconds / REST_MEMORY_S * (position - self.place)
+        known = min(SCALE_BLOCKS * BLOCK_S, OTHERS_SHARE * self.moved.max())
+        self.new = (self.moved < known) & (np.abs(position - self.place) > APART)
         turned = self.left > 0.0
         _follow_turns(np.abs(velocity), self.speed, self.left, seconds)
         turns = self.left > 0.0
@@ -205,11 +220,13 @@ class Turns:
     def state(self) -> Memory:
         """For a file; :meth:`restore` takes it back."""
         return {'speed': self.speed.copy(), 'left': self.left.copy(), 'peak': self.peak.copy(),
-                'peaks': self.peaks.copy(), 'counts': self.counts.copy()}
+                'peaks': self.peaks.copy(), 'counts': self.counts.copy(), 'moved': self.moved.copy(),
+                'place': self.place.copy()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Go on from a state."""
-        self.speed, self.left, self.peak, self.peaks = (state[name] for name in ('speed', 'left', 'peak', 'peaks'))
+        self.speed, self.left, self.peak, self.peaks, self.moved, self.place = (
+            state[name] for name in ('speed', 'left', 'peak', 'peaks', 'moved', 'place'))
         self.counts = state['counts'].astype(int)
         for joint in range(len(self.counts)):
             self._renew(joint)
@@ -255,6 +272,8 @@ class ContactGate:
         self.closed = False
         self._closed_since = self._closed_at = 0
         self.refused = self.contacts = self.changes = 0
+        self.changed = False
+        """Whether the last sample judged is the first after a change that lasted."""
         self.level: Array = np.zeros(n_outputs)
         """(n,) innovations over their thresholds, of the last sample; 0 where nothing is known to judge it by."""
         self._n_outputs = n_outputs
@@ -294,6 +313,7 @@ class ContactGate:
 
         :param unseen: it belongs to motion that the model has not seen, whatever its range.
         """
+        self.changed = False
         if not settings.gate_enabled:
             if self.closed or self._newest is not None:
                 self.reset()
@@ -314,7 +334,8 @@ class ContactGate:
         size = np.abs(change)
         usual = self._usual(at)
         if self._turns is not None:
-            turning = self._turns.follow(prediction.sample.velocity[self._joints], seconds)
+            own = self._joints
+            turning = self._turns.follow(prediction.sample.position[own], prediction.sample.velocity[own], seconds)
             if at > 0:
                 self._turns.add(size, turning)
                 usual = None if usual is None else np.maximum(usual, np.where(turning, self._turns.usual, 0.0))
@@ -322,6 +343,8 @@ class ContactGate:
         thresholds, levels = tail.thresholds(settings.gate_false_alarms_per_hour)
         scale = None if usual is None else np.maximum(usual, SMALLEST_SCALE * prediction.model_std)
         ratio = np.zeros(self._n_outputs) if scale is None else size / scale
+        if self._turns is not None:
+            ratio[self._turns.new] = 0.0
         unseen = unseen or prediction.beyond > BEYOND
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
         self._within = 0.0 if unseen or prediction.beyond > JUST_BEYOND else min(self._within + seconds, UNSEEN_S)
@@ -395,7 +418,8 @@ class ContactGate:
         if self._turns is not None:
             turns = state['turns']
             self._turns.restore({name: self._sized(turns[name], 2 if name == 'peaks' else 1)
-                                 for name in ('speed', 'left', 'peak', 'peaks', 'counts')})
+                                 for name in ('speed', 'left', 'peak', 'peaks', 'counts', 'moved',
+                                              'place')})
 
     def _sized(self, values: Array, dimensions: int) -> Array:
         if values.ndim != dimensions or values.shape[-1] != self._n_outputs:
@@ -448,7 +472,7 @@ class ContactGate:
             self._follow_change()
             self._open()
             self.changes += 1
-
+            self.changed = True
 
     def _learn_closure(self) -> None:
         """What was refused belongs to free motion."""

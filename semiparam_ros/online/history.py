@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.core.types import Array, Codes, Mask, Stamps
 
 KEPT_OF_REST = 20
 """Samples of rest that are kept, the last before each motion."""
@@ -28,7 +28,7 @@ class Rows(NamedTuple):
 
     stamps: Stamps  # (N,) [ns]
     values: Array  # (N, 3 n_joints + n_outputs) position, velocity, acceleration, outputs
-    learnt: Mask  # (N,)
+    learnt: Codes  # (N,) what became of each, see Learning
 
     def part(self, chosen: slice) -> Rows:
         """Some of them, not copied."""
@@ -54,7 +54,12 @@ class SampleBatch:
     @property
     def learnt(self) -> Mask:
         """(N,), a copy."""
-        return np.concatenate([np.zeros(0, dtype=bool), *(rows.learnt for rows in self.rows)])
+        return self.learning > 0
+
+    @property
+    def learning(self) -> Codes:
+        """(N,) what became of each, see :class:`~semiparam_ros.online.learning.Learning`; a copy."""
+        return np.concatenate([np.zeros(0, dtype=np.int8), *(rows.learnt for rows in self.rows)])
 
     @property
     def samples(self) -> Samples | None:
@@ -65,7 +70,7 @@ class SampleBatch:
         return Samples(self.stamps, values[:, :n], values[:, n:2 * n], values[:, 2 * n:3 * n], values[:, 3 * n:],
                        self.origin)
 
-    def pairs(self) -> Iterator[tuple[Sample, bool]]:
+    def pairs(self) -> Iterator[tuple[Sample, int]]:
         """One sample after the other."""
         n = self.n_joints
         for rows in self.rows:
@@ -98,11 +103,12 @@ class SampleLog:
     def __len__(self) -> int:
         return self._count
 
-    def append(self, sample: Sample, learnt: bool) -> None:
+    def append(self, sample: Sample, learnt: int) -> None:
         """Keep one sample."""
         if not self._free:
             self._n_joints, width = len(sample.position), sum(map(len, sample[1:]))
-            self._add_chunk(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)), np.empty(CHUNK, bool)), CHUNK)
+            self._add_chunk(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)), np.empty(CHUNK, np.int8)),
+                            CHUNK)
         chunk = self._chunks[-1]
         row = len(chunk.stamps) - self._free
         chunk.stamps[row], chunk.learnt[row] = sample.stamp, learnt
@@ -174,7 +180,7 @@ class History:
     def __len__(self) -> int:
         return len(self._window) + len(self._recent)
 
-    def append(self, sample: Sample, learnt: bool, is_news: bool = True) -> None:
+    def append(self, sample: Sample, learnt: int, is_news: bool = True) -> None:
         """Keep one sample."""
         if self.origin is None:
             self.origin = sample.stamp
@@ -185,10 +191,10 @@ class History:
             self._keep(self._at_rest.popleft(), False)
         self._keep(sample, learnt)
 
-    def _keep(self, sample: Sample, learnt: bool) -> None:
+    def _keep(self, sample: Sample, learnt: int) -> None:
         log = self._window if self._gathers else self._recent
         log.append(sample, learnt)
-        self._learnt += learnt
+        self._learnt += learnt > 0
 
     @property
     def _gathers(self) -> bool:
@@ -232,7 +238,7 @@ class History:
         return batch.part(start + int(np.searchsorted(stamps[start:], stamps[-1] - round(seconds * 1e9))))
 
 
-def batch_of(pairs: Iterable[tuple[Sample, bool]]) -> SampleBatch:
+def batch_of(pairs: Iterable[tuple[Sample, int]]) -> SampleBatch:
     """The same from single samples; time starts with the first."""
     log = SampleLog()
     for sample, learnt in pairs:
@@ -240,19 +246,19 @@ def batch_of(pairs: Iterable[tuple[Sample, bool]]) -> SampleBatch:
     return log.batch()
 
 
-def arrays_of(batch: SampleBatch) -> dict[str, Array | Stamps | Mask]:
+def arrays_of(batch: SampleBatch) -> dict[str, Array | Stamps | Codes]:
     """A batch as arrays for a file; :func:`batch_from` reads them back."""
     samples = batch.samples
     if samples is None:
-        return {'learnt': batch.learnt}
+        return {'learnt': batch.learning}
     return {'stamps': samples.stamps, 'position': samples.position, 'velocity': samples.velocity,
-            'acceleration': samples.acceleration, 'outputs': samples.outputs, 'learnt': batch.learnt,
+            'acceleration': samples.acceleration, 'outputs': samples.outputs, 'learnt': batch.learning,
             'origin': np.array(samples.origin)}
 
 
 def batch_from(arrays: Mapping[str, Array], n_joints: int, n_outputs: int) -> SampleBatch:
     """The batch of :func:`arrays_of`. Raises KeyError and ValueError where these are not its arrays."""
-    learnt = arrays['learnt'].astype(bool)
+    learnt = arrays['learnt'].astype(np.int8)
     if not len(learnt):
         return SampleBatch([], n_joints, None)
     stamps = arrays['stamps'].astype(np.int64)

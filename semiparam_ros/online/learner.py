@@ -24,6 +24,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
+from semiparam_ros.online.learning import Learning, learning_of, observe
 from semiparam_ros.online.model_switcher import (
     MODEL_PARAMETERS,
     ModelSwitcher,
@@ -134,18 +135,18 @@ class Learner:
         if prediction is None:
             self.lost += 1
             return
-        changes = self.gate.changes
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
-        if self.gate.changes > changes:
+        if self.gate.changed:
             self._listener.told(f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                                 'a change of the robot, and is learnt.')
         learn = self.settings.learning and not contact and prediction.motion.is_news
+        learning = learning_of(learn, self.gate)
         answer = Answer(self._as_measured(prediction), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learn, contact, self.gate.level)
-        self._emit(answer)  # before learning, which takes as long as predicting
-        if self._observe(prediction, learn):
+        self._emit(answer, learning)  # before learning, which takes as long as predicting
+        if self._observe(prediction, learning):
             renews = learn and not self.settings.hyperparameters_sigma and self._renews(prediction)
-            self.switcher.offer(sample, learn)
+            self.switcher.offer(sample, learning)
             if self._asked is None and self.estimator.window_full:
                 self._end_window()
             elif renews:
@@ -174,10 +175,10 @@ class Learner:
         self._failures = 0
         return prediction
 
-    def _observe(self, prediction: Prediction, learn: bool) -> bool:
+    def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Whether the active model has taken it in; it is broken where it has not."""
         try:
-            errors = self.estimator.observe(prediction, learn, finish=False)
+            errors = observe(self.estimator, prediction, learning, finish=False)
         except SemiparamError:
             raise  # of the sample: the model is as it was
         except Exception as error:  # who knows how much of it was learnt
@@ -192,14 +193,14 @@ class Learner:
         """With the bias of the tare, which the sensor still has."""
         return prediction._replace(mean=prediction.mean + self.tare.bias) if self.tare.active else prediction
 
-    def _emit(self, answer: Answer) -> None:
+    def _emit(self, answer: Answer, learning: Learning) -> None:
         sample = answer.prediction.sample
         self.answered += 1
         self._seen += 1
         self.learnt += answer.learnt
         self.tare.add(sample.stamp, sample.outputs - answer.prediction.model_mean, answer.prediction.ready)
         self._listener.answered(answer)
-        self.history.append(sample, answer.learnt, answer.prediction.motion.is_news)
+        self.history.append(sample, learning, answer.prediction.motion.is_news)
 
     def _end_window(self) -> None:
         """Let the background estimate hyperparameters, unless the settings want another model than this."""

@@ -23,6 +23,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
 from semiparam_ros.online.history import History, SampleLog
+from semiparam_ros.online.learning import observe
 from semiparam_ros.online.renewal import LaterWindow, has_draft
 from semiparam_ros.online.worker import Background, Job
 from semiparam_ros.settings.snapshot import Settings
@@ -86,7 +87,7 @@ class StandbyModel:
         self._background, self._switcher = background, switcher
         self._log = SampleLog()
         """What comes while the background is at work, until the clock jumps."""
-        self._waiting: deque[tuple[Sample, bool] | None] = deque()  # what comes after that; None: the clock jumped
+        self._waiting: deque[tuple[Sample, int] | None] = deque()  # what comes after that; None: the clock jumped
         self._job: Job | None = None
         self._in_background = False
 
@@ -108,7 +109,7 @@ class StandbyModel:
         assert estimator is not None
         self._submit(worker.finish_window, estimator, draft)
 
-    def offer(self, sample: Sample, learnt: bool) -> None:
+    def offer(self, sample: Sample, learnt: int) -> None:
         """Let it see the sample that the active model has just answered."""
         if self._in_background and not self._waiting:
             self._log.append(sample, learnt)
@@ -169,7 +170,7 @@ class StandbyModel:
                 continue
             sample, learnt = waiting
             try:
-                errors = estimator.observe(estimator.predict(sample), learnt, finish=False)
+                errors = observe(estimator, estimator.predict(sample), learnt, finish=False)
             except Exception as error:  # a model that breaks beside the active one must not keep that from answering
                 self._switcher.on_failed(self, error)
                 return
@@ -203,7 +204,7 @@ class ModelSwitcher:
         """Shadows, draft and successor."""
         return [*self.shadows.values(), *(model for model in (self.draft, self.successor) if model)]
 
-    def offer(self, sample: Sample, learnt: bool) -> None:
+    def offer(self, sample: Sample, learnt: int) -> None:
         """Let all of them see a sample."""
         if self.successor is None and self.draft is None and not self.shadows:
             return  # as nearly always

@@ -18,7 +18,7 @@ from semiparam_ros.core.estimator import Estimator, EstimatorState, MemberState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.motion import Motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.core.types import Array, Codes, Mask, Stamps
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
@@ -26,7 +26,7 @@ from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 15
+FORMAT, VERSION = 'semiparam_ros state', 16
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
@@ -39,7 +39,7 @@ FIXED = ('outputs', 'features.count', 'features.seed', 'features.length_scales',
 """Parameters that cannot change while a node runs, and so must agree."""
 
 
-Arrays: TypeAlias = dict[str, Array | Stamps | Mask]
+Arrays: TypeAlias = dict[str, Array | Stamps | Mask | Codes]
 
 
 class SavedState(NamedTuple):
@@ -97,7 +97,7 @@ def snapshot(state: SavedState) -> Snapshot:
     if learnt.average is not None:
         meta['others'] = [{'hyperparameters': asdict(other.hyperparameters), 'window_left': other.window_left,
                            'passed_over': other.passed_over} for other in learnt.others]
-    groups: dict[str, Mapping[str, Array | Stamps | Mask]] = {
+    groups: dict[str, Mapping[str, Array | Stamps | Mask | Codes]] = {
         'average': learnt.average or {}, **{f'other{index}': arrays for index, arrays in enumerate(others)},
         'recursion': learnt.recursion, 'horizon': learnt.horizon,
         'calibration': learnt.calibration, 'wandering': learnt.wandering,
@@ -225,7 +225,7 @@ def _require_file(path: Path) -> None:
         raise OSError('it is a folder, a device or a pipe')
 
 
-def _require_finite(what: str, arrays: Mapping[str, Array | Stamps | Mask]) -> None:
+def _require_finite(what: str, arrays: Mapping[str, Array | Stamps | Mask | Codes]) -> None:
     for name, values in arrays.items():
         if name != 'meta' and not np.isfinite(values).all():
             raise SemiparamError(f"{what} holds a value in '{name}' that is not finite.")
@@ -341,7 +341,7 @@ def _from_json(value: object, arrays: Mapping[str, Array]) -> Memory:
     return {'tuple': tuple, 'list': list}[kind](_from_json(part, arrays) for part in parts)
 
 
-def _named(group: str, arrays: Mapping[str, Array | Stamps | Mask]) -> Arrays:
+def _named(group: str, arrays: Mapping[str, Array | Stamps | Mask | Codes]) -> Arrays:
     """With the group's name before each; :func:`_group` takes it off."""
     return {f'{group}.{name}': values for name, values in arrays.items()}
 

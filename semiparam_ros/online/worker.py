@@ -32,6 +32,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import transport
 from semiparam_ros.online.history import SampleBatch
+from semiparam_ros.online.learning import Learning, observe
 from semiparam_ros.online.renewal import MOST_WORSE, Errors, LaterWindow, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
@@ -55,8 +56,9 @@ EstimatorJob = Callable[..., Estimator]
 """Gives an estimator, in the background."""
 
 OLDER = 5
-"""One of so many samples from before a later window is learnt: hyperparameters of that window make a model that fits
-other motion less well than it believes, and where that is most of what it learns the new motion is fitted the worse."""
+"""One of so many samples before a later window is learnt, none from before the robot's last change: hyperparameters
+of that window make a model that fits other motion less well than it believes, and where that is most of what it learns
+the new motion is fitted the worse."""
 OLDER_OF_DRAFT = 1000
 """Of a draft, which is wanted soon, so many at most."""
 
@@ -377,7 +379,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     that it is to beat.
     """
     later = later or LaterWindow(settings.initial_samples)
-    gathering, learnt = new_estimator(settings, body, origin=origin), batch.learnt
+    gathering, learning, learnt = new_estimator(settings, body, origin=origin), batch.learning, batch.learnt
     window = later_window(learnt, later.samples)
     begin = int(window.argmax())
     start = 0 if settings.effects else begin  # they may remember all that was before
@@ -386,16 +388,18 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     gathering.finish_window(later.draft, learn=False)
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
     compared = later_window(learnt, judged(later.samples))
-    every = max(OLDER, -(-begin // OLDER_OF_DRAFT)) if later.draft else OLDER
-    learnt[:begin] &= np.arange(begin) % every == 0
-    parts = [*batch.part(0, start, every).rows, *batch.part(start).rows]
-    numbers = np.r_[0:start:every, start:len(batch)]
-    each = zip(replace(batch, rows=parts).pairs(), learnt[numbers].tolist(), compared[numbers].tolist(), strict=True)
+    since = int(np.flatnonzero(np.r_[True, learning[1:begin] == Learning.AFTER_CHANGE])[-1])
+    every = max(OLDER, -((since - begin) // OLDER_OF_DRAFT)) if later.draft else OLDER
+    learning[:begin] = learnt[:begin] & (np.arange(begin) >= since) & ((np.arange(begin) - since) % every == 0)
+    parts = [*batch.part(since, start, every).rows, *batch.part(start).rows]
+    numbers = np.r_[since:start:every, start:len(batch)]
+    each = zip(replace(batch, rows=parts).pairs(), learning[numbers].tolist(), compared[numbers].tolist(),
+               strict=True)
     for (sample, _), learns, chosen in each:
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)
-        estimator.observe(prediction, learns)
+        observe(estimator, prediction, learns)
     if errors.size > MOST_WORSE * later.to_beat:
         raise SemiparamError(f'the model that follows has errors of {errors.size:.3g} over that window where the model '
                              f'in force has {later.to_beat:.3g}.')
@@ -414,7 +418,7 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
     """Predict and learn further samples, as the node did when they came."""
     for sample, learnt in batch.pairs():
-        estimator.observe(estimator.predict(sample), learnt)
+        observe(estimator, estimator.predict(sample), learnt)
     return estimator
 
 

@@ -1,12 +1,14 @@
 """The recursion against the dense textbook form on all p + D n unknowns, and against the batch solution."""
 
 import pickle
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from semiparam_ros.core import recursion as recursion_module
 from semiparam_ros.core.recursion import SemiParametricRecursion
 from semiparam_ros.errors import SemiparamError
 
@@ -18,7 +20,7 @@ class Dense:
 
     def __init__(self, n, d, prior_std, rho, sigma, prior_mean, forgetting):
         self.n, self.d, self.p = n, d, len(prior_std)
-        self.noise, self.forgetting = sigma**2 * np.eye(n), forgetting
+        self.noise, self.forgetting, self.lost = sigma**2 * np.eye(n), forgetting, forgetting
         self.mean = np.concatenate([prior_mean, np.zeros(n * d)])
         self.covariance = np.diag(np.concatenate([np.square(prior_std), np.full(n * d, rho**2)]))
         self.prior_variance = np.diag(self.covariance).copy()
@@ -37,8 +39,8 @@ class Dense:
         gain = np.linalg.solve(innovation_covariance, rows @ self.covariance).T
         self.mean = self.mean + gain @ (outputs - mean)
         self.covariance = self.covariance - gain @ rows @ self.covariance
-        if self.forgetting < 1.0:
-            self.covariance = self.covariance / self.forgetting
+        self.covariance = self.covariance / self.forgetting
+        if self.lost < 1.0:
             self.renew()
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
 
@@ -49,11 +51,11 @@ class Dense:
             covariance = self.covariance
             to_theta = np.linalg.solve(covariance[:self.p, :self.p], covariance[:self.p, self.p:]).T
             rows = np.array([np.eye(self.n * self.d)[k * self.d + index] for k in range(self.n)])
-            self.observe(np.hstack([-rows @ to_theta, rows]), self.prior_variance[-1] / (1 - self.forgetting**self.d))
+            self.observe(np.hstack([-rows @ to_theta, rows]), self.prior_variance[-1] / (1 - self.lost**self.d))
         if self.p:
             index = self.renewed % self.p
             self.observe(np.eye(self.p + self.n * self.d)[[index]],
-                         self.prior_variance[index] / (1 - self.forgetting**self.p))
+                         self.prior_variance[index] / (1 - self.lost**self.p))
         self.renewed += 1
 
     def observe(self, rows, variance):
@@ -94,19 +96,33 @@ def unknowns(recursion):
 sizes = st.fixed_dictionaries({
     'n': st.integers(1, 4), 'd': st.sampled_from([0, 1, 2, 7]), 'p': st.sampled_from([0, 1, 3, 5]),
     'seed': st.integers(0, 10_000), 'rho': st.floats(0.01, 10), 'sigma': st.floats(0.03, 3),
-    'gamma': st.floats(0.01, 100), 'forgetting': st.sampled_from([1.0, 0.999, 0.95]), 'centred': st.booleans()})
+    'gamma': st.floats(0.01, 100), 'forgetting': st.sampled_from([1.0, 0.999, 0.95]), 'centred': st.booleans(),
+    'changes': st.lists(st.integers(0, 29), max_size=2)})
 
 
 @given(sizes)
 @settings(max_examples=60)
 def test_it_equals_the_dense_recursion(case):
+    with patch.multiple(recursion_module, DISCOUNT=0.9, KEPT=5.0):
+        check_that_it_equals_the_dense_recursion(case)
+
+
+def check_that_it_equals_the_dense_recursion(case):
+    """Also when the robot changes: then both forget for some samples."""
     n, d, p = case['n'], case['d'], case['p']
     phi, columns, outputs = problem(case['seed'], 30, n, d, p)
     std = case['gamma'] * np.linspace(0.5, 2, p)
     mean = np.linspace(-1, 1, p) * case['centred']
     ours = SemiParametricRecursion(n, d, std, case['rho'], case['sigma'], mean, case['forgetting'])
     dense = Dense(n, d, std, case['rho'], case['sigma'], mean, case['forgetting'])
-    for row in zip(phi, columns, outputs, strict=True):
+    memory, left = 0.0, 0
+    for index, row in enumerate(zip(phi, columns, outputs, strict=True)):
+        if index in case['changes']:
+            ours.discount()
+            left = 0 if memory <= 5.0 else max(d, p) + int(np.ceil(np.log(5.0 / memory) / np.log(0.9)))
+        dense.forgetting = min(case['forgetting'], 0.9) if left > max(d, p) else case['forgetting']
+        dense.lost = 0.0 if left and dense.forgetting == 1.0 else dense.forgetting
+        memory, left = dense.forgetting * memory + 1.0, max(left - 1, 0)
         prior = ours.predict(*row[:2])
         expected_mean, expected_covariance = dense.predict(*row[:2])
         np.testing.assert_allclose(prior.mean, expected_mean, **SAME)

@@ -24,6 +24,7 @@ class Stand:
 
     def __init__(self, settings=ON, joints=None, forces=None):
         self.gate, self.settings, self.stamp = ContactGate(3, joints, forces), settings, 10**9
+        self.position = np.zeros(1)
 
     def judge(self, innovations, speed=0.5, std=1.0, beyond=0.0, ready=True):
         """Whether each of (N, 3) innovations is refused."""
@@ -33,7 +34,8 @@ class Stand:
         """``speed``: of the fastest joint, or velocities of all three."""
         self.stamp += 10**9 // RATE_HZ
         velocity = speed if np.ndim(speed) else np.array([0.0, -speed, 0.0])
-        sample = Sample(self.stamp, np.zeros(3), velocity, np.zeros(3), innovation)
+        self.position = self.position + velocity / RATE_HZ
+        sample = Sample(self.stamp, self.position, velocity, np.zeros(3), innovation)
         prediction = Prediction(np.zeros(3), std * SCALES, np.zeros(3), std * SCALES, ready, sample, NO_PRIOR,
                                 np.zeros((3, 0)), None, at_start(self.stamp, sample.position, innovation), beyond,
                                 off=off)
@@ -152,6 +154,24 @@ def test_a_burst_at_each_turn_of_a_joint_is_friction_and_a_push_between_two_turn
     rows = zip(innovations, np.insert(velocity, 0, 0.0, axis=1), strict=True)
     refused = np.array([gates[True]._one(*row, 1.0, 0.0) for row in rows])
     assert refused[between].mean() > 0.9
+
+
+def test_a_joint_that_moves_for_the_first_time_does_not_touch_and_is_judged_later():
+    """Nothing is known of its friction, also while it creeps; the others feel a push meanwhile."""
+    stand = Stand(joints=np.arange(3))
+    innovations, velocity, _ = swinging(90, 0.0)
+    velocity[:, 1] = 0.0
+    assert not any(stand._one(*row, 1.0, 0.0) for row in zip(innovations, velocity, strict=True))
+    innovations, velocity, _ = swinging(60, 0.0, seed=1)
+    velocity[:40, 1] = np.linspace(0.005, velocity[40, 1], 40)
+    friction = np.array([0.0, 12.0, 0.0]) * np.tanh(velocity / 0.05)
+    refused = [stand._one(*row, 1.0, 0.0) for row in zip((innovations + friction)[:100], velocity, strict=False)]
+    assert not any(refused)
+    push = np.array([300.0, 0.0, 0.0])
+    assert all(stand._one(row + push, velocity[100], 1.0, 0.0) for row in innovations[100:110])
+    for row in zip(innovations[110:], velocity[110:], strict=True):  # by now the model has learnt the friction
+        stand._one(*row, 1.0, 0.0)
+    assert all(stand._one(row + push[[1, 0, 1]] / 15.0, velocity[-1], 1.0, 0.0) for row in white(10, seed=2))
 
 
 @pytest.mark.parametrize(('sigmas', 'by_friction'), [(8.0, False), (20.0, True)])

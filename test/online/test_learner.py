@@ -421,15 +421,22 @@ def test_contacts_are_flagged_not_learnt_and_seen_in_the_residual():
     assert stage.learner.gate.refused == contact.sum()
 
 
-def test_a_load_is_told_and_learnt_when_the_gate_gives_way():
+def test_a_load_is_told_and_learnt_when_the_gate_gives_way(monkeypatch):
+    """What was learnt before then counts for less, in the model in force, in one built later, and offline."""
+    monkeypatch.setattr('semiparam_ros.core.recursion.KEPT', 5.0)
     settings = replace(SETTINGS, variant='P', gate_enabled=True, gate_timeout=1.0)
     samples, stage = motion(900), Stage(settings, InlineBackground())
-    stage.offer(samples[:300])
-    stage.offer([sample._replace(outputs=sample.outputs + 5.0) for sample in samples[300:]])
+    samples[300:] = [sample._replace(outputs=sample.outputs + 5.0) for sample in samples[300:]]
+    stage.offer(samples[:700])
+    stage.learner.change(replace(settings, variant='NP-ML'))
+    stage.learner.change(settings)
+    stage.offer(samples[700:])
     contact = np.array([answer.contact for answer in stage.answers])
     assert contact[300:350].all() and not contact[352:].any()
     assert sum('is a change of the robot, and is learnt' in news for news in stage.news) == 1
-    assert np.abs(stage.answers[-1].residual).max() < 3.0
+    left = [np.abs(answer.prediction.model_mean - answer.prediction.sample.outputs).max() for answer in stage.answers]
+    assert max(left[-50:]) < 0.5
+    np.testing.assert_allclose(stage.means, offline(samples, settings)[1], atol=1e-8)
 
 
 def test_tare_takes_off_the_bias_and_leaves_the_weight():

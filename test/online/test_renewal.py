@@ -10,6 +10,7 @@ import pytest
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.history import batch_of
+from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.renewal import LaterWindow, later_window
 from semiparam_ros.online.worker import InlineBackground, ProcessBackground, known_of, new_estimator, renew
 from support.learner_stage import Stage
@@ -101,15 +102,17 @@ def test_a_draft_does_not_wait_where_a_whole_window_must(monkeypatch):
     assert windows[0] == 221 and 282 in drafts and windows[1] > windows[0] + 200
 
 
-@pytest.mark.parametrize(('draft', 'every'), [(False, 5), (True, 23)])
-def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, monkeypatch):
-    """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life."""
+@pytest.mark.parametrize(('draft', 'every', 'changed'), [(False, 5, 0), (True, 23, 0), (False, 5, 60), (True, 17, 60)])
+def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, monkeypatch):
+    """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life. Of a
+    robot that has changed since, nothing is."""
     monkeypatch.setattr('semiparam_ros.online.worker.OLDER_OF_DRAFT', 10)
-    pairs = [(sample, True) for sample in DAY[:330]]
+    pairs = [(sample, Learning.AFTER_CHANGE if changed and number == changed else Learning.YES)
+             for number, sample in enumerate(DAY[:330])]
     renewed = renew(SLOWER, BODY, batch_of(pairs), DAY[0].stamp, LaterWindow(100, draft=draft))
     expected = new_estimator(SLOWER, BODY, known_of(renewed), DAY[0].stamp)
     for number, (sample, _) in enumerate(pairs):
-        if number >= 230 or number % every == 0:
+        if number >= 230 or (number >= changed and (number - changed) % every == 0):
             expected.observe(expected.predict(sample))
     for sample in DAY[330:340]:
         np.testing.assert_allclose(renewed.predict(sample)[:2], expected.predict(sample)[:2], rtol=1e-9)

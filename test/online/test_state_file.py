@@ -100,7 +100,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    15: {
+    16: {
         'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns within',
@@ -109,11 +109,11 @@ LAYOUT = {
                     'horizon.length initial.samples noise outputs variant',
         'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)', 'inputs_learnt': 'f8 (2, 6)',
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
-        'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'b1 (70,)',
+        'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'i1 (70,)',
         'history.origin': 'i8 ()',
         'recursion.array': 'f8 (178, 40)', 'recursion.left': 'f8 (8, 40)', 'recursion.right': 'f8 (8, 178)',
         'recursion.places': 'i8 (138,)', 'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()',
-        'recursion.renewed': 'i8 ()',
+        'recursion.renewed': 'i8 (2,)', 'recursion.memory': 'f8 ()',
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
         'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
