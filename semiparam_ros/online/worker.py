@@ -28,6 +28,7 @@ import numpy as np
 from semiparam_ros.core.averaged_estimator import estimator_of
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.recursion import KEPT
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import transport
@@ -56,9 +57,9 @@ EstimatorJob = Callable[..., Estimator]
 """Gives an estimator, in the background."""
 
 OLDER = 5
-"""One of so many samples before a later window is learnt, none from before the robot's last change: hyperparameters
-of that window make a model that fits other motion less well than it believes, and where that is most of what it learns
-the new motion is fitted the worse."""
+"""One of so many samples before a later window is learnt, none from before a change of the robot: hyperparameters of
+that window make a model that fits other motion less well than it believes, and where that is most of what it learns the
+new motion is fitted the worse."""
 OLDER_OF_DRAFT = 1000
 """Of a draft, which is wanted soon, so many at most."""
 
@@ -388,7 +389,8 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     gathering.finish_window(later.draft, learn=False)
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
     compared = later_window(learnt, judged(later.samples))
-    since = int(np.flatnonzero(np.r_[True, learning[1:begin] == Learning.AFTER_CHANGE])[-1])
+    changed = (learning[:begin] == Learning.AFTER_CHANGE) & (np.cumsum(learnt[:begin]) > KEPT)
+    since = int(np.flatnonzero(changed)[-1]) if changed.any() else 0
     every = max(OLDER, -((since - begin) // OLDER_OF_DRAFT)) if later.draft else OLDER
     learning[:begin] = learnt[:begin] & (np.arange(begin) >= since) & ((np.arange(begin) - since) % every == 0)
     parts = [*batch.part(since, start, every).rows, *batch.part(start).rows]

@@ -21,6 +21,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.learner import Learner
+from semiparam_ros.online.learning import Learning, learning_of, observe
 from semiparam_ros.online.model_switcher import State, same_model
 from semiparam_ros.online.state_file import load, save
 from semiparam_ros.online.worker import known_of, new_estimator
@@ -57,7 +58,7 @@ class Lives(RuleBasedStateMachine):
 
     def answered(self, answer):
         self.answers.append(answer.prediction.sample.stamp)
-        self.given.append((answer.prediction.sample, answer.learnt))
+        self.given.append((answer.prediction.sample, learning_of(answer.learnt, self.learner.gate)))
         assert np.isfinite(answer.prediction.mean).all() and np.isfinite(answer.prediction.std).all()
 
     def horizon_completed(self, errors):
@@ -236,11 +237,13 @@ class Lives(RuleBasedStateMachine):
         assert same_model(learner.built, learner.settings)
         known = known_of(learner.estimator) if learner.switcher.renewed else None  # of a window chosen at some time
         fresh = new_estimator(learner.built, BODY, known, learner.history.origin)
-        for sample, learnt in self.given:
-            fresh.observe(fresh.predict(sample), learnt)
+        for sample, learning in self.given:
+            observe(fresh, fresh.predict(sample), learning)
         assert fresh.ready == learner.estimator.ready
         if not fresh.ready or self.kept:
             return  # the provisional model has also learnt from windows that gave no hyperparameters
+        if known and any(learning == Learning.AFTER_CHANGE for _, learning in self.given):
+            return  # a later window's model learns nothing from before a change
         for sample in MOTION[::80]:
             sample = sample._replace(stamp=self.stamp + PERIOD_NS)
             expected, found = fresh.predict(sample), learner.estimator.predict(sample)
@@ -256,8 +259,9 @@ Lives.TestCase.settings = hypothesis.settings(max_examples=hypothesis.settings.d
                                               stateful_step_count=40, deadline=None,
                                               phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
                                               suppress_health_check=list(hypothesis.HealthCheck))
-Lives.TestCase.runTest = patch('semiparam_ros.online.renewal.LEAST_DRAFT', 1)(
-    patch('semiparam_ros.online.worker.OLDER', 1)(Lives.TestCase.runTest))  # a fresh estimator learns all
+for name, value in {'core.recursion.KEPT': 20.0, 'online.worker.KEPT': 20.0, 'online.renewal.LEAST_DRAFT': 1,
+                    'online.worker.OLDER': 1}.items():  # a fresh estimator learns all
+    Lives.TestCase.runTest = patch(f'semiparam_ros.{name}', value)(Lives.TestCase.runTest)
 TestLives = pytest.mark.timeout(3600)(Lives.TestCase)  # the full form takes minutes
 
 

@@ -107,6 +107,7 @@ def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, eve
     """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life. Of a
     robot that has changed since, nothing is."""
     monkeypatch.setattr('semiparam_ros.online.worker.OLDER_OF_DRAFT', 10)
+    monkeypatch.setattr('semiparam_ros.online.worker.KEPT', 50.0)
     pairs = [(sample, Learning.AFTER_CHANGE if changed and number == changed else Learning.YES)
              for number, sample in enumerate(DAY[:330])]
     renewed = renew(SLOWER, BODY, batch_of(pairs), DAY[0].stamp, LaterWindow(100, draft=draft))
