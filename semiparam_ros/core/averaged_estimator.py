@@ -120,6 +120,12 @@ class AveragedEstimator(Estimator):
         for other in self._others:
             other.follow_change()
 
+    def _compare(self, prediction: Prediction) -> None:
+        """See :meth:`Estimator._compare`; each member by itself."""
+        super()._compare(prediction)
+        for other, its in zip(self._others, prediction.members[1:], strict=True):
+            other._compare(its)
+
     def clear_horizons(self) -> None:
         """See :meth:`Estimator.clear_horizons`."""
         super().clear_horizons()

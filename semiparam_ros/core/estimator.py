@@ -27,7 +27,7 @@ from semiparam_ros.core.random_features import RandomFeatures, input_scaling, sp
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn, solve_corner
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
+from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, NANOSECONDS
 from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
@@ -45,6 +45,10 @@ OFF_SHARE = 0.1
 """Where nothing moves and all outputs are below this share of what is predicted, the motors are off behind brakes."""
 
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
+
+
+COMPARED_EVERY_NS, LONGEST_COMPARED_NS = NANOSECONDS // 100, NANOSECONDS // 10
+"""A model is compared with the one from before the last change no more often, and a pause counts for no more."""
 
 
 class Model:
@@ -101,10 +105,13 @@ class Model:
 
     def predict(self, x: Array, columns: Array) -> Prior:
         """What the recursion says at x (m,), of which the columns (n, p) are all of C."""
-        phi = self.features(x) if self.features else self._no_features
+        return self.predict_by(self.recursion, self.features(x) if self.features else self._no_features, columns)
+
+    def predict_by(self, recursion: SemiParametricRecursion, phi: Array, columns: Array) -> Prior:
+        """What a recursion of this variant says with features phi (D,)."""
         known = None if self.pi is None else columns[:, :len(self.pi)] @ self.pi
         learnt = columns[:, self.learnt] if self.learnt.start else columns
-        return self.recursion.predict(phi, learnt, known)
+        return recursion.predict(phi, learnt, known)
 
 
 def log_density(innovation: Array, covariance: Array) -> float:
@@ -259,6 +266,8 @@ class Estimator:
         self.model = self._provisional() if given is None else self._given(given)
         self.window_samples = self._window_left = window
         self._since_learnt = 0
+        self.returns = 0
+        """How often the robot was again as before its last change."""
         self.passed_over = 0
         """Samples that were to be learnt but were not, by ``learn_every`` and ``learn_least_gain``."""
         self._begin_following()
@@ -369,6 +378,7 @@ class Estimator:
         if learn and (prediction.beyond or not len(self.inputs_learnt)):
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
         complete = self._take_in(prediction, learn)
+        self._compare(prediction)
         if learn and not self.ready and not self.window.full:
             self.window.append(sample, prediction.columns)
         if finish and self.window_full:
@@ -376,9 +386,21 @@ class Estimator:
         return complete
 
     def follow_change(self) -> None:
-        """The robot has changed: what was learnt before counts for less from now on, see
-        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.discount`."""
-        self.model.recursion.discount()
+        """The robot has changed: see :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
+        self.model.recursion.follow_change()
+
+    def _compare(self, prediction: Prediction) -> None:
+        """Go on from what was known before the last change of the robot, if that predicts the last seconds better."""
+        recursion, outputs = self.model.recursion, prediction.sample.outputs
+        since = prediction.sample.stamp - recursion.compared_at
+        if recursion.before is None or not prediction.motion.is_news or 0 <= since < COMPARED_EVERY_NS:
+            return
+        recursion.compared_at = prediction.sample.stamp
+        then = self.model.predict_by(recursion.before, prediction.prior.features[0], prediction.columns).mean
+        seconds = min(max(since, 0), LONGEST_COMPARED_NS) / NANOSECONDS
+        if recursion.compare(seconds, outputs - prediction.prior.mean, outputs - then):
+            self.returns += 1
+            self.clear_horizons()
 
     def gather(self, sample: Sample, learn: bool = True) -> None:
         """Take a sample into the initial window alone: the rigid body neither answers nor learns it.

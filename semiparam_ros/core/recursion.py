@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Mapping
+from copy import deepcopy
 from itertools import count
-from math import ceil, log
+from math import ceil, exp, log
 from typing import NamedTuple
 
 import numpy as np
@@ -31,14 +32,23 @@ from semiparam_ros.core.square_root_filter import Projection, SquareRootFilter, 
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
+BACK, COMPARED_S = 0.5, 2.0
+"""The model from before the last change returns where its squared error over the last seconds is so small a share of
+that of the model in force."""
+LEAST_COMPARED_S = 1.0
+"""Of those seconds so many must have been seen."""
+
 QR_BLOCK = 8
 
-DISCOUNT, KEPT = 0.99, 500.0
+DISCOUNT, KEPT = 0.99, 1000.0
 """A change of the robot: the past is forgotten at this factor until it counts as so many samples. Over the samples
 after that, one for each feature, the prior is renewed."""
 
 REVISIONS = count(secrets.randbits(60))
 """Numbers the states of all models. It starts at random, so that no two processes give the same number."""
+
+
+_LEARNT = ('theta', '_weights', '_information', '_renewed', '_discounts', '_memory')
 
 
 class Prior(NamedTuple):
@@ -84,6 +94,12 @@ class SemiParametricRecursion:
         self._weights = SquareRootFilter(n_features, rho, (self.n_columns + 1) * n_outputs)
         self._renewed = self._discounts = 0
         self._memory = 0.0
+        self.before: SemiParametricRecursion | None = None
+        """As it was before the robot last changed."""
+        self.compared_at = 0
+        """[ns] Stamp of the last sample at which the two were compared."""
+        self._compared: Array = np.zeros(3)
+        """Squared errors of this model and of :attr:`before`, and seconds, over the last few."""
         self._information = np.zeros((self.n_columns + 1, self.n_columns + 1))
         diagonal = np.arange(self.n_columns)
         self._information[diagonal, diagonal] = 1.0 / self._prior_std
@@ -143,10 +159,31 @@ class SemiParametricRecursion:
         self._perhaps_forget()
         return innovations
 
-    def discount(self) -> None:
-        """Let the past count less from the next samples on: the robot has changed. No estimate moves by that."""
+    def follow_change(self) -> None:
+        """The robot has changed: let the past count less from the next samples on, and keep what was known
+        :attr:`before`. No estimate moves by that."""
+        self.before, self._compared = None, np.zeros(3)
+        self.before = deepcopy(self)
         if self._memory > KEPT:
             self._discounts = ceil(log(KEPT / self._memory) / log(DISCOUNT)) + max(self.n_features, self.n_columns)
+
+    def compare(self, seconds: float, now: Array, then: Array) -> bool:
+        """Charge what this model and the one :attr:`before` left of a sample (n,), so long after the last one.
+
+        True where the robot is as it was before (a load was put down): the two have changed places.
+        """
+        squares = [float(((left / self.scale) ** 2).sum()) for left in (now, then)]
+        self._compared = exp(-seconds / COMPARED_S) * self._compared + seconds * np.array([*squares, 1.0])
+        before = self.before
+        if before is None or self._compared[2] < LEAST_COMPARED_S or self._compared[1] >= BACK * self._compared[0]:
+            return False
+        for name in _LEARNT:
+            mine, its = getattr(self, name), getattr(before, name)
+            setattr(self, name, its)
+            setattr(before, name, mine)
+        self._compared = np.zeros(3)
+        self.revise()
+        return True
 
     def learning(self, prior: Prior) -> tuple[Array, float, Array, Array, Array, float, Array, Array, Array, Array,
                                               int, float, Indices, int]:
@@ -218,16 +255,21 @@ class SemiParametricRecursion:
 
     def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
-        return {**self._weights.state(), 'renewed': np.array([self._renewed, self._discounts]),
-                'memory': np.array(self._memory),
-                'information': self._information.copy(), 'theta': self.theta.copy()}
+        before = {} if self.before is None else self.before.state()
+        return {**self._weights.state(), 'renewed': np.array([self._renewed, self._discounts, self.compared_at]),
+                'memory': np.array(self._memory), 'compared': self._compared.copy(),
+                'information': self._information.copy(), 'theta': self.theta.copy(),
+                **{f'before.{name}': values for name, values in before.items()}}
 
     def restore(self, state: Mapping[str, Array | Indices]) -> None:
         """Return to a saved :meth:`state`; every prior computed before is then stale.
 
         Raises SemiparamError when it is that of other sizes or not finite.
         """
+        then = {name.removeprefix('before.'): values for name, values in state.items() if name.startswith('before.')}
         for name, mine in self.state().items():
+            if name.startswith('before.'):
+                continue
             given = np.asarray(state.get(name, np.nan))
             if given.shape != mine.shape or not np.isfinite(given).all():
                 raise SemiparamError(f"the saved '{name}' has shape {given.shape}; expected finite values of shape "
@@ -235,10 +277,15 @@ class SemiParametricRecursion:
                                      f'{self.n_columns} columns.')
         self.revise()
         self._weights.restore(state)
-        self._renewed, self._discounts = np.asarray(state['renewed']).tolist()
-        self._memory = float(state['memory'])
+        self._renewed, self._discounts, self.compared_at = np.asarray(state['renewed']).tolist()
+        self._memory, self._compared = float(state['memory']), np.array(state['compared'], dtype=float)
         self._information = np.array(state['information'], dtype=float, order='C')
         self.theta = np.array(state['theta'], dtype=float)
+        self.before = None
+        if then:
+            before = deepcopy(self)
+            before.restore(then)
+            self.before = before
 
     def _check(self) -> None:
         deviations = [self.sigma, *self._prior_std, *self.scale, *([self.rho] if self.n_features else [])]

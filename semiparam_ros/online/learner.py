@@ -177,6 +177,7 @@ class Learner:
 
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Whether the active model has taken it in; it is broken where it has not."""
+        returns = self.estimator.returns
         try:
             errors = observe(self.estimator, prediction, learning, finish=False)
         except SemiparamError:
@@ -185,6 +186,8 @@ class Learner:
             self._listener.failed('learning', error)
             self._fall_back(error)
             return False
+        if self.estimator.returns > returns:
+            self._listener.told('the robot is again as it was before its last change: what was learnt then goes on.')
         if errors is not None:
             self._listener.horizon_completed(errors)
         return True

@@ -118,7 +118,7 @@ def check_that_it_equals_the_dense_recursion(case):
     memory, left = 0.0, 0
     for index, row in enumerate(zip(phi, columns, outputs, strict=True)):
         if index in case['changes']:
-            ours.discount()
+            ours.follow_change()
             left = 0 if memory <= 5.0 else max(d, p) + int(np.ceil(np.log(5.0 / memory) / np.log(0.9)))
         dense.forgetting = min(case['forgetting'], 0.9) if left > max(d, p) else case['forgetting']
         dense.lost = 0.0 if left and dense.forgetting == 1.0 else dense.forgetting

@@ -425,17 +425,19 @@ def test_a_load_is_told_and_learnt_when_the_gate_gives_way(monkeypatch):
     """What was learnt before then counts for less, in the model in force, in one built later, and offline."""
     monkeypatch.setattr('semiparam_ros.core.recursion.KEPT', 5.0)
     settings = replace(SETTINGS, variant='P', gate_enabled=True, gate_timeout=1.0)
-    samples, stage = motion(900), Stage(settings, InlineBackground())
-    samples[300:] = [sample._replace(outputs=sample.outputs + 5.0) for sample in samples[300:]]
+    samples, stage = motion(1200), Stage(settings, InlineBackground())
+    samples[300:900] = [sample._replace(outputs=sample.outputs + 5.0) for sample in samples[300:900]]
     stage.offer(samples[:700])
     stage.learner.change(replace(settings, variant='NP-ML'))
     stage.learner.change(settings)
     stage.offer(samples[700:])
     contact = np.array([answer.contact for answer in stage.answers])
-    assert contact[300:350].all() and not contact[352:].any()
+    assert contact[300:350].all() and not contact[352:900].any()
     assert sum('is a change of the robot, and is learnt' in news for news in stage.news) == 1
     left = [np.abs(answer.prediction.model_mean - answer.prediction.sample.outputs).max() for answer in stage.answers]
-    assert max(left[-50:]) < 0.5
+    assert max(left[850:900]) < 0.5
+    assert max(left[300:310]) > 4.0 and max(left[1080:]) < 1.0, 'put down: what was learnt without it goes on'
+    assert sum('again as it was before its last change' in news for news in stage.news) == 1
     np.testing.assert_allclose(stage.means, offline(samples, settings)[1], atol=1e-8)
 
 

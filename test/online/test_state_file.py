@@ -113,7 +113,7 @@ LAYOUT = {
         'history.origin': 'i8 ()',
         'recursion.array': 'f8 (178, 40)', 'recursion.left': 'f8 (8, 40)', 'recursion.right': 'f8 (8, 178)',
         'recursion.places': 'i8 (138,)', 'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()',
-        'recursion.renewed': 'i8 (2,)', 'recursion.memory': 'f8 ()',
+        'recursion.renewed': 'i8 (3,)', 'recursion.memory': 'f8 ()', 'recursion.compared': 'f8 (3,)',
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
         'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
