@@ -22,6 +22,7 @@ from semiparam_ros.diagnosis.search.plausibility import all_plausible, pseudo_in
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step, _first_that_helps, search, starting_fit
+from semiparam_ros.diagnosis.uncertainty import deviations
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.effects.base import Start
 from semiparam_ros.settings import load_params
@@ -203,7 +204,7 @@ def found_one_by_one(samples, *effects):
         steps.append(Step(added=(Trial(effect, after.residual, 1, evidence=100.0),), rivals=((),), ranking=(),
                           before=fit, after=after))
         fit = after
-    kept, small = split_off_refinements(findings(fit, steps, fit), steps)
+    kept, small = split_off_refinements(findings(fit, steps, fit, deviations(fit, range(len(effects)))), steps)
     return [finding.effect.kind for finding in kept], [finding.effect.kind for finding in small]
 
 
