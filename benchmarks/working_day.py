@@ -10,8 +10,7 @@ moved before, and all move twice as fast. The inertias are up to a fifth off the
 
 Told are: how many samples were answered and how late; the pushes found and the contacts told of where there were none;
 and the largest ratio of the error, over five seconds, to that of a model that was started in motion (it learns the same
-samples from the first full motion on, none of a push and none while motors are off), from five seconds after each
-change of phase.
+samples from the first full motion on, none of a push), from five seconds after each change of phase.
 Exits with 1 unless all of ``asked`` holds on each day.
 """
 
@@ -333,17 +332,15 @@ def outputs_of(message: Any) -> Array:
 
 
 def reference(day: Day, folder: Path) -> Array:
-    """(N, n) residuals of a model that was started in motion and learns no push and no motors that are off; NaN before.
-    """
+    """(N, n) residuals of a model that was started in motion and learns no push; NaN before."""
     samples = load_samples(folder / 'day.mcap', day.settings).samples
     estimator = build_estimator(day.settings.changed({'gate.enabled': False}))
     residuals = np.full(day.recording.outputs.shape, np.nan)
     row = {int(stamp): index for index, stamp in enumerate(day.recording.stamps)}
-    off = (day.times >= day.begins['emergency stop']) & (day.times < day.begins['rest after the stop'])
     for sample in samples:
         index = row[sample.stamp]
         if day.times[index] >= day.begins['full motion']:
-            prediction = estimator.step(sample, learn=not (day.pushed[index] or off[index]))
+            prediction = estimator.step(sample, learn=not day.pushed[index])
             residuals[index] = sample.outputs - prediction.mean
     return residuals
 
