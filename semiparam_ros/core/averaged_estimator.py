@@ -124,7 +124,11 @@ class AveragedEstimator(Estimator):
         """See :meth:`Estimator._compare`; each member by itself."""
         super()._compare(prediction)
         for other, its in zip(self._others, prediction.members[1:], strict=True):
+            returns = other.returns
             other._compare(its)
+            if other.returns > returns:
+                self.returns += 1
+                self.clear_horizons()
 
     def clear_horizons(self) -> None:
         """See :meth:`Estimator.clear_horizons`."""

@@ -143,3 +143,26 @@ def test_one_sample_that_no_member_can_foresee_decides_nothing(averaged):
     model.step(sample._replace(outputs=sample.outputs + 1e6))
     assert np.abs(np.array(list(model.weights.values())) - before).max() < 0.9
     assert all(np.isfinite(values).all() for values in model.weights.values())
+
+
+def test_members_return_from_a_change_with_their_horizons_and_a_state_holds_what_was_before(averaged, monkeypatch):
+    monkeypatch.setattr('semiparam_ros.core.recursion.KEPT', 20.0)
+    samples, model, _ = averaged
+    model = pickle.loads(pickle.dumps(model))
+    later = [sample._replace(stamp=sample.stamp + time * int(samples.stamps[-1] - samples.stamps[0] + 10**7))
+             for time in (1, 2) for sample in samples]
+    load = 5.0 * samples.outputs.std(axis=0)
+    model.follow_change()
+    for sample in later[:COUNT]:
+        model.step(sample._replace(outputs=sample.outputs + load))
+    twin = pickle.loads(pickle.dumps(model))
+    model.restore(pickle.loads(pickle.dumps(twin.state())))
+    steps, returns = [], []
+    for sample in later[COUNT:]:
+        steps.append(model.step(sample))
+        returns.append(model.returns)
+        np.testing.assert_array_equal(steps[-1].mean, twin.step(sample).mean)
+    assert returns[0] == 0 and model.returns >= len(MEMBERS)
+    for place in np.flatnonzero(np.diff(returns)) + 1:
+        assert all(step.horizon is None for step in steps[place + 1:place + 5]), 'none is pending'
+    assert (error(steps[COUNT // 2:]) < 0.3 * load**2).all() and steps[-1].horizon is not None
