@@ -11,7 +11,7 @@ from pathlib import Path
 from semiparam_ros.errors import SemiparamError
 
 SHARE = 'package://semiparam_ros'
-DOMAINS = range(30, 100)
+DOMAINS = range(30, 60)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
