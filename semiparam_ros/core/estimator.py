@@ -391,11 +391,14 @@ class Estimator:
 
     def _compare(self, prediction: Prediction) -> None:
         """Go on from what was known before the last change of the robot, if that predicts the last seconds better."""
-        recursion, outputs = self.model.recursion, prediction.sample.outputs
-        since = prediction.sample.stamp - recursion.compared_at
-        if recursion.before is None or not prediction.motion.is_news or 0 <= since < COMPARED_EVERY_NS:
+        recursion = self.model.recursion
+        if recursion.before is None or not prediction.motion.is_news:
             return
-        recursion.compared_at = prediction.sample.stamp
+        stamp, outputs = prediction.sample.stamp, prediction.sample.outputs
+        since = stamp - recursion.compared_at
+        if 0 <= since < COMPARED_EVERY_NS:
+            return
+        recursion.compared_at = stamp
         then = self.model.predict_by(recursion.before, prediction.prior.features[0], prediction.columns).mean
         seconds = min(max(since, 0), LONGEST_COMPARED_NS) / NANOSECONDS
         if recursion.compare(seconds, outputs - prediction.prior.mean, outputs - then):

@@ -47,8 +47,8 @@ after that, one for each feature, the prior is renewed."""
 REVISIONS = count(secrets.randbits(60))
 """Numbers the states of all models. It starts at random, so that no two processes give the same number."""
 
-
 _LEARNT = ('theta', '_weights', '_information', '_renewed', '_discounts', '_memory')
+"""What changes places with that of :attr:`SemiParametricRecursion.before`."""
 
 
 class Prior(NamedTuple):
@@ -165,7 +165,7 @@ class SemiParametricRecursion:
         self.before, self._compared = None, np.zeros(3)
         self.before = deepcopy(self)
         if self._memory > KEPT:
-            self._discounts = ceil(log(KEPT / self._memory) / log(DISCOUNT)) + max(self.n_features, self.n_columns)
+            self._discounts = ceil(log(KEPT / self._memory) / log(DISCOUNT)) + self._round
 
     def compare(self, seconds: float, now: Array, then: Array) -> bool:
         """Charge what this model and the one :attr:`before` left of a sample (n,), so long after the last one.
@@ -307,11 +307,17 @@ class SemiParametricRecursion:
         block = min(self.n_columns + 1, QR_BLOCK)
         self._information = np.ascontiguousarray(dtpqrt(0, block, self._information, rows)[0])
 
+    @property
+    def _round(self) -> int:
+        """Samples within which every feature weight and coefficient is renewed once."""
+        return max(self.n_features, self.n_columns)
+
     def _perhaps_forget(self) -> None:
+        """What follows each sample that is learnt."""
         factor = self.forgetting
         if self._discounts:
             self._discounts -= 1
-            if self._discounts >= max(self.n_features, self.n_columns):
+            if self._discounts >= self._round:
                 factor = min(factor, DISCOUNT)
             elif factor == 1.0:
                 self._renew(0.0)

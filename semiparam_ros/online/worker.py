@@ -392,7 +392,9 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     changed = (learning[:begin] == Learning.AFTER_CHANGE) & (np.cumsum(learnt[:begin]) > KEPT)
     since = int(np.flatnonzero(changed)[-1]) if changed.any() else 0
     every = max(OLDER, -((since - begin) // OLDER_OF_DRAFT)) if later.draft else OLDER
-    learning[:begin] = learnt[:begin] & (np.arange(begin) >= since) & ((np.arange(begin) - since) % every == 0)
+    older = np.zeros(begin, dtype=bool)
+    older[since::every] = True
+    learning[:begin] = learnt[:begin] & older
     parts = [*batch.part(since, start, every).rows, *batch.part(start).rows]
     numbers = np.r_[since:start:every, start:len(batch)]
     each = zip(replace(batch, rows=parts).pairs(), learning[numbers].tolist(), compared[numbers].tolist(),

@@ -102,19 +102,23 @@ def test_a_draft_does_not_wait_where_a_whole_window_must(monkeypatch):
     assert windows[0] == 221 and 282 in drafts and windows[1] > windows[0] + 200
 
 
+@pytest.mark.parametrize('effects', [(), ('sensor_drift',)])
 @pytest.mark.parametrize(('draft', 'every', 'changed'), [(False, 5, 0), (True, 23, 0), (False, 5, 60), (True, 17, 60)])
-def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, monkeypatch):
+def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, effects, monkeypatch):
     """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life. Of a
     robot that has changed since, nothing is."""
     monkeypatch.setattr('semiparam_ros.online.worker.OLDER_OF_DRAFT', 10)
     monkeypatch.setattr('semiparam_ros.online.worker.KEPT', 50.0)
     pairs = [(sample, Learning.AFTER_CHANGE if changed and number == changed else Learning.YES)
              for number, sample in enumerate(DAY[:330])]
-    renewed = renew(SLOWER, BODY, batch_of(pairs), DAY[0].stamp, LaterWindow(100, draft=draft))
-    expected = new_estimator(SLOWER, BODY, known_of(renewed), DAY[0].stamp)
+    settings = replace(SLOWER, effects=effects)
+    renewed = renew(settings, BODY, batch_of(pairs), DAY[0].stamp, LaterWindow(100, draft=draft))
+    expected = new_estimator(settings, BODY, known_of(renewed), DAY[0].stamp)
     for number, (sample, _) in enumerate(pairs):
         if number >= 230 or (number >= changed and (number - changed) % every == 0):
             expected.observe(expected.predict(sample))
+        elif effects:  # they may remember what is not learnt
+            expected.observe(expected.predict(sample), False)
     for sample in DAY[330:340]:
         np.testing.assert_allclose(renewed.predict(sample)[:2], expected.predict(sample)[:2], rtol=1e-9)
 
