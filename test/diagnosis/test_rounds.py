@@ -25,8 +25,11 @@ from semiparam_ros.diagnosis.search.stepwise import Step, _first_that_helps, sea
 from semiparam_ros.diagnosis.uncertainty import deviations
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.effects.base import Start
+from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 from support.plain_calibration import further_calibrated_error
 from support.plain_model import nmse, plain_model
@@ -194,6 +197,15 @@ def test_a_model_made_of_another_ones_parts_is_the_same_as_one_made_anew(text):
 def test_friction_of_one_joint_is_not_taken_for_friction_of_all():
     found = diagnose(BODY, rubbing(moving(2), np.zeros(4), np.array([0.0, 1.0, 0.0, 0.0])))
     assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [('viscous_friction', 'turn')]
+
+
+def test_a_backlash_that_bends_the_fit_of_the_other_joints_is_not_taken_for_friction_of_all():
+    """While dry friction at its joint had the wrong form, friction seemed credible at most joints."""
+    made = simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=91, accelerations=False,
+                             effects=(EffectRequest('backlash', size=2.0),)))
+    found = diagnose(body_of(made), samples_of(made),
+                     only=('coulomb_friction', 'viscous_friction', 'effort_offset', 'backlash'))
+    assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [('backlash', 'r_elbow')]
 
 
 def found_one_by_one(samples, *effects):

@@ -25,14 +25,16 @@ FRICTION = (ViscousFriction.kind, CoulombFriction.kind)
 
 
 def friction_of_all(fit: Fit, kinds: dict[str, type[Effect]], declared: Collection[Place]) -> Fit | None:
-    """The model with dry and viscous friction of all joints, and the offsets that help, where most joints rub.
+    """The model with dry and viscous friction of all joints, and the offsets that help, where most joints rub, with
+    each friction in its own form too.
 
     :param declared: kinds and places that were in the model before the search and stay as they are.
     """
     full = _completed(fit, kinds, declared)
     if full is None or not _is_widespread(full) or not _better(fit, full):
         return None
-    return _shaped(_pruned(full, (EffortOffset.kind,), declared), declared)
+    after = _shaped(_pruned(full, (EffortOffset.kind,), declared), declared)
+    return after if _is_widespread(after) else None  # while its form is wrong, one joint's friction bends all others'
 
 
 def friction_where_it_helps(fit: Fit, kinds: dict[str, type[Effect]], declared: Collection[Place]) -> Fit | None:
