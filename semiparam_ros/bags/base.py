@@ -42,11 +42,6 @@ class Losses:
         return bool(self.chunks_lost or self.byte_ranges or self.reasons or self.undecodable)
 
     @property
-    def messages_lost(self) -> int | None:
-        """How many messages are missing; None where nothing tells."""
-        return None if self.intact is None else max(self.intact - self.saved, 0)
-
-    @property
     def sentence(self) -> str:
         """The whole account in one sentence, '' when nothing is wrong."""
         if not self:

@@ -54,12 +54,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scoreboard = parser.add_argument_group('scoreboard')
     scoreboard.add_argument('--benchmark', action='store_true',
                             help='diagnose simulated recordings with known hidden effects instead of a bag')
-    scoreboard.add_argument('--outputs', choices=('wrench', 'effort'), default='wrench', help='what is simulated')
-    scoreboard.add_argument('--sizes', metavar='S', type=float, nargs='+', default=[0.5, 1.0, 2.0])
-    scoreboard.add_argument('--seeds', metavar='N', type=int, default=10, help='recordings of each kind and size')
-    scoreboard.add_argument('--first-seed', metavar='N', type=int, default=0, help='seed of the first of them')
-    scoreboard.add_argument('--samples', metavar='N', type=int, default=4000)
-    scoreboard.add_argument('--estimate-accelerations', action='store_true', help='record none')
+    scoreboard.add_argument('--outputs', choices=('wrench', 'effort'), default='wrench',
+                            help='what is simulated (default: wrench)')
+    scoreboard.add_argument('--sizes', metavar='S', type=float, nargs='+', default=[0.5, 1.0, 2.0],
+                            help='sizes of the hidden effects, as of semiparam simulate (default: 0.5 1 2)')
+    scoreboard.add_argument('--seeds', metavar='N', type=int, default=10,
+                            help='recordings of each kind and size (default: 10)')
+    scoreboard.add_argument('--first-seed', metavar='N', type=int, default=0,
+                            help='seed of the first of them (default: 0)')
+    scoreboard.add_argument('--samples', metavar='N', type=int, default=4000,
+                            help='length of each recording (default: 4000)')
+    scoreboard.add_argument('--estimate-accelerations', action='store_true', help='record no accelerations')
 
 
 def run(args: argparse.Namespace) -> int:

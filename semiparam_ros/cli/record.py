@@ -19,7 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', type=Path, metavar='OUT.mcap', help='the bag to write; it takes this name when complete')
     _add_choice(parser.add_argument_group('what is recorded'))
     _add_end(parser.add_argument_group('when it ends (without these: by Ctrl-C)'))
-    parser.add_argument('--compression', choices=('zstd', 'lz4', 'none'), default='zstd', help='default zstd')
+    parser.add_argument('--compression', choices=('zstd', 'lz4', 'none'), default='zstd',
+                        help='of the bag (default zstd)')
     parser.add_argument('--overwrite', action='store_true', help='replace an older bag of that name')
     parser.add_argument('--wait-timeout', type=float, default=30.0, metavar='S',
                         help='how long to wait for the named nodes and topics (default 30)')

@@ -13,7 +13,8 @@ HELP = 'Run the node estimator: learn and predict live.'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """One option of ours; remappings and everything else of ROS follow --ros-args."""
     parser.add_argument('--params', metavar='FILE', type=Path,
-                        help='ROS parameter file (YAML); the same as --ros-args --params-file FILE')
+                        help='ROS parameter file (YAML); the same as --ros-args --params-file FILE. Everything else of '
+                        'ROS follows --ros-args: --ros-args -r wrench:=/ft/raw')
 
 
 def run(args: argparse.Namespace) -> int:

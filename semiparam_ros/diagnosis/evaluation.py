@@ -8,6 +8,7 @@ from typing import TypedDict
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.horizon_error import force_and_torque
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
@@ -91,7 +92,7 @@ class Evaluation:
     def as_dict(self) -> EvaluationFigures:
         """The entry ``before`` or ``after`` of the machine-readable report."""
         eps = self.eps
-        force, torque = (float(eps[:3].mean()), float(eps[3:].mean())) if self.wrench else (None, float(eps.mean()))
+        force, torque = force_and_torque(eps) if self.wrench else (None, float(eps.mean()))
         return {'nmse': self.nmse.tolist(), 'rmse': self.rmse.tolist(), 'nmse_mean': float(self.nmse.mean()),
                 'nmse_mean_interval': list(self.interval()), 'eps_force': force, 'eps_torque': torque}
 

@@ -129,9 +129,6 @@ class ViscousDrag(_Drag):
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return (Coefficient('drag', 'N s/m'),)
 
-    def physical(self, coefficients: Array) -> bool:
-        return bool(coefficients[0] > 0.0)
-
     def resistance(self, velocity: Array) -> Array:
         return -velocity
 
@@ -147,9 +144,6 @@ class QuadraticDrag(_Drag):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return (Coefficient('drag', 'N s^2/m^2'),)
-
-    def physical(self, coefficients: Array) -> bool:
-        return bool(coefficients[0] > 0.0)
 
     def resistance(self, velocity: Array) -> Array:
         return -np.linalg.norm(velocity, axis=1, keepdims=True) * velocity

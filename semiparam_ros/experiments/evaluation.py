@@ -12,7 +12,7 @@ import numpy as np
 
 from semiparam_ros.bags.loading import LoadedBag
 from semiparam_ros.core.estimator import Estimator, Prediction
-from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.horizon_error import HorizonErrors, force_and_torque
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -97,7 +97,7 @@ class Scores:
 def means(eps: Array, outputs: str) -> tuple[float, ...]:
     """eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
     if outputs == 'wrench':
-        return float(np.mean(eps[:3])), float(np.mean(eps[3:]))
+        return force_and_torque(eps)
     return (float(np.mean(eps)),)
 
 

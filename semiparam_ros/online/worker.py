@@ -248,24 +248,6 @@ class _ProcessJob:
         self.give_up(self)
 
 
-class InlineBackground:
-    """The same interface without a process: everything happens at once. For tests and for offline use."""
-
-    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
-        """See :class:`Background`."""
-        try:
-            result = function(*arguments)
-        except Exception as error:
-            done(None, error)
-        else:
-            done(result, None)
-        return _ProcessJob(function, arguments, done)
-
-    def later(self, function: Callable[[], None]) -> None:
-        """See :class:`Background`."""
-        function()
-
-
 def _activity(process: BaseProcess) -> tuple[str, int]:
     """The state of its first thread, where jobs run (R: it has a processor or waits for one), and the ticks it used."""
     fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
+from semiparam_ros.core.robot.urdf import check_output_joints
 from semiparam_ros.core.variants import single
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.parameter_table import Table, shown
@@ -54,9 +55,10 @@ def output_joints_are_joints(table: Table) -> str | None:
         return 'output_joints is given, but outputs is wrench; expected it with outputs effort alone.'
     if (repeated := _repeated(names)) is not None:
         return f"output_joints holds '{repeated}' twice; expected distinct joint names."
-    for name in names if table.joints else ():
-        if name not in table.joints:
-            return f"output_joints names '{name}'; expected some of the joints {', '.join(table.joints)}."
+    try:
+        check_output_joints(table.joints or names, names)
+    except SemiparamError as error:
+        return str(error)
     return None
 
 

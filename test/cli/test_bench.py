@@ -8,8 +8,7 @@ import pytest
 from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.bench import MEANING
 from semiparam_ros.experiments.benchmark import SIGMA, Covariance, Dense, Potter
-from semiparam_ros.settings import Settings, dump_params
-from support.recordings import FRAME, JOINTS, write_arm
+from support.recordings import write_arm, write_params
 
 COLUMNS, FEATURES, OUTPUTS, SAMPLES = 4, 6, 3, 20
 
@@ -75,10 +74,7 @@ def recording(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def params(tmp_path_factory):
-    path = tmp_path_factory.mktemp('bench') / 'arm.yaml'
-    dump_params(Settings.from_mapping({'sensor_frame': FRAME, 'joints': list(JOINTS), 'features.count': 20,
-                                       'initial.samples': 100}), path)
-    return path
+    return write_params(tmp_path_factory.mktemp('bench') / 'arm.yaml')
 
 
 def test_peers_get_the_same_samples_as_ours(recording, params, tmp_path, capsys):

@@ -10,10 +10,10 @@ from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.cli import demo, demo_run
 from semiparam_ros.cli.demo_run import Program, isolated
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.settings import Settings, dump_params
-from support.recordings import FRAME, JOINTS, write_arm
+from semiparam_ros.settings import Settings
+from support.recordings import FRAME, INITIAL, JOINTS, write_arm, write_params
 
-INITIAL, LENGTH = 100, 400
+LENGTH = 400
 
 
 @pytest.fixture(scope='module')
@@ -23,10 +23,7 @@ def recording(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def params(tmp_path_factory):
-    path = tmp_path_factory.mktemp('params') / 'arm.yaml'
-    dump_params(Settings.from_mapping({'sensor_frame': FRAME, 'joints': list(JOINTS), 'features.count': 20,
-                                       'initial.samples': INITIAL, 'horizon.length': 5}), path)
-    return path
+    return write_params(tmp_path_factory.mktemp('params') / 'arm.yaml')
 
 
 def run_demo(*arguments):

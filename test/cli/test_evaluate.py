@@ -16,9 +16,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.experiments.evaluation import Scores, by_phase, normalised_errors, update_times
 from semiparam_ros.settings import Settings, dump_params, load_params
 from support import node_helpers
-from support.recordings import FRAME, JOINTS, PERIOD_NS, URDF, write_arm
-
-INITIAL = 100
+from support.recordings import FRAME, INITIAL, JOINTS, PERIOD_NS, URDF, write_arm, write_params
 
 
 @pytest.fixture(scope='module')
@@ -28,10 +26,7 @@ def recording(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def params(tmp_path_factory):
-    path = tmp_path_factory.mktemp('params') / 'arm.yaml'
-    dump_params(Settings.from_mapping({'sensor_frame': FRAME, 'joints': list(JOINTS), 'features.count': 20,
-                                       'initial.samples': INITIAL, 'horizon.length': 5}), path)
-    return path
+    return write_params(tmp_path_factory.mktemp('params') / 'arm.yaml')
 
 
 @pytest.fixture

@@ -23,12 +23,12 @@ from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
-from semiparam_ros.online.worker import InlineBackground, ProcessBackground, new_estimator
+from semiparam_ros.online.worker import ProcessBackground, new_estimator
 from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from support.learner_stage import Stage
-from support.node_helpers import BODY, PERIOD_NS, SETTINGS, URDF, motion
+from support.node_helpers import BODY, PERIOD_NS, SETTINGS, URDF, InlineBackground, motion
 
 VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML')
 

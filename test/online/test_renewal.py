@@ -12,9 +12,9 @@ from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.renewal import LaterWindow, later_window
-from semiparam_ros.online.worker import InlineBackground, ProcessBackground, known_of, new_estimator, renew
+from semiparam_ros.online.worker import ProcessBackground, known_of, new_estimator, renew
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, faster, motion
+from support.node_helpers import BODY, SETTINGS, InlineBackground, faster, motion
 
 TAKEOVER_AFTER = 15
 

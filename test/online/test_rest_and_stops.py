@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.estimator import Estimator, ModelOptions
-from semiparam_ros.online.worker import InlineBackground
 from semiparam_ros.settings.build import build_rigid_body
 from support.declared_effects import panda, ur3
 from support.learner_stage import Stage
-from support.node_helpers import PERIOD_NS, SETTINGS, motion
+from support.node_helpers import PERIOD_NS, SETTINGS, InlineBackground, motion
 
 REST_S = 20.0
 

@@ -14,10 +14,9 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file
 from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.file_thread import FileThread
-from semiparam_ros.online.worker import InlineBackground
 from semiparam_ros.settings.build import build_rigid_body
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, motion
+from support.node_helpers import BODY, SETTINGS, InlineBackground, motion
 
 EFFORT = replace(SETTINGS, outputs='effort', sensor_frame='')
 REMEMBERS = {

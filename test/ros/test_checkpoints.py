@@ -8,7 +8,7 @@ import pytest
 from semiparam_ros.settings import dump_params
 from support import checkpoint_kills
 from support.node_client import Client, NodeProcess
-from support.node_helpers import SETTINGS, motion
+from support.node_helpers import SETTINGS, InlineBackground, motion
 
 
 @pytest.mark.slow
@@ -38,7 +38,7 @@ def test_a_node_goes_on_from_its_checkpoint(tmp_path, ros_domain):
             else:
                 assert 'the checkpoint is loaded: SPK-ML with 150 samples' in node.output
             assert node.stop() == 0
-    whole = checkpoint_kills.Stage(settings, checkpoint_kills.InlineBackground())
+    whole = checkpoint_kills.Stage(settings, InlineBackground())
     whole.offer(samples)
     np.testing.assert_array_equal(means, whole.means)
 

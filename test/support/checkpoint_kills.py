@@ -24,12 +24,11 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')  # read when numpy is loaded
 import numpy as np
 
 from semiparam_ros.online.checkpoint import Checkpoints
-from semiparam_ros.online.worker import InlineBackground
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
 
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, motion
+from support.node_helpers import BODY, SETTINGS, InlineBackground, motion
 
 NAME, MOST_SAMPLES = 'estimator', 4000
 EFFECTS = ('time_delay{"delay_s": 0.005}',)

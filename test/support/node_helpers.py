@@ -71,6 +71,21 @@ class DelayedJob:
         self.cancelled = True
 
 
+class InlineBackground:
+    """A background without a process: everything happens at once."""
+
+    def submit(self, function, *arguments, done):
+        try:
+            result, error = function(*arguments), None
+        except Exception as caught:
+            result, error = None, caught
+        done(result, error)
+        return DelayedJob(b'', done)
+
+    def later(self, function):
+        function()
+
+
 class DelayedBackground:
     """A background whose jobs run when the test says so; arguments and results are pickled, as between processes."""
 

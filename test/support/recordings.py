@@ -9,10 +9,19 @@ from semiparam_ros.bags.recording_layout import JOINT_STATES, ROBOT_DESCRIPTION,
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import stamp_fields
+from semiparam_ros.settings import Settings, dump_params
 
 URDF = Path(__file__).resolve().parents[2] / 'config/icub_right_arm.urdf'
 FRAME, JOINTS = 'r_arm_ft_sensor', ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 PERIOD_NS = 50_000_000
+INITIAL = 100
+
+
+def write_params(path: Path) -> Path:
+    """Parameters for :func:`write_arm`: few features, a window of INITIAL samples, a short horizon."""
+    dump_params(Settings.from_mapping({'sensor_frame': FRAME, 'joints': list(JOINTS), 'features.count': 20,
+                                       'initial.samples': INITIAL, 'horizon.length': 5}), path)
+    return path
 
 
 def write_arm(path: Path, length: int, seed: int = 1, start: int = 0, bias: float = 1.0) -> Path:

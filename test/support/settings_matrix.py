@@ -43,14 +43,13 @@ from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import state_file
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.tare import Tare
-from semiparam_ros.online.worker import InlineBackground
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
 
 from support.estimates import Estimates
-from support.node_helpers import JOINTS, URDF, DelayedBackground
+from support.node_helpers import JOINTS, URDF, DelayedBackground, InlineBackground
 
 OUTPUTS = 'wrench', 'effort'
 FACTORS: dict[str, tuple[object, ...]] = {

@@ -325,11 +325,6 @@ class RigidBody:
         return self.sign * self.rows(self.arm_vector(position), self.arm_vector(velocity),
                                       self.arm_vector(acceleration))
 
-    def sensor_placement(self, position: Array) -> pin.SE3:
-        """Pose of the sensor frame in the base, at a joint position (n_joints,)."""
-        pin.framesForwardKinematics(self.arm, self._arm_data, self.arm_vector(position))
-        return self._arm_data.oMf[self.sensor_index].copy()
-
     def rows(self, q: Array, dq: Array, ddq: Array) -> Array:
         """(n, 10 n_bodies) regressor of the action at vectors of the model, see :meth:`arm_vector`."""
         return self._effort_rows(q, dq, ddq) if self.distal is None else self._sensor_rows(q, dq, ddq)

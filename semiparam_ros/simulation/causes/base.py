@@ -23,7 +23,10 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Site:
-    """Where a cause is to be drawn: the world without it, and the standard deviation (n,) of its outputs."""
+    """Where a cause is to be drawn: the world without it, and the standard deviation (n,) of its outputs.
+
+    ``where`` and ``start_s`` [s] are what was requested, or None.
+    """
 
     world: World
     scale: Array
@@ -36,9 +39,9 @@ class Site:
         share = float(self.rng.uniform(0.25, 0.6))
         return share * self.world.duration if self.start_s is None else self.start_s
 
-    def from_beginning(self) -> float:
-        """The requested start, or long before the recording."""
-        return -np.inf if self.start_s is None else self.start_s
+    def sign(self) -> float:
+        """-1 or 1 at random."""
+        return float(self.rng.choice([-1.0, 1.0]))
 
     def joint(self) -> int:
         """Index of the requested joint, or of a random one."""
@@ -109,8 +112,3 @@ class Cause:
 def since(time: Array, start_s: float | None) -> Array:
     """(N, 1): 1 from the start on, 0 before."""
     return np.asarray(time >= (-np.inf if start_s is None else start_s), dtype=float)[:, None]
-
-
-def known_start(start_s: float) -> float | None:
-    """None for a cause without a beginning."""
-    return None if np.isinf(start_s) else start_s

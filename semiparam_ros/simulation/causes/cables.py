@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start
+from semiparam_ros.simulation.causes.base import Cause, Quantity, Site
 from semiparam_ros.simulation.causes.forces import FrameForce
 from semiparam_ros.simulation.fine_states import bouc_wen, fine_motion, sampled
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
@@ -29,7 +29,7 @@ class CableSpring(FrameForce):
         frame = site.frame()
         anchor, lengths = drawn_anchor(site, frame)
         rest = float(site.rng.uniform(0.3, 0.8) * lengths.min())
-        return cls(frame, known_start(site.from_beginning()), anchor, rest)
+        return cls(frame, site.start_s, anchor, rest)
 
     def force(self, world: World, motion: Instants) -> Array:
         rope = self.anchor - world.arm.pose(str(self.where), motion.position).place
@@ -55,7 +55,7 @@ class CableHysteresis(FrameForce):
         frame = site.frame()
         anchor, lengths = drawn_anchor(site, frame)
         yield_length = float(site.rng.uniform(0.15, 0.4) * lengths.std())
-        return cls(frame, known_start(site.from_beginning()), anchor, yield_length, float(site.rng.uniform(0.5, 0.9)))
+        return cls(frame, site.start_s, anchor, yield_length, float(site.rng.uniform(0.5, 0.9)))
 
     def force(self, world: World, motion: Instants) -> Array:
         fine = fine_motion(world.trajectory, CABLE_STEP_S)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start
+from semiparam_ros.simulation.causes.base import Quantity, Site
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.fine_states import fine_motion, play, sampled
 from semiparam_ros.simulation.trajectory import Instants
@@ -39,11 +40,9 @@ class JointSpring(JointTorque):
     rest: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint, world = site.joint(), site.world
-        angle = world.now.position[:, joint]
-        rest = float(angle.mean() + site.rng.uniform(-1.5, 1.5) * angle.std())
-        return cls(world.arm.joints[joint], known_start(site.from_beginning()), joint, rest)
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        angle = site.world.now.position[:, joint]
+        return (float(angle.mean() + site.rng.uniform(-1.5, 1.5) * angle.std()),)
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(motion.position[:, self.joint] - self.rest)
@@ -60,10 +59,8 @@ class EffortOffset(JointTorque):
     sign: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint = site.joint()
-        return cls(site.world.arm.joints[joint], known_start(site.from_beginning()), joint,
-                   float(site.rng.choice([-1.0, 1.0])))
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        return (site.sign(),)
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.full(len(motion.time), self.sign)
@@ -81,10 +78,8 @@ class EffortGain(JointTorque):
     sign: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint = site.joint()
-        return cls(site.world.arm.joints[joint], known_start(site.from_beginning()), joint,
-                   float(site.rng.choice([-1.0, 1.0])))
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        return (site.sign(),)
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(self.sign * efforts[:, self.joint])
@@ -102,10 +97,8 @@ class TransmissionRipple(JointTorque):
     phase: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint = site.joint()
-        return cls(site.world.arm.joints[joint], known_start(site.from_beginning()), joint,
-                   int(site.rng.integers(8, 41)), float(site.rng.uniform(0, 2 * np.pi)))
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        return int(site.rng.integers(8, 41)), float(site.rng.uniform(0, 2 * np.pi))
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(np.sin(self.order * motion.position[:, self.joint] + self.phase))
@@ -124,10 +117,8 @@ class Backlash(JointTorque):
     gap: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint, world = site.joint(), site.world
-        gap = float(site.rng.uniform(0.03, 0.15) * np.ptp(world.now.position[:, joint]))
-        return cls(world.arm.joints[joint], known_start(site.from_beginning()), joint, gap)
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        return (float(site.rng.uniform(0.03, 0.15) * np.ptp(site.world.now.position[:, joint])),)
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         fine = fine_motion(world.trajectory)

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start, since
+from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, since
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import Body, World
@@ -67,7 +67,7 @@ class ExternalForce(FrameForce):
 
     @classmethod
     def draw(cls, site: Site) -> Cause:
-        return cls(site.frame(), known_start(site.from_beginning()), unit_vector(site.rng))
+        return cls(site.frame(), site.start_s, unit_vector(site.rng))
 
     def force(self, world: World, motion: Instants) -> Array:
         return np.broadcast_to(self.direction, (len(motion.time), 3))
@@ -90,7 +90,7 @@ class PeriodicDisturbance(FrameForce):
         rate = 1.0 / float(np.median(np.diff(site.world.times)))
         frequency, phase = float(site.rng.uniform(0.025, 0.4)) * rate, float(site.rng.uniform(0, 2 * np.pi))
         in_joint = site.rng.uniform() < 0.5 if site.where is None else site.where in site.world.arm.joints
-        start = known_start(site.from_beginning())
+        start = site.start_s
         if in_joint and site.world.arm.outputs == 'effort':
             joint = site.joint()
             return JointDisturbance(site.world.arm.joints[joint], start, joint, frequency, phase)
@@ -129,7 +129,7 @@ class ViscousDrag(FrameForce):
 
     @classmethod
     def draw(cls, site: Site) -> Cause:
-        return cls(site.frame(), known_start(site.from_beginning()))
+        return cls(site.frame(), site.start_s)
 
     def force(self, world: World, motion: Instants) -> Array:
         return -world.arm.pose(str(self.where), motion.position).velocity(motion.velocity)[:, :3]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start, since
+from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, since
 from semiparam_ros.simulation.fine_states import STEP_S, bristle, fine_motion, sampled
 from semiparam_ros.simulation.trajectory import Instants
 from semiparam_ros.simulation.world import World
@@ -27,7 +28,12 @@ class JointTorque(Cause):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         joint = site.joint()
-        return cls(site.world.arm.joints[joint], known_start(site.from_beginning()), joint)
+        return cls(site.world.arm.joints[joint], site.start_s, joint, *cls.drawn(site, joint))
+
+    @classmethod
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        """What the kind has beyond the joint, in the order of its fields."""
+        return ()
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         """(N,) at magnitude 1; ``efforts`` (N, n) are those without it."""
@@ -81,11 +87,9 @@ class StribeckFriction(JointTorque):
     velocity: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint, world = site.joint(), site.world
-        speed = float(world.now.velocity[:, joint].std())
-        return cls(world.arm.joints[joint], known_start(site.from_beginning()), joint,
-                   float(site.rng.uniform(1.0, 2.0)), float(site.rng.uniform(0.1, 0.4)) * speed)
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        speed = float(site.world.now.velocity[:, joint].std())
+        return float(site.rng.uniform(1.0, 2.0)), float(site.rng.uniform(0.1, 0.4)) * speed
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         def level(steps: Array) -> Array:
@@ -107,12 +111,10 @@ class AsymmetricFriction(JointTorque):
     viscous: tuple[float, float]
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint, world = site.joint(), site.world
-        speed = float(world.now.velocity[:, joint].std())
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        speed = float(site.world.now.velocity[:, joint].std())
         forward, ratio = site.rng.uniform(0.3, 1.0) / speed, float(site.rng.uniform(0.2, 0.6))
-        viscous = (float(forward), float(forward * site.rng.uniform(0.2, 0.6)))
-        return cls(world.arm.joints[joint], known_start(site.from_beginning()), joint, ratio, viscous)
+        return ratio, (float(forward), float(forward * site.rng.uniform(0.2, 0.6)))
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         slide, velocity = self.slide(world, motion), motion.velocity[:, self.joint]

@@ -24,7 +24,7 @@ class JointOffset(Cause):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         joint = site.joint()
-        return cls(site.world.arm.joints[joint], None, joint, float(site.rng.choice([-1.0, 1.0])))
+        return cls(site.world.arm.joints[joint], None, joint, site.sign())
 
     def apply(self, world: World, magnitude: float) -> World:
         shift = world.joint_shift.copy()

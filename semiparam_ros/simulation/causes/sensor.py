@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, known_start, since
+from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, since
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import World
 
@@ -66,7 +66,7 @@ class SensorDrift(Bias):
 
     @classmethod
     def draw(cls, site: Site) -> Cause:
-        return cls(None, known_start(site.from_beginning()), cls.random_direction(site))
+        return cls(None, site.start_s, cls.random_direction(site))
 
     def course(self, time: Array) -> Array:
         return np.maximum(time - (self.start_s or 0.0), 0.0)[:, None]
@@ -85,7 +85,7 @@ class ThermalDrift(Bias):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         time_constant = float(site.rng.uniform(0.08, 0.3)) * site.world.duration
-        return cls(None, known_start(site.from_beginning()), cls.random_direction(site), time_constant)
+        return cls(None, site.start_s, cls.random_direction(site), time_constant)
 
     def course(self, time: Array) -> Array:
         warm = np.maximum(time - (self.start_s or 0.0), 0.0) / self.time_constant
@@ -125,7 +125,7 @@ class SensorGain(ReadingMatrix):
     @classmethod
     def draw(cls, site: Site) -> Cause:
         channel = site.channel()
-        return cls(site.world.arm.channels[channel], None, channel, float(site.rng.choice([-1.0, 1.0])))
+        return cls(site.world.arm.channels[channel], None, channel, site.sign())
 
     def matrix(self, magnitude: float) -> Array:
         matrix = np.eye(6)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import BOTH, Cause, Quantity, Site, known_start
+from semiparam_ros.simulation.causes.base import BOTH, Cause, Quantity, Site
 from semiparam_ros.simulation.causes.forces import FrameForce
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.fine_states import sampled
@@ -33,7 +34,7 @@ class Bump(FrameForce):
         path = site.world.arm.pose(frame, site.world.now.position).place
         width = float(site.rng.uniform(0.25, 0.5) * np.linalg.norm(path.std(axis=0)))
         centre = path[site.rng.integers(len(path))]
-        return cls(frame, known_start(site.from_beginning()), unit_vector(site.rng), centre, width)
+        return cls(frame, site.start_s, unit_vector(site.rng), centre, width)
 
     def force(self, world: World, motion: Instants) -> Array:
         away = world.arm.pose(str(self.where), motion.position).place - self.centre
@@ -53,10 +54,8 @@ class DriftingFriction(JointTorque):
     course_seed: int
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint = site.joint()
-        return cls(site.world.arm.joints[joint], known_start(site.from_beginning()), joint,
-                   int(site.rng.integers(WANDER_SEED_LIMIT)))
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        return (int(site.rng.integers(WANDER_SEED_LIMIT)),)
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         course = wander(motion.time, world.duration / 3, np.random.default_rng(self.course_seed))
