@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.base import BagReader, Message
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.core.robot.urdf import parse
 from semiparam_ros.core.stamps import stamp_fields
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 
 _JOINT_STATE, _WRENCH = layout.TYPES[layout.JOINT_STATES], layout.TYPES[layout.WRENCH]
 _TRAJECTORY = layout.TYPES[layout.JOINT_ACCELERATIONS]
@@ -59,6 +61,16 @@ class Edits:
                 vector.x, vector.y, vector.z = (self.wrench_sign * value for value in (vector.x, vector.y, vector.z))
         return data
 
+    def check_joints(self, path: str, names: Sequence[str]) -> None:
+        """Raise SemiparamError where a joint is to change that is not among those of the bag."""
+        for old in self.joints:
+            if not any(fnmatchcase(name, old) if '*' in old else name == old for name in names):
+                raise SemiparamError(f'{path!r} has no joint {old!r} to rename; it has {listed(names)}.')
+        known = [renamed(name, self.joints) for name in names]
+        for name in self.effort_factors:
+            if name not in known:
+                raise SemiparamError(f'effort_factors names {name!r}; expected some of the joints {", ".join(known)}.')
+
 
 def renamed(name: str, names: Mapping[str, str]) -> str:
     """The new name of a joint; one without an entry keeps its own."""
@@ -74,7 +86,8 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
     """Copy the messages of ``source`` in order of log time; returns how many came from each topic.
 
     :param robot_description: a URDF that takes the place of the one in the bag, if there is one.
-    :param progress: called with the number of messages so far. A topic that is not there raises SemiparamError.
+    :param progress: called with the number of messages so far. A topic or a joint that is not there raises
+        SemiparamError.
     """
     chosen = dict(edits.topics) or {topic: topic for topic, info in source.topics.items() if info.encoding == 'cdr'}
     if robot_description is not None:
@@ -88,6 +101,7 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
     copied, changed = ({topic for topic in chosen if edits.concern(source.topics[topic].type) is concern}
                        for concern in (False, True))
     counts = dict.fromkeys(chosen, 0)
+    joints: set[str] = set()
     messages = source.messages(chosen.keys(), decode=bool(changed))
     for number, message in enumerate(messages, 1):
         counts[message.topic] += 1
@@ -95,21 +109,28 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
         if message.topic in copied:
             bag.write_raw(topic, message.raw, message.log_time, message.publish_time)
         else:
+            if message.type == _JOINT_STATE:
+                joints.update(message.data.name)
             bag.write(topic, message.type, edits.apply(message), message.log_time, message.publish_time)
         if number % 1000 == 0:
             progress(number)
+    edits.check_joints(str(source.path), sorted(joints))
     return counts
 
 
 def read_description(path: str | os.PathLike[str]) -> str:
-    """The text of a URDF file; one that cannot be read raises SemiparamError."""
+    """The text of a URDF file; one that cannot be read, or is no URDF, raises SemiparamError."""
     try:
-        with open(path, encoding='utf-8') as file:
-            return file.read()
+        text = Path(path).read_text(encoding='utf-8')
     except OSError as error:
         raise SemiparamError(f'robot description {str(path)!r} cannot be read: {error.strerror}.') from error
     except UnicodeDecodeError as error:
         raise SemiparamError(f'robot description {str(path)!r} is not UTF-8 text.') from error
+    try:
+        parse(text)
+    except SemiparamError as error:
+        raise SemiparamError(f'{str(path)!r}: {error}') from error
+    return text
 
 
 def write_description(bag: BagWriter, text: str, stamp: int) -> None:

@@ -12,14 +12,13 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from semiparam_ros.bags import recording_layout as layout_names
 from semiparam_ros.bags.array_files import array_lines, holds_arrays
 from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.stamps import NANOSECONDS, stamp_fields
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.yaml_file import read_yaml
 
 TIME_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 PER_JOINT = ('position', 'velocity', 'acceleration', 'effort')
@@ -81,12 +80,7 @@ class TableLayout:
 
 def load_layout(path: str | os.PathLike[str]) -> TableLayout:
     """A layout from a YAML file; a file that cannot be read or holds anything else raises SemiparamError."""
-    try:
-        values = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except OSError as error:
-        raise SemiparamError(f'{str(path)!r} cannot be read: {error.strerror}.') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SemiparamError(f'{str(path)!r} is not valid YAML: {" ".join(str(error).split())}.') from error
+    values = read_yaml(Path(path), 'the columns')
     if not isinstance(values, Mapping):
         raise SemiparamError(f'{str(path)!r} holds no columns: expected a mapping such as "joints: [...]".')
     return TableLayout().merged(values, repr(str(path)))

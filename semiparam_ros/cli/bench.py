@@ -18,6 +18,7 @@ from semiparam_ros.cli.options import (
     console,
     output,
     progress_bar,
+    require_places,
     write_json,
 )
 from semiparam_ros.errors import SemiparamError
@@ -84,8 +85,11 @@ def run(args: argparse.Namespace) -> int:
     """Time every contender for every D in this one process, on one thread."""
     # Before numpy loads: several threads would favour the large dense recursion and hide what a node can afford.
     os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')
+    require_places(args.json)
     if args.rounds < 1 or any(count < 2 or count % 2 for count in args.features or ()):
         raise SemiparamError('expected at least one round, and even numbers of features from 2 on.')
+    if args.variants and not args.peers:
+        raise SemiparamError('--variant chooses among those of --peers, which is missing.')
     return beside_peers(args) if args.peers else timing(args)
 
 

@@ -15,10 +15,10 @@ from semiparam_ros.cli.options import (
     console,
     output,
     progress_bar,
+    require_counts,
     require_places,
     write_json,
 )
-from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.experiments.comparison import Comparison, Scenario
@@ -82,8 +82,7 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
     from semiparam_ros.experiments.comparison import scenario_from
     from semiparam_ros.settings import load_params
 
-    if args.seeds < 1:
-        raise SemiparamError(f'--seeds is {args.seeds}; expected at least 1.')
+    require_counts(args, 'seeds')
     settings = load_params(args.params)
     estimation = estimation_of(args)
     variants = chosen_variants(args.variants or ['all'], settings)

@@ -20,7 +20,7 @@ from semiparam_ros.bags.text_tables import (
     load_layout,
 )
 from semiparam_ros.bags.writer import BagWriter
-from semiparam_ros.cli.options import console, progress_bar
+from semiparam_ros.cli.options import console, progress_bar, require_bag_name
 from semiparam_ros.errors import SemiparamError
 
 HELP = 'Convert a table (text, .npz, .mat) or a bag (ROS 1, rosbag2, damaged MCAP) to an MCAP bag.'
@@ -79,8 +79,7 @@ def run(args: argparse.Namespace) -> int:
     """Convert, and say on standard error what came out."""
     if args.output.exists() and args.input.exists() and os.path.samefile(args.input, args.output):
         raise SemiparamError(f'{str(args.output)!r} is the input itself; expected another name for the output.')
-    if args.output.suffix != '.mcap':
-        raise SemiparamError(f'{str(args.output)!r} is no name for an MCAP bag; expected one that ends in .mcap.')
+    require_bag_name(args.output)
     description = read_description(args.robot_description) if args.robot_description else None
     table = holds_arrays(args.input) or not is_bag(args.input)
     lines = _from_bag(args, description) if not table else _from_table(args, description)

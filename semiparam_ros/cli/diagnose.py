@@ -14,6 +14,7 @@ from semiparam_ros.cli.options import (
     console,
     output,
     progress_bar,
+    require_counts,
     require_places,
     write_json,
 )
@@ -70,13 +71,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Diagnose one recording, or the simulator's."""
     require_places(args.json, args.output, args.html)
+    require_counts(args, 'jobs', 'seeds')
     if args.benchmark:
         return _benchmark(args)
     if not args.bags:
         raise SemiparamError('diagnose needs a BAG, or --benchmark.')
+    from semiparam_ros.cli.evaluate import chosen_variants
     from semiparam_ros.settings import load_params
 
     settings = load_params(args.params)
+    chosen_variants(args.variants, settings)
     diagnosis = diagnose_bag(args, settings)
     variants = _evaluate_variants(args, settings, diagnosis)
     named = ', '.join(map(str, args.bags))
@@ -218,7 +222,7 @@ def _benchmark(args: argparse.Namespace) -> int:
                 not args.estimate_accelerations)
     with progress_bar() as bar:
         task = bar.add_task('diagnoses', total=plan.count)
-        result = scoreboard(plan, args.jobs, lambda done: bar.update(task, completed=done))
+        result = scoreboard(plan, args.jobs, lambda: bar.advance(task))
     print_scoreboard(output, result)
     if args.json:
         write_json(args.json, result)

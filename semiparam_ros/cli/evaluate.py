@@ -12,7 +12,15 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from semiparam_ros.cli.options import add_json_option, add_params_option, console, output, progress_bar, write_json
+from semiparam_ros.cli.options import (
+    add_json_option,
+    add_params_option,
+    console,
+    output,
+    progress_bar,
+    require_places,
+    write_json,
+)
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -91,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.report.horizon_figure import picture_format
     from semiparam_ros.settings import load_params
 
+    require_places(args.json, args.plot)
     if args.plot:
         picture_format(args.plot)
     settings = load_params(args.params)

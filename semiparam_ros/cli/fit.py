@@ -13,10 +13,10 @@ from semiparam_ros.cli.options import (
     console,
     output,
     progress_bar,
+    require_counts,
     require_places,
     write_json,
 )
-from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
@@ -58,9 +58,7 @@ def estimation_of(args: argparse.Namespace) -> Estimation:
     from semiparam_ros.core.hyperparameters.validation import Grid
     from semiparam_ros.experiments.initial_window import Estimation
 
-    for option in ('starts', 'jobs'):
-        if getattr(args, option) < 1:
-            raise SemiparamError(f'--{option} is {getattr(args, option)}; expected at least 1.')
+    require_counts(args, 'starts', 'jobs')
     grid = Grid()
     if args.grid_tau or args.grid_ratio:
         grid = Grid(tuple(args.grid_tau or grid.tau), tuple(args.grid_ratio or grid.ratio))

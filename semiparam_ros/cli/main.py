@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from semiparam_ros import __version__
 from semiparam_ros.errors import SemiparamError
@@ -84,22 +85,32 @@ def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:
 
 def _dispatch(argv: list[str], ros_arguments: list[str], prog: str) -> int:
     """Choose the sub-command, let it parse the rest and run it."""
-    chosen = _overview().parse_args(argv)
+    overview = _overview()
+    if not argv:
+        overview.print_help(sys.stderr)
+        return BAD_INPUT
+    chosen = overview.parse_args(argv)
     module = importlib.import_module(f'semiparam_ros.cli.{chosen.command}')
     name = f'{prog} {chosen.command}' if prog == 'semiparam' else prog
-    parser = argparse.ArgumentParser(prog=name, description=module.HELP)
+    parser = _Parser(prog=name, description=module.HELP)
     module.add_arguments(parser)
     return int(module.run(parser.parse_args(chosen.arguments, argparse.Namespace(ros_args=ros_arguments))))
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says a mistake in one sentence: the usage of a command with thirty options would hide it."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f'{self.prog}: {message}; {self.prog} --help explains.\n')
 
 
 def _overview() -> argparse.ArgumentParser:
     """The parser of the first word alone."""
     lines = [f'  {command:<10}{summary(command)}' for command in COMMANDS]
-    parser = argparse.ArgumentParser(prog='semiparam', usage='%(prog)s [--version] COMMAND ...',
-                                     description="Learn a robot's inverse dynamics while it moves.",
-                                     formatter_class=argparse.RawDescriptionHelpFormatter,
-                                     epilog='\n'.join(['commands:', *lines, '',
-                                                       'semiparam COMMAND --help explains each.']))
+    parser = _Parser(prog='semiparam', usage='%(prog)s [--version] COMMAND ...',
+                     description="Learn a robot's inverse dynamics while it moves.",
+                     formatter_class=argparse.RawDescriptionHelpFormatter,
+                     epilog='\n'.join(['commands:', *lines, '', 'semiparam COMMAND --help explains each.']))
     parser.add_argument('--version', action='version', version=f'semiparam_ros {__version__}')
     parser.add_argument('command', choices=COMMANDS, metavar='COMMAND', help='one of the commands below')
     parser.add_argument('arguments', nargs=argparse.REMAINDER, help=argparse.SUPPRESS)

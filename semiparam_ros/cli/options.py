@@ -56,6 +56,19 @@ def require_places(*paths: Path | None) -> None:
             raise SemiparamError(f'cannot write {path}: the folder {folder} may not be written to.')
 
 
+def require_counts(args: argparse.Namespace, *options: str) -> None:
+    """Raises SemiparamError where an option that counts something is below one."""
+    for option in options:
+        if getattr(args, option) < 1:
+            raise SemiparamError(f'--{option} is {getattr(args, option)}; expected at least 1.')
+
+
+def require_bag_name(path: Path) -> None:
+    """Raises SemiparamError for a name by which no other program would know an MCAP bag."""
+    if path.suffix != '.mcap':
+        raise SemiparamError(f'{str(path)!r} is no name for an MCAP bag; expected one that ends in .mcap.')
+
+
 def write_json(path: Path, result: Mapping[str, Any]) -> None:
     """Write a result, versioned by "schema", atomically; a number that is not finite raises SemiparamError."""
     document = {'schema': SCHEMA, **_plain(result, '')}

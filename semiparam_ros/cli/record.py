@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from semiparam_ros.cli.options import add_json_option, console, write_json
+from semiparam_ros.cli.options import add_json_option, console, require_bag_name, require_places, write_json
 
 if TYPE_CHECKING:
     from semiparam_ros.ros.record.options import RecordOptions
@@ -47,6 +47,9 @@ def _add_end(group: argparse._ArgumentGroup) -> None:
 def run(args: argparse.Namespace) -> int:
     """Record and tell what was recorded."""
     from semiparam_ros.ros.record.session import RecordSession
+
+    require_bag_name(args.bag)
+    require_places(args.json)
     account = RecordSession(_options(args), console, args.ros_args).run()
     console.print(account.sentence, soft_wrap=True)
     if args.json:

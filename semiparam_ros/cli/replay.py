@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from semiparam_ros.cli.options import add_json_option, console, write_json
+from semiparam_ros.cli.options import add_json_option, console, require_places, write_json
 
 if TYPE_CHECKING:
     from semiparam_ros.playback.options import ReplayOptions
@@ -80,6 +80,8 @@ def _add_publishing(group: argparse._ArgumentGroup) -> None:
 def run(args: argparse.Namespace) -> int:
     """Play, tell the account, and return 1 when a message was lost or the follower fell silent."""
     from semiparam_ros.ros.replay.session import ReplaySession
+
+    require_places(args.json)
     account = ReplaySession(_options(args), console, args.ros_args).run()
     for sentence in account.sentences():
         console.print(sentence, soft_wrap=True)

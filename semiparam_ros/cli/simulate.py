@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from semiparam_ros.cli.options import add_params_option, output, write_json
+from semiparam_ros.cli.options import add_params_option, output, require_bag_name, require_places, write_json
 from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.errors import SemiparamError
 
@@ -71,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
         return _list_kinds(args.outputs or 'wrench')
     if args.bag is None:
         raise SemiparamError('the name of the recording to write is missing; expected OUT.mcap.')
+    require_places(args.bag, args.truth)
+    require_bag_name(args.bag)
     recording = simulate(scenario_of(args))
     write_bag(args.bag, recording)
     if args.truth:

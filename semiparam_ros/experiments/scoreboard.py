@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, TypedDict
 
 import numpy as np
-from joblib import Parallel, delayed
 from rich.console import Console
 from rich.table import Table
 
@@ -19,7 +18,8 @@ from semiparam_ros.diagnosis.evaluation import evaluate_here
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import CHANNELS
-from semiparam_ros.simulation.causes import CAUSES
+from semiparam_ros.experiments.parallel import run_all, workers
+from semiparam_ros.simulation.causes import CAUSES, cause_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario, SimulatedRecording
 from semiparam_ros.simulation.simulate import simulate
 
@@ -106,13 +106,16 @@ class Scores(TypedDict):
     summary: Summary
 
 
-def scoreboard(plan: Plan, jobs: int, progress: Callable[[int], None]) -> Scores:
-    """Diagnose every case of the plan; rows and a summary."""
-    rows = []
-    results = Parallel(n_jobs=jobs, return_as='generator')(delayed(case)(plan, *entry) for entry in plan.cases)
-    for number, row in enumerate(results, start=1):
-        rows.append(row)
-        progress(number)
+def scoreboard(plan: Plan, jobs: int, done: Callable[[], None]) -> Scores:
+    """Diagnose every case of the plan; rows and a summary. ``done`` is called after each.
+
+    Raises SemiparamError for a kind that cannot be simulated.
+    """
+    for names in plan.kinds:
+        for name in names.split(TOGETHER) if names != NOTHING else ():
+            cause_of(name, plan.outputs)
+    with workers(jobs):
+        rows = run_all(case, [(plan, *entry) for entry in plan.cases], done)
     return {'outputs': plan.outputs, 'samples': plan.samples, 'rows': rows, 'summary': summary(rows)}
 
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 from semiparam_ros.bags.qos import INFINITE_NS, Qos
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.yaml_file import read_yaml
 
 _CHOICES = {'history': ('keep_last', 'keep_all'), 'reliability': ('reliable', 'best_effort'),
             'durability': ('volatile', 'transient_local'),
@@ -54,11 +54,7 @@ def subscription_qos(offers: Sequence[Qos]) -> Qos:
 
 def load_overrides(path: Path) -> dict[str, Mapping[str, object]]:
     """Topic -> policies to change, from a YAML file. Raises SemiparamError naming file, topic and policy."""
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = str(error).splitlines()[0]
-        raise SemiparamError(f'cannot read the QoS overrides {path}: {reason}.') from None
+    document = read_yaml(path, 'the QoS overrides')
     if not isinstance(document, Mapping):
         raise SemiparamError(f'{path} holds no QoS overrides: expected a mapping of topic to policies.')
     for topic, entry in document.items():

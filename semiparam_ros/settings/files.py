@@ -16,6 +16,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.parameter_table import BY_NAME, PARAMETERS, Parameter
 from semiparam_ros.settings.robot_description import PACKAGE_URI
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest
+from semiparam_ros.settings.yaml_file import read_yaml
 
 WIDTH = 110
 LAUNCHED = 'launch_params_'
@@ -139,15 +140,7 @@ def _scalar(value: object) -> str:
 
 
 def _parse(path: Path) -> Mapping[str, object]:
-    try:
-        document = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)
-    except OSError as error:
-        raise SemiparamError(f'cannot read the parameter file {path}: {error.strerror}.') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, 'problem_mark', None)
-        line = f' in line {mark.line + 1}' if mark else ''
-        problem = getattr(error, 'problem', None) or 'not UTF-8 text'
-        raise SemiparamError(f'{path} is not valid YAML{line}: {problem}.') from error
+    document = read_yaml(path, 'the parameter file', _Loader)
     if not isinstance(document, dict):
         raise SemiparamError(f'{path} holds no parameters; expected a ROS parameter file that starts with estimator:.')
     return document

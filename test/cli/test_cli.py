@@ -16,6 +16,7 @@ from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.errors import SemiparamError
+from support.recordings import write_arm, write_params
 
 SEMIPARAM = [sys.executable, '-m', 'semiparam_ros.cli.main']
 
@@ -57,11 +58,44 @@ def test_every_command_has_help(name):
     assert result.stdout.startswith(f'usage: semiparam {name} ')
 
 
-def test_unknown_command_is_refused_with_the_known_ones():
-    result = semiparam('evaluat')
-    assert result.returncode == 2
-    assert "'evaluate'" in result.stderr
-    assert 'Traceback' not in result.stderr
+def test_a_lone_name_gets_the_overview(capsys):
+    assert cli.main([]) == 2
+    told = capsys.readouterr()
+    assert not told.out and all(f'\n  {name} ' in told.err for name in cli.COMMANDS)
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    ('evaluat', "'evaluate'"),
+    ('run extra', 'unrecognized arguments: extra'),
+    ('replay', 'required: BAG'),
+    ('replay a.mcap --json nowhere/b.json', 'cannot write nowhere/b.json'),
+    ('evaluate a.mcap --json nowhere/b.json', 'cannot write nowhere/b.json'),
+    ('evaluate a.mcap --plot nowhere/b.png', 'cannot write nowhere/b.png'),
+    ('fit a.mcap', 'required: --output/-o'),
+    ('compare a.mcap', 'required: TEST'),
+    ('diagnose a.mcap --params arm.yaml --variants XX', "variant 'XX' is unknown"),
+    ('diagnose a.mcap --jobs 0', '--jobs is 0; expected at least 1'),
+    ('diagnose --benchmark --seeds 0', '--seeds is 0; expected at least 1'),
+    ('diagnose --benchmark --kinds payload+payloda', "no effect 'payloda' to simulate"),
+    ('simulate b.txt', "'b.txt' is no name for an MCAP bag"),
+    ('simulate b.mcap --truth nowhere/b.json', 'cannot write nowhere/b.json'),
+    ('convert a.mcap b.mcap --joint elbow=b', "no joint 'elbow' to rename; it has r_elbow"),
+    ('convert a.mcap b.mcap --effort-factors elbow=2', "effort_factors names 'elbow'"),
+    ('convert a.mcap b.mcap --robot-description arm.yaml', "'arm.yaml': the robot description is not valid XML"),
+    ('bench --variant P', '--peers, which is missing'),
+    ('bench --json nowhere/b.json', 'cannot write nowhere/b.json'),
+    ('record b.txt', "'b.txt' is no name for an MCAP bag"),
+    ('record b.mcap --json nowhere/b.json', 'cannot write nowhere/b.json'),
+])
+def test_a_wrong_call_ends_at_once_in_one_sentence_and_leaves_nothing(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_arm(tmp_path / 'a.mcap', 20)
+    write_params(tmp_path / 'arm.yaml')
+    before = sorted(tmp_path.iterdir())
+    assert cli.main(arguments.split()) == 2
+    told = capsys.readouterr()
+    assert words in told.err and told.err.count('\n') == 1 and not told.out
+    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_overview_needs_no_heavy_import():

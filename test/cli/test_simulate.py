@@ -88,12 +88,12 @@ def test_a_parameter_file_names_the_robot(repository, tmp_path):
 
 @pytest.mark.parametrize(('arguments', 'words'), [
     ([], 'name of the recording to write is missing'),
-    (['OUT', '--effect', 'payloa'], "no effect 'payloa'"),
-    (['OUT', '--size', '1'], '--size needs an effect'),
-    (['OUT', '--effect', 'payload', '--effect', 'time_delay', '--size', '1', '--size', '2', '--size', '3'],
+    (['OUT.mcap', '--effect', 'payloa'], "no effect 'payloa'"),
+    (['OUT.mcap', '--size', '1'], '--size needs an effect'),
+    (['OUT.mcap', '--effect', 'payload', '--effect', 'time_delay', '--size', '1', '--size', '2', '--size', '3'],
      '--size is given 3 times for 2 effects'),
-    (['OUT', '--seconds', '-3'], '--seconds -3.0'),
-    (['OUT', '--urdf', 'no.urdf'], 'no.urdf cannot be read'),
+    (['OUT.mcap', '--seconds', '-3'], '--seconds -3.0'),
+    (['OUT.mcap', '--urdf', 'no.urdf'], 'no.urdf cannot be read'),
     (['NOWHERE/out.mcap', '--samples', '20'], 'NOWHERE'),
 ])
 def test_bad_arguments_are_one_sentence(tmp_path, monkeypatch, capsys, arguments, words):

@@ -29,7 +29,7 @@ def test_the_example_of_rosbag2s_documentation_is_read(tmp_path):
     ('/t: {deadline: 1.0}', r'/t: deadline is 1\.0, expected \{sec'),
     ('/t: reliable', "/t: expected a mapping of QoS policies, got 'reliable'"),
     ('- a', 'holds no QoS overrides'),
-    ('{', 'cannot read the QoS overrides'),
+    ('{', 'the QoS overrides .* in line 1: expected'),
 ])
 def test_a_mistake_in_the_overrides_names_file_topic_and_policy(tmp_path, text, sentence):
     path = tmp_path / 'overrides.yaml'

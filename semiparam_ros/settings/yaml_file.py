@@ -1,0 +1,23 @@
+"""Reading YAML files that people write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from semiparam_ros.errors import SemiparamError
+
+
+def read_yaml(path: Path, what: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
+    """The document of a file; one that cannot be read raises SemiparamError with ``what`` it is and the line."""
+    try:
+        return yaml.load(path.read_text(encoding='utf-8'), Loader=loader)
+    except OSError as error:
+        raise SemiparamError(f'cannot read {what} {path}: {error.strerror}.') from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, 'problem_mark', None)
+        line = f' in line {mark.line + 1}' if mark else ''
+        problem = getattr(error, 'problem', None) or 'not UTF-8 text'
+        raise SemiparamError(f'{what} {path} is not valid YAML{line}: {problem}.') from error
