@@ -1,4 +1,7 @@
-"""Several variants that learn beside one another and are averaged by their running evidence: ``variant: auto``.
+"""Several models that learn beside one another and are averaged by their running evidence.
+
+``variant: auto`` averages variants. Declared effects, too, are believed only as far as what comes speaks for them: each
+variant with them stands beside the same variant without any (a spike and slab prior; Mitchell and Beauchamp 1988).
 
 Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members' answers by itself:
 
@@ -6,17 +9,19 @@ Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs 
 
 the mean and variance of the mixture. The weights follow the log density that each member gave to what was measured,
 forgotten slowly, with Student's t for the densities, so that a spike decides nothing. Each member has its own
-hyperparameters from the same initial window, its own wandering offset and bands; columns are computed once for all.
+hyperparameters from the same initial window, its own wandering offset and bands; those that have the same effects share
+their columns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple, cast
 
 import numpy as np
 
-from semiparam_ros.core.columns import ColumnBlock
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.estimator import (
     DesiredOutputs,
     Estimator,
@@ -24,13 +29,15 @@ from semiparam_ros.core.estimator import (
     MemberState,
     ModelOptions,
     Prediction,
+    Seen,
 )
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonErrors
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.initial_window import InitialWindow
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Stamps
-from semiparam_ros.core.variants import AVERAGED, MEMBERS
+from semiparam_ros.core.variants import AVERAGED, MEMBERS, single
 from semiparam_ros.errors import SemiparamError
 
 EVIDENCE_MEMORY = 500.0
@@ -39,41 +46,69 @@ _KEEP = 1.0 - 1.0 / EVIDENCE_MEMORY
 DEGREES = 5.0
 LEAST_LOG_WEIGHT = -6.0
 """The best has 0: who was poor for long still weighs enough to take over within a few samples of a change."""
+ODDS_OF_EFFECTS = 9.0
+"""Before anything is measured: whoever declares an effect has a reason."""
 
 
-class VariantWeights:
-    """Log weights (K, n) of K variants for n outputs; equal at the start."""
+class Member(NamedTuple):
+    """A model that is averaged with others."""
 
-    def __init__(self, n_variants: int, n_outputs: int) -> None:
-        self._log_weights = np.zeros((n_variants, n_outputs))
-        self.weights: Array = np.full((n_variants, n_outputs), 1.0 / n_variants)
-        """(K, n), which sum to one over the variants."""
+    variant: str
+    has_effects: bool = True
+    """Whether it has the effects that are declared."""
+
+    @property
+    def name(self) -> str:
+        """As told to users."""
+        return self.variant if self.has_effects else f'{self.variant} without effects'
+
+
+def members_of(variant: str, effects: bool, ready: bool) -> tuple[Member, ...]:
+    """What is averaged, the first one first; before the initial window is over, rigid bodies alone.
+
+    :param effects: whether any are declared. :param ready: whether the initial window is over.
+    """
+    names = MEMBERS if variant == AVERAGED and ready else (single(variant),)
+    return tuple(Member(name, has_effects) for has_effects in (True, False)[:1 + effects] for name in names)
+
+
+class MemberWeights:
+    """Log weights (K, n) of K members for n outputs.
+
+    :param odds: (K,) those before anything is measured, in proportion.
+    """
+
+    def __init__(self, odds: Array, n_outputs: int) -> None:
+        self._prior = np.log(odds / odds.max())[:, None]
+        self._evidence = np.zeros((len(odds), n_outputs))
+        self.weights: Array = np.repeat((odds / odds.sum())[:, None], n_outputs, axis=1)
+        """(K, n), which sum to one over the members."""
 
     def learn(self, errors: Array, std: Array) -> None:
         """Take in the errors (K, n) of a sample, and the standard deviations (K, n) that were given to it."""
         ratio = errors / std
-        log_weights = _KEEP * self._log_weights - np.log(std)
+        log_weights = self._prior + _KEEP * self._evidence - np.log(std)
         log_weights -= 0.5 * (DEGREES + 1.0) * np.log1p(ratio * ratio / DEGREES)
-        log_weights -= log_weights.max(axis=0)
-        self._log_weights = np.maximum(log_weights, LEAST_LOG_WEIGHT)
-        weights = np.exp(self._log_weights)
+        log_weights = np.maximum(log_weights - log_weights.max(axis=0), LEAST_LOG_WEIGHT)
+        self._evidence = log_weights - self._prior
+        weights = np.exp(log_weights)
         self.weights = weights / weights.sum(axis=0)
 
     def state(self) -> dict[str, Array]:
         """Copies; :meth:`restore` takes them back bit for bit."""
-        return {'log_weights': self._log_weights.copy(), 'shares': self.weights.copy()}
+        return {'evidence': self._evidence.copy(), 'shares': self.weights.copy()}
 
     def restore(self, state: Mapping[str, Array | Stamps]) -> None:
         """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
         found = [np.array(state.get(name, np.nan), dtype=float) for name in self.state()]
         if any(values.shape != self.weights.shape or not np.isfinite(values).all() for values in found):
-            raise SemiparamError(f'the saved weights of the variants have shape {found[0].shape}; expected finite '
+            raise SemiparamError(f'the saved weights of the models have shape {found[0].shape}; expected finite '
                                  f'values of shape {self.weights.shape}.')
-        self._log_weights, self.weights = found
+        self._evidence, self.weights = found
 
 
 class AveragedEstimator(Estimator):
-    """The first of ``MEMBERS``, whose answers are averaged with those of the others once the initial window is over.
+    """The first of several models, whose answers are averaged with those of the others.
 
     What is asked of a single model, its coefficients and its hyperparameters for instance, is that of the first.
     """
@@ -82,37 +117,60 @@ class AveragedEstimator(Estimator):
                  origin: int | None = None, window: int = 0) -> None:
         """Raises SemiparamError when the options or the effects do not fit the robot."""
         super().__init__(body, options, effects, origin, window)
-        self._others: tuple[Estimator, ...] = ()
-        if self.ready:
-            same = self.options.hyperparameters
-            assert same is not None
-            self._stand_beside(self.options.others or (same,) * (len(MEMBERS) - 1))
-        self._begin_averaging()
+        self._without_effects = CoupledColumns(body)
+        self._stand_beside(self.options.others)
 
     def predict(self, sample: Sample) -> Prediction:
         """See :meth:`Estimator.predict`."""
         seen = self._see(sample)
         own = self._answer(seen)
-        if not self._others:
-            return own
-        return self._averaged((own, *(other._answer(seen) for other in self._others)))
+        return self._averaged((own, *self._beside(seen))) if self._others else own
+
+    def _beside(self, seen: Seen) -> list[Prediction]:
+        """What the other members say."""
+        plain = seen
+        if self.columns.effects:
+            plain = seen._replace(columns=self._without_effects.one(seen.sample, 0)[0])
+        return [other._answer(seen if member.has_effects else plain)
+                for member, other in zip(self.members[1:], self._others, strict=True)]
 
     def finish_window(self, draft: bool = False, learn: bool = True) -> None:
         """See :meth:`Estimator.finish_window`; every member has its own hyperparameters of the same window."""
+        plain = self._window_without_effects()
         others = []
-        for name in MEMBERS[1:]:
-            other = Estimator(self.body, replace(self.options, variant=name), self.columns.effects)
-            other.window = self.window
+        for member in members_of(self.options.variant, bool(self.columns.effects), ready=True)[1:]:
+            other = Estimator(self.body, replace(self.options, variant=member.variant), self._effects_of(member))
+            other.window = self.window if member.has_effects else plain
             other._begin_variant(draft)
             others.append(other)
         self._begin_variant(draft)
         self._others = tuple(others)
-        self._begin_averaging()
-        for remembered in self.window if learn else ():
-            said = np.array([each._learn_again(remembered) for each in self._members])
-            self._weights.learn(remembered.outputs - said[:, 0], said[:, 1])
-        for each in self._members:
+        everyone = (self, *others)
+        windows = [each.window for each in everyone]
+        for each in everyone:
             each._leave_window()
+        self._begin_averaging()
+        for remembered in zip(*windows, strict=True) if learn else ():
+            said = np.array([each._learn_again(its) for each, its in zip(everyone, remembered, strict=True)])
+            self._weights.learn(remembered[0].outputs - said[:, 0], said[:, 1])
+
+    def _window_without_effects(self) -> InitialWindow:
+        """The window with the columns that it would have without them."""
+        if not self.columns.effects:
+            return self.window
+        n_joints, plain = self.body.n_joints, self._without_effects
+        window = InitialWindow(self.window.wanted, 3 * n_joints, self.body.n_outputs, plain.n_columns)
+        for inputs, outputs, _ in self.window:
+            position, velocity, acceleration = inputs.reshape(3, n_joints)
+            sample = Sample(0, position, velocity, acceleration, outputs)
+            window.append(sample, plain.one(sample, 0)[0])
+        return window
+
+    def with_window_alone(self) -> Estimator:
+        """See :meth:`Estimator.with_window_alone`."""
+        twin = cast('AveragedEstimator', super().with_window_alone())
+        twin._stand_beside()
+        return twin
 
     def follow_change(self) -> None:
         """See :meth:`Estimator.follow_change`."""
@@ -149,14 +207,13 @@ class AveragedEstimator(Estimator):
 
     def restore(self, state: EstimatorState) -> None:
         """See :meth:`Estimator.restore`; the other members take their hyperparameters from the state."""
-        if len(state.others) != (len(MEMBERS) - 1) * self.ready or state.average is None:
-            raise SemiparamError(f'the saved average has {len(state.others)} variants beside {MEMBERS[0]}; expected '
-                                 f'{(len(MEMBERS) - 1) * self.ready}.')
+        if len(state.others) != len(self._others) or state.average is None:
+            raise SemiparamError(f'the saved average has {len(state.others)} models beside {self.members[0].name}; '
+                                 f'expected {len(self._others)}.')
         super().restore(state)
         self._stand_beside([other.hyperparameters for other in state.others])
         for other, saved in zip(self._others, state.others, strict=True):
             other._restore_learnt(saved)
-        self._begin_averaging()
         self._weights.restore(state.average)
         self._horizons.restore(state.average)
 
@@ -168,26 +225,46 @@ class AveragedEstimator(Estimator):
     @property
     def weights(self) -> dict[str, Array]:
         """See :attr:`Estimator.weights`."""
-        return dict(zip(MEMBERS, self._weights.weights, strict=True)) if self._others else {}
+        if not self._others:
+            return {}
+        return {member.name: weights for member, weights in zip(self.members, self._weights.weights, strict=True)}
 
     @property
-    def _members(self) -> tuple[Estimator, ...]:
-        return self, *self._others
+    def effects_probability(self) -> Array | None:
+        """See :attr:`Estimator.effects_probability`."""
+        if not self.columns.effects:
+            return None
+        return np.asarray(self._weights.weights[[member.has_effects for member in self.members]].sum(axis=0))
 
-    def _stand_beside(self, hyperparameters: Sequence[Hyperparameters]) -> None:
-        """Begin the other members with given hyperparameters."""
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """What is averaged."""
+        return members_of(self.options.variant, bool(self.columns.effects), self.ready)
+
+    def _effects_of(self, member: Member) -> Sequence[ColumnBlock]:
+        return self.columns.effects if member.has_effects else ()
+
+    def _stand_beside(self, hyperparameters: Sequence[Hyperparameters] = ()) -> None:
+        """Begin the other members, where the initial window is over with given hyperparameters: the first one's unless
+        given."""
         mean, scale = ((), ()) if self.input_scaling is None else map(tuple, self.input_scaling)
-        self._others = tuple(
-            Estimator(self.body, replace(self.options, variant=name, hyperparameters=each, others=(),
-                                         features_count=each.features or self.options.features_count,
-                                         input_mean=mean, input_scale=scale),
-                      self.columns.effects, window=self.window_samples)
-            for name, each in zip(MEMBERS[1:], hyperparameters, strict=bool(hyperparameters)))
+        members = self.members[1:]
+        given: Sequence[Hyperparameters | None] = hyperparameters or [self.options.hyperparameters] * len(members)
+        others = []
+        for member, each in zip(members, given, strict=True):
+            options = replace(self.options, variant=member.variant, others=())
+            if self.ready and each is not None:
+                options = replace(options, hyperparameters=each, input_mean=mean, input_scale=scale,
+                                  features_count=each.features or self.options.features_count)
+            others.append(Estimator(self.body, options, self._effects_of(member), window=self.window_samples))
+        self._others = tuple(others)
+        self._begin_averaging()
 
     def _begin_averaging(self) -> None:
-        n_outputs = self.body.n_outputs
-        self._weights = VariantWeights(len(MEMBERS), n_outputs)
-        self._horizons = AveragedHorizons(self.options.horizon, n_outputs, len(MEMBERS))
+        members, n_outputs = self.members, self.body.n_outputs
+        odds = np.array([ODDS_OF_EFFECTS if member.has_effects else 1.0 for member in members])
+        self._weights = MemberWeights(odds, n_outputs)
+        self._horizons = AveragedHorizons(self.options.horizon, n_outputs, len(members))
 
     def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
         if not self._others:
@@ -195,7 +272,7 @@ class AveragedEstimator(Estimator):
         own, *beside = prediction.members
         counts = learn or not self._window_left  # as for the bands
         outputs, stamp = prediction.sample.outputs, prediction.sample.stamp
-        past = np.zeros((len(MEMBERS), self.options.horizon, len(outputs)))
+        past = np.zeros((len(self.members), self.options.horizon, len(outputs)))
         super()._take_in(own, learn, past[0])
         for other, its, charged in zip(self._others, beside, past[1:], strict=True):
             other._take_in(its, learn, charged)
@@ -217,7 +294,12 @@ class AveragedEstimator(Estimator):
         own = super()._desired(x, shown, needed)
         if not self._others:
             return own
-        found = [own, *(other._desired(x, shown, needed) for other in self._others)]
+        plain = shown, needed
+        if self.columns.effects:
+            position, velocity, acceleration = x.reshape(3, -1)
+            plain = self._without_effects.desired(position, velocity, acceleration, now=0, origin=0)
+        found = [own, *(other._desired(x, *((shown, needed) if member.has_effects else plain))
+                        for member, other in zip(self.members[1:], self._others, strict=True))]
         weights = self._weights.weights
         means = np.array([each.shown for each in found])
         return DesiredOutputs((weights * means).sum(axis=0),
@@ -245,7 +327,7 @@ def mixture_covariance(weights: Array, means: Array, covariances: Sequence[Array
 def estimator_of(body: RigidBody, options: ModelOptions, effects: Sequence[ColumnBlock] = (),
                  origin: int | None = None, window: int = 0) -> Estimator:
     """The estimator that the options ask for; see :class:`Estimator`."""
-    kind = AveragedEstimator if options.variant == AVERAGED else Estimator
+    kind = AveragedEstimator if options.variant == AVERAGED or effects else Estimator
     return kind(body, options, effects, origin, window)
 
 

@@ -14,7 +14,6 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from semiparam_ros.core.band_calibration import BandCalibration, calibrate
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
 from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
-from semiparam_ros.core.effect_doubt import EffectDoubt, belief, believe
 from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex, advance
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
@@ -24,7 +23,7 @@ from semiparam_ros.core.initial_window import InitialWindow, Remembered
 from semiparam_ros.core.input_range import beyond, widened
 from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
-from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn, solve_corner
+from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, NANOSECONDS
@@ -298,7 +297,7 @@ class Estimator:
         return Seen(sample, x, columns, memory, motion, outside)
 
     def _answer(self, seen: Seen) -> Prediction:
-        prior = self._predict(seen.x, seen.columns)
+        prior = self.model.predict(seen.x, seen.columns)
         mean = prior.mean if self.wandering is None else prior.mean + self.offset
         motion, off = seen.motion, False
         if self.ready and motion.still > 1:
@@ -307,29 +306,12 @@ class Estimator:
         return Prediction(mean, self.calibration.factor * prior.std, prior.mean, prior.std, self.ready,
                           seen.sample, prior, seen.columns, seen.memory, motion, seen.beyond, (), off)
 
-    def _predict(self, x: Array, columns: Array) -> Prior:
-        """What the model says at x (m,) with columns (n, p), as far as its effects are believed."""
-        model = self.model
-        prior = model.predict(x, columns)
-        if self.doubt is None:
-            return prior
-        return model.recursion.averaged(prior, model.n_effects, self.doubt.probability)
-
     @property
     def offset(self) -> Array:
         """(n,) the wandering offset; zeros where there is none."""
         if self.wandering is None:
             return np.zeros(self.body.n_outputs)
-        if self.doubt is None or self.doubt.wandering is None:
-            return self.wandering.offset
-        return self.doubt.between(self.wandering.offset, self.doubt.wandering.offset)
-
-    def _believed(self) -> Array:
-        """Coefficients that the recursion predicts with, as far as effects are believed."""
-        recursion = self.model.recursion
-        if self.doubt is None:
-            return recursion.theta
-        return self.doubt.between(recursion.theta, recursion.theta_without(self.model.n_effects))
+        return self.wandering.offset
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -349,10 +331,9 @@ class Estimator:
 
     def _desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
         model = self.model
-        prior = self._predict(x, shown)
-        theta = self._believed() if model.pi is None else np.concatenate([model.pi, self._believed()])
+        prior = model.predict(x, shown)
         outputs = prior.mean
-        of_sensor = (shown - needed)[:, model.covered] @ theta
+        of_sensor = (shown - needed)[:, model.covered] @ model.theta
         if self.wandering is not None:
             outputs = outputs + self.offset
             of_sensor = of_sensor + self.offset * self.columns.has_offset
@@ -431,8 +412,7 @@ class Estimator:
             eps = np.empty((2, len(outputs)))
             recursion.has_learnt(_learn_and_follow(
                 *recursion.learning(prior), *self.horizon.advancing, outputs, prior.mean, prior.std,
-                self.wandering.table, self.calibration.table, *self._doubted(prior),
-                recursion.n_columns - self.model.n_effects, self.horizon.nothing if errors is None else errors, eps))
+                self.wandering.table, self.calibration.table, self.horizon.nothing if errors is None else errors, eps))
             return self.horizon.moved_on(sample.stamp, eps)
         innovations = recursion.learn(prior, outputs) if due else None
         if not due:
@@ -440,9 +420,7 @@ class Estimator:
         if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
             self._follow(outputs, prior, learn)
         parts = None if self.wandering is None else self.wandering.parts
-        if self.doubt is not None and self.doubt.wandering is not None and parts is not None:
-            parts = self.doubt.between(parts, self.doubt.wandering.parts)
-        return self.horizon.advance(sample.stamp, prior, outputs, self._believed(), innovations, parts, errors)
+        return self.horizon.advance(sample.stamp, prior, outputs, recursion.theta, innovations, parts, errors)
 
     def _is_due(self, prior: Prior) -> bool:
         """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.
@@ -509,7 +487,7 @@ class Estimator:
     def _learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
         """Learn a sample of the window; mean and standard deviation (n,) that were predicted for it, in N and N m."""
         model, (inputs, outputs, columns) = self.model, remembered
-        prior = self._predict(inputs, columns)
+        prior = model.predict(inputs, columns)
         mean = prior.mean if self.wandering is None else prior.mean + self.offset
         said = mean, self.calibration.factor * prior.std
         self._follow(outputs, prior, learn=True)
@@ -538,8 +516,6 @@ class Estimator:
     def state(self) -> EstimatorState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
         wandering = {} if self.wandering is None else self.wandering.state()
-        if self.doubt is not None:
-            wandering |= self.doubt.state()
         return EstimatorState(self.model.recursion.state(), self.horizon.state(), self.calibration.state(), wandering,
                               self._window_left, (self._since_learnt, self.passed_over), self.window.state(),
                               self.origin, self._newest, self._memory, self.inputs_learnt, self.motion)
@@ -562,8 +538,6 @@ class Estimator:
         self.calibration.restore(state.calibration)
         if self.wandering is not None:
             self.wandering.restore(state.wandering)
-        if self.doubt is not None:
-            self.doubt.restore(state.wandering)
         self._window_left = state.window_left
         self._since_learnt, self.passed_over = state.passed_over
 
@@ -576,6 +550,11 @@ class Estimator:
     def weights(self) -> dict[str, Array]:
         """(n,) weights of each output, of the variants that the answers are an average of; empty for a single one."""
         return {}
+
+    @property
+    def effects_probability(self) -> Array | None:
+        """(n,) how likely the declared effects are, by what each output shows; None where that is not asked."""
+        return None
 
     @property
     def features_count(self) -> int:
@@ -652,88 +631,50 @@ class Estimator:
         recursion, n_outputs = self.model.recursion, self.body.n_outputs
         self.calibration = BandCalibration(n_outputs)
         self.wandering = WanderingOffset(n_outputs) if self.options.forgetting == AUTO else None
-        self.doubt = EffectDoubt(n_outputs, self.wandering is not None) if self.columns.n_effects else None
         self.horizon = HorizonIndex(self.options.horizon, n_outputs, recursion.n_features, recursion.n_columns,
                                     None if self.wandering is None else DECAY)
 
-    def _doubted(self, prior: Prior) -> tuple[Array, Array, Array]:
-        """What compiled functions need where effects are doubted: both sides of the prior, the wandering offset
-        without effects, and the evidence; all empty where there are none."""
-        nothing = self.horizon.nothing
-        if self.doubt is None or self.doubt.wandering is None or prior.beside is None:
-            return nothing, nothing, nothing[:, 0]
-        return prior.beside, self.doubt.wandering.table, self.doubt.evidence
-
     def _follow(self, outputs: Array, prior: Prior, learn: bool) -> None:
-        """Let wandering offset, doubt and bands follow what ``prior`` left of a sample (n,), in N and N m."""
+        """Let wandering offset and bands follow what ``prior`` left of a sample (n,), in N and N m."""
         self._window_left -= min(self._window_left, learn)
         if AVAILABLE and learn and self.wandering is not None:
-            _follow(outputs, prior.mean, prior.std, self.wandering.table, self.calibration.table,
-                    *self._doubted(prior))
+            _follow(outputs, prior.mean, prior.std, self.wandering.table, self.calibration.table)
             return
-        innovation = outputs - prior.mean - self.offset
-        sides = (prior.mean, prior.std) if prior.beside is None else prior.beside
-        means, widths = np.reshape(sides, (-1, 2, len(outputs))).swapaxes(0, 1)
-        residuals, widths = outputs - means, self.calibration.factor * widths
-        followers = [self.wandering] if self.doubt is None else [self.wandering, self.doubt.wandering]
-        if self.doubt is not None and learn:
-            offsets = [0.0 if each is None else each.offset for each in followers]
-            self.doubt.learn(np.array([left - offset for left, offset in zip(residuals, offsets, strict=True)]), widths)
-        for each, residual, width in zip(followers, residuals, widths, strict=True):
-            if each is not None and learn:
-                each.learn(residual, width)
-            elif each is not None:
-                each.rest()
+        residual = outputs - prior.mean
+        innovation = residual - self.offset
+        if self.wandering is not None and learn:
+            self.wandering.learn(residual, self.calibration.factor * prior.std)
+        elif self.wandering is not None:
+            self.wandering.rest()
         if learn or not self._window_left:
             self.calibration.learn(innovation, prior.std)
 
 
-@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, VECTOR, calls=(follow, calibrate, belief, believe))
-def _follow(outputs: Array, mean: Array, std: Array, wandering: Array, calibration: Array, beside: Array,
-            without: Array, evidence: Array) -> None:
+@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, calls=(follow, calibrate))
+def _follow(outputs: Array, mean: Array, std: Array, wandering: Array, calibration: Array) -> None:
     """See :meth:`Estimator._follow`, of a sample that is learnt."""
-    n, sides = len(mean), 1 + len(evidence)
-    residual, width, errors = np.empty((sides, n)), np.empty((sides, n)), np.empty((sides, n))
-    innovation = np.empty(n)
-    p = belief(evidence) if sides > 1 else 1.0
-    for k in range(n):
-        residual[0, k], width[0, k] = outputs[k] - mean[k], calibration[-1, k] * std[k]
-        innovation[k] = residual[0, k] - wandering[-1, k]
-        if sides > 1:
-            innovation[k] = residual[0, k] - p * wandering[-1, k] - (1.0 - p) * without[-1, k]
-            for side in range(sides):
-                residual[side, k] = outputs[k] - beside[2 * side, k]
-                width[side, k] = calibration[-1, k] * beside[2 * side + 1, k]
-            errors[0, k], errors[1, k] = residual[0, k] - wandering[-1, k], residual[1, k] - without[-1, k]
-    follow(residual[0], width[0], wandering)
-    if sides > 1:
-        believe(errors, width, evidence)
-        follow(residual[1], width[1], without)
+    residual, width, innovation = np.empty_like(mean), np.empty_like(mean), np.empty_like(mean)
+    for k in range(len(mean)):
+        residual[k], width[k] = outputs[k] - mean[k], calibration[-1, k] * std[k]
+        innovation[k] = residual[k] - wandering[-1, k]
+    follow(residual, width, wandering)
     calibrate(innovation, std, calibration)
 
 
 @compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
-          INTEGER, MATRIX, INTEGER, INTEGER, MATRIX, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, VECTOR,
-          INTEGER, MATRIX, MATRIX, returns=INTEGER,
-          calls=(learn, solve_corner, follow, calibrate, belief, believe, advance))
+          INTEGER, MATRIX, INTEGER, INTEGER, MATRIX, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX,
+          returns=INTEGER, calls=(learn, follow, calibrate, advance))
 def _learn_and_follow(
         features: Array, s: float, columns: Array, regressed: Array, scale: Array, sigma: float, information: Array,
         theta: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
         placed: int, rows: Array, start: int, filled: int, decay: Array, outputs: Array, mean: Array, std: Array,
-        wandering: Array, calibration: Array, beside: Array, without: Array, evidence: Array, own: int, errors: Array,
-        eps: Array) -> int:
+        wandering: Array, calibration: Array, errors: Array, eps: Array) -> int:
     """See :meth:`Estimator._take_in`, of a sample that is learnt and followed; what :func:`learn` gives."""
     innovations = np.empty_like(regressed)
     placed = learn(features, s, columns, regressed, scale, sigma, information, theta, left_changes, right_changes,
                    waiting, inflation, places, placed, outputs, innovations)
-    _follow(outputs, mean, std, wandering, calibration, beside, without, evidence)
+    _follow(outputs, mean, std, wandering, calibration)
     paces = len(decay)
-    believed, parts = theta, wandering[2 * paces:3 * paces]
-    if len(evidence):
-        p, believed = belief(evidence), np.empty_like(theta)
-        solve_corner(information, own, believed)
-        believed = p * theta + (1.0 - p) * believed
-        parts = p * parts + (1.0 - p) * without[2 * paces:3 * paces]
-    advance(rows, start, filled, decay, features, s, columns, regressed, outputs, believed, innovations, parts, errors,
-            eps)
+    advance(rows, start, filled, decay, features, s, columns, regressed, outputs, theta, innovations,
+            wandering[2 * paces:3 * paces], errors, eps)
     return placed

@@ -62,7 +62,6 @@ class Prior(NamedTuple):
     columns: Array  # (n, p) the coupled columns
     regressed: Array  # (n, p + 1) phi' Theta, y last with what is known of it
     revision: int  # of the model that it was computed from
-    beside: Array | None = None  # (4, n) where it is an average: mean and std with effects, and those without
 
     @property
     def columns_left(self) -> Array:
@@ -199,40 +198,6 @@ class SemiParametricRecursion:
             self._weights.has_changed(placed)
         self._perhaps_forget()
 
-    def theta_without(self, count: int) -> Array:
-        """(p,) theta as if the last ``count`` columns had never been there, for which it is zero: the corner of R
-        without them is the root of the information of all others."""
-        theta = np.zeros(self.n_columns)
-        if AVAILABLE:
-            solve_corner(self._information, self.n_columns - count, theta)
-        elif count < self.n_columns:
-            own = self.n_columns - count
-            theta[:own], _ = dtrtrs(self._information[:own, :own], self._information[:own, -1])
-        return theta
-
-    def averaged(self, prior: Prior, count: int, probability: float) -> Prior:
-        """The mixture of a prior, of this probability, and of what it were without the last ``count`` columns."""
-        if not AVAILABLE:
-            return self._averaged(prior, count, probability)
-        mean, covariance, std = prior.mean.copy(), prior.covariance.copy(), prior.std.copy()
-        beside = np.empty((4, self.n_outputs))
-        _average(self._information, self.n_columns - count, prior.columns, prior.regressed, self.scale, prior.s,
-                 probability, mean, covariance, std, beside)
-        return prior._replace(mean=mean, covariance=covariance, std=std, beside=beside)
-
-    def _averaged(self, prior: Prior, count: int, probability: float) -> Prior:
-        left, own = prior.columns_left, self.n_columns - count
-        mean, covariance = prior.regressed[:, -1] + left @ self.theta_without(count), np.diag(prior.s * self.scale**2)
-        if own:
-            half, _ = dtrtrs(self._information[:own, :own], left[:, :own].T, trans=1)
-            covariance += half.T @ half
-        beside = np.array([prior.mean, prior.std, mean, np.sqrt(covariance.diagonal())])
-        apart, other = prior.mean - mean, 1.0 - probability
-        covariance = probability * prior.covariance + other * covariance
-        covariance += probability * other * np.multiply.outer(apart, apart)
-        return prior._replace(mean=probability * prior.mean + other * mean, covariance=covariance,
-                              std=np.sqrt(covariance.diagonal()), beside=beside)
-
     def revise(self) -> None:
         """Make every prior computed so far stale; each change of the model does."""
         self.revision = next(REVISIONS)
@@ -358,44 +323,6 @@ class SemiParametricRecursion:
         self._update_information(row)
 
 
-@compiled(MATRIX, INTEGER, VECTOR)
-def solve_corner(information: Array, own: int, theta: Array) -> None:
-    """See :meth:`SemiParametricRecursion.theta_without`."""
-    theta[:] = 0.0
-    for c in range(own - 1, -1, -1):
-        value = information[c, len(theta)]
-        for j in range(c + 1, own):
-            value -= information[c, j] * theta[j]
-        theta[c] = value / information[c, c]
-
-
-@compiled(MATRIX, INTEGER, VECTOR, MATRIX, MATRIX, VECTOR, NUMBER, VECTOR, MATRIX, VECTOR)
-def _moments(information: Array, own: int, theta: Array, columns: Array, regressed: Array, scale: Array, s: float,
-             mean: Array, covariance: Array, std: Array) -> None:
-    """Mean, covariance and std of a :class:`Prior` by the first ``own`` columns and their corner of R."""
-    n, p = columns.shape
-    half = np.empty((own, n))  # (E_C R^-1)'
-    covariance[:] = 0.0
-    for k in range(n):
-        mean[k] = regressed[k, p]
-        covariance[k, k] = s * scale[k] * scale[k]
-        for c in range(own):
-            left = columns[k, c] - regressed[k, c]
-            mean[k] += left * theta[c]
-            half[c, k] = left
-    for c in range(own):
-        for k in range(n):
-            half[c, k] /= information[c, c]
-        for k in range(n):
-            for j in range(n):
-                covariance[k, j] += half[c, k] * half[c, j]
-        for later in range(c + 1, own):
-            for k in range(n):
-                half[later, k] -= information[c, later] * half[c, k]
-    for k in range(n):
-        std[k] = np.sqrt(covariance[k, k])
-
-
 @compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS, VECTOR, MATRIX, VECTOR, VECTOR, NUMBER, MATRIX, VECTOR,
           MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, returns=NUMBER, calls=(project,))
 def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
@@ -410,28 +337,28 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
     s = sigma * sigma
     for i in range(len(f)):
         s += f[i] * f[i]
+    half = np.empty((p, n))  # (E_C R^-1)'
+    covariance[:] = 0.0
     for k in range(n):
         regressed[k, p] += known[k]
-    _moments(information, p, theta, columns, regressed, scale, s, mean, covariance, std)
-    return s
-
-
-@compiled(MATRIX, INTEGER, MATRIX, MATRIX, VECTOR, NUMBER, NUMBER, VECTOR, MATRIX, VECTOR, MATRIX)
-def _average(information: Array, own: int, columns: Array, regressed: Array, scale: Array, s: float, probability: float,
-             mean: Array, covariance: Array, std: Array, beside: Array) -> None:
-    """See :meth:`SemiParametricRecursion.averaged`; mean, covariance and std become those of the mixture."""
-    n, p = columns.shape
-    theta, without = np.empty(p), np.empty((n, n))
-    other = 1.0 - probability
-    beside[0], beside[1] = mean, std
-    solve_corner(information, own, theta)
-    _moments(information, own, theta, columns, regressed, scale, s, beside[2], without, beside[3])
+        mean[k] = regressed[k, p]
+        covariance[k, k] = s * scale[k] * scale[k]
+        for c in range(p):
+            left = columns[k, c] - regressed[k, c]
+            mean[k] += left * theta[c]
+            half[c, k] = left
+    for c in range(p):
+        for k in range(n):
+            half[c, k] /= information[c, c]
+        for k in range(n):
+            for j in range(n):
+                covariance[k, j] += half[c, k] * half[c, j]
+        for later in range(c + 1, p):
+            for k in range(n):
+                half[later, k] -= information[c, later] * half[c, k]
     for k in range(n):
-        mean[k] = probability * beside[0, k] + other * beside[2, k]
-        for j in range(n):
-            apart = (beside[0, k] - beside[2, k]) * (beside[0, j] - beside[2, j])
-            covariance[k, j] = probability * covariance[k, j] + other * without[k, j] + probability * other * apart
         std[k] = np.sqrt(covariance[k, k])
+    return s
 
 
 @compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
@@ -475,5 +402,9 @@ def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Ar
             information[c, j] -= along
             for k in range(n):
                 rows[j, k] -= along * rows[c, k]
-    solve_corner(information, size - 1, theta)
+    for c in range(size - 2, -1, -1):
+        value = information[c, size - 1]
+        for j in range(c + 1, size - 1):
+            value -= information[c, j] * theta[j]
+        theta[c] = value / information[c, c]
     return placed

@@ -26,7 +26,7 @@ from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 16
+FORMAT, VERSION = 'semiparam_ros state', 17
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')

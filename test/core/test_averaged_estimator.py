@@ -1,4 +1,4 @@
-"""Variants averaged by their evidence: the weights, the mixture, and members that are as each would be alone."""
+"""Models averaged by their evidence: the weights, the mixture, and members that are as each would be alone."""
 
 import pickle
 from dataclasses import replace
@@ -11,15 +11,17 @@ from semiparam_ros.core.averaged_estimator import (
     DEGREES,
     EVIDENCE_MEMORY,
     LEAST_LOG_WEIGHT,
-    VariantWeights,
+    ODDS_OF_EFFECTS,
+    MemberWeights,
     estimator_of,
     mixture,
     mixture_covariance,
 )
-from semiparam_ros.core.estimator import ModelOptions
+from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.variants import AVERAGED, MEMBERS
+from semiparam_ros.core.variants import AVERAGED
+from semiparam_ros.effects import effect_from_text, effect_to_text
 from semiparam_ros.errors import SemiparamError
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 
@@ -35,15 +37,23 @@ def recording(unmodelled):
     return replace(motion, outputs=outputs + 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape))
 
 
-def begun(variant, samples):
-    model = estimator_of(ARM, ModelOptions(variant=variant, features_count=30, initial_samples=WINDOW, horizon=4))
+def begun(variant, samples, effects=(), build=estimator_of):
+    options = ModelOptions(variant=variant, features_count=30, initial_samples=WINDOW, horizon=4)
+    model = build(ARM, options, [effect_from_text(text) for text in effects])
     return model, [model.step(sample) for sample in samples]
 
 
-@pytest.fixture(scope='module', params=[0.0, 0.5])
+EFFECTS = (f'effort_gain@{ODD_JOINTS[0]}', f'joint_offset@{ODD_JOINTS[1]}',
+           f'coulomb_friction@{ODD_JOINTS[-1]}{{"start_s": 6.0}}')
+
+
+@pytest.fixture(scope='module', params=[(AVERAGED, 0.0, ()), (AVERAGED, 0.5, ()), (AVERAGED, 0.5, EFFECTS[:1]),
+                                        ('SP-ML', 0.0, EFFECTS), ('P', 0.5, EFFECTS[1:])],
+                ids=['linear', 'bent', 'bent with an effect', 'SP-ML with effects', 'P with effects'])
 def averaged(request):
-    samples = recording(request.param)
-    return samples, *begun(AVERAGED, samples)
+    variant, unmodelled, effects = request.param
+    samples = recording(unmodelled)
+    return samples, *begun(variant, samples, effects)
 
 
 def error(predictions):
@@ -54,11 +64,14 @@ def error(predictions):
 def test_weights_are_forgotten_evidence():
     rng = np.random.default_rng(0)
     errors, std = 0.3 * rng.standard_normal((40, 3, 2)), rng.uniform(0.9, 1.1, (40, 3, 2))
-    weights, evidence = VariantWeights(3, 2), np.zeros((3, 2))
+    odds = np.array([9.0, 1.0, 2.0])
+    weights, evidence = MemberWeights(odds, 2), np.zeros((3, 2))
+    np.testing.assert_allclose(weights.weights.T, [odds / 12.0] * 2)
     for index in range(40):
         weights.learn(errors[index], std[index])
         evidence = (1.0 - 1.0 / EVIDENCE_MEMORY) * evidence
         evidence += student.logpdf(errors[index] / std[index], DEGREES) - np.log(std[index])
+    evidence += np.log(odds)[:, None]
     assert np.ptp(evidence, axis=0).max() < -LEAST_LOG_WEIGHT, 'the floor is another test'
     expected = np.exp(evidence - evidence.max(axis=0))
     np.testing.assert_allclose(weights.weights, expected / expected.sum(axis=0), rtol=1e-9)
@@ -66,7 +79,7 @@ def test_weights_are_forgotten_evidence():
 
 @pytest.mark.parametrize('scale', [1e-150, 1.0, 1e150])
 def test_weights_stay_finite_and_the_last_takes_over_within_a_few_samples(scale):
-    weights = VariantWeights(2, 1)
+    weights = MemberWeights(np.ones(2), 1)
     good, poor = np.array([[0.5], [8.0]]), np.array([[8.0], [0.5]])
     for _ in range(20000):
         weights.learn(scale * good, np.full((2, 1), scale))
@@ -92,38 +105,86 @@ def test_mean_and_variance_are_those_of_the_mixture():
 
 
 def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_best(averaged):
-    samples, _, predictions = averaged
+    samples, model, predictions = averaged
     errors = []
-    for index, name in enumerate(MEMBERS):
-        _, alone = begun(name, samples)
+    for index, member in enumerate(model.members):
+        effects = [effect_to_text(effect) for effect in model.columns.effects if member.has_effects]
+        _, alone = begun(member.variant, samples, effects, Estimator)
         errors.append(error(alone))
         for one, other in zip(alone[WINDOW:], predictions[WINDOW:], strict=True):
             np.testing.assert_array_equal(one.mean, other.members[index].mean)
             np.testing.assert_array_equal(one.std, other.members[index].std)
     ratio = error(predictions) / samples.outputs.var(axis=0)
     assert ratio.mean() < 1.02 * (errors / samples.outputs.var(axis=0)).mean(axis=1).min()
-    assert not predictions[WINDOW - 1].members and len(predictions[WINDOW].members) == len(MEMBERS)
+    gathering = 2 if model.columns.effects else 0
+    assert len(predictions[WINDOW - 1].members) == gathering and len(predictions[WINDOW].members) == len(model.members)
+
+
+def test_before_the_window_is_over_the_rigid_body_without_effects_stands_beside_the_one_with(averaged):
+    samples, model, predictions = averaged
+    if not model.columns.effects:
+        assert model.effects_probability is None
+        return
+    plain = Estimator(ARM, model.options)
+    for sample, prediction in zip(samples[:WINDOW - 1], predictions, strict=False):
+        np.testing.assert_array_equal(plain.step(sample).model_mean, prediction.members[1].model_mean)
+    odds = np.array([sum(weights for name, weights in model.weights.items() if ('without' in name) == without)
+                     for without in (False, True)])
+    np.testing.assert_allclose(model.effects_probability, odds[0])
+    np.testing.assert_allclose(odds.sum(axis=0), 1.0)
 
 
 def test_a_state_goes_on_as_it_was_with_the_hyperparameters_of_every_member(averaged):
     samples, model, _ = averaged
     model = pickle.loads(pickle.dumps(model))
-    mean, scale = model.input_scaling
+    mean, scale = ((), ()) if model.input_scaling is None else map(tuple, model.input_scaling)
     twin = estimator_of(ARM, replace(model.options, hyperparameters=model.model.hyperparameters,
-                                     input_mean=tuple(mean), input_scale=tuple(scale)))
+                                     input_mean=mean, input_scale=scale), model.columns.effects)
     twin.restore(pickle.loads(pickle.dumps(model.state())))
-    assert twin.others == model.others and set(twin.weights) == set(MEMBERS)
+    assert twin.others == model.others and list(twin.weights) == [member.name for member in model.members]
     for sample in samples[:12]:
         one, other = model.step(sample), twin.step(sample)
         np.testing.assert_array_equal(one.mean, other.mean)
         np.testing.assert_array_equal(one.std, other.std)
         np.testing.assert_array_equal(one.horizon.eps, other.horizon.eps)
-    unready, _ = begun(AVERAGED, samples[:5])
-    for kept, state in ((unready, model.state()), (model, begun('SPK-ML', samples)[0].state())):
-        with pytest.raises(SemiparamError, match='the saved average'):
-            kept.restore(state)
-    with pytest.raises(SemiparamError, match='the saved weights of the variants'):
+    alone, _ = begun('SPK-ML', samples)
+    with pytest.raises(SemiparamError, match='the saved average'):
+        model.restore(alone.state())
+    with pytest.raises(SemiparamError, match='the saved weights of the models'):
         model.restore(model.state()._replace(average={**model.state().average, 'shares': np.zeros(3)}))
+
+
+@pytest.mark.parametrize(('variant', 'effects'), [(AVERAGED, ()), (AVERAGED, EFFECTS[:1]), ('SP-ML', EFFECTS)])
+def test_a_state_from_before_the_end_of_the_window_goes_on(variant, effects):
+    samples = recording(0.5)
+    model, _ = begun(variant, samples[:WINDOW - 10], effects)
+    twin, _ = begun(variant, samples[:5], effects)
+    twin.restore(pickle.loads(pickle.dumps(model.state())))
+    for sample in samples[WINDOW - 10:WINDOW + 20]:
+        np.testing.assert_array_equal(model.step(sample).mean, twin.step(sample).mean)
+    unready, _ = begun(variant, samples[:5], effects)
+    if variant == AVERAGED:
+        with pytest.raises(SemiparamError, match='the saved average'):
+            unready.restore(model.state())
+
+
+@pytest.mark.parametrize('variant', ['P', 'SP-ML', 'SPK-ML'])
+def test_an_effect_is_believed_within_a_few_samples_of_its_start(variant):
+    samples = recording(0.0)
+    start = COUNT - 80
+    text = f'viscous_friction@{ODD_JOINTS[-1]}{{"start_s": {samples.time[start]}}}'
+    size = samples.outputs.std(axis=0)
+    braked = samples.outputs.copy()
+    braked[start:, -1] += 2.0 * size[-1] * samples.velocity[start:, -1]
+    samples = replace(samples, outputs=braked)
+    plain, believing = begun(variant, samples)[1], begun(variant, samples, [text])
+    left = np.array([[(sample.outputs - each.mean)[-1] / size[-1] for each in pair]
+                     for sample, *pair in zip(samples, plain, believing[1], strict=True)])
+    probability = believing[0].effects_probability
+    assert probability[-1] > 0.99 and probability[0] == pytest.approx(1.0 / (1.0 + 1.0 / ODDS_OF_EFFECTS), abs=0.05)
+    error = np.sqrt(np.mean(np.square(left[start + 5:]), axis=0))
+    assert error[1] < 0.5 * error[0]
+    np.testing.assert_allclose(left[WINDOW:start, 1], left[WINDOW:start, 0], atol=0.05)
 
 
 def test_a_desired_state_is_answered_as_a_sample_with_these_inputs(averaged):
@@ -162,7 +223,7 @@ def test_members_return_from_a_change_with_their_horizons_and_a_state_holds_what
         steps.append(model.step(sample))
         returns.append(model.returns)
         np.testing.assert_array_equal(steps[-1].mean, twin.step(sample).mean)
-    assert returns[0] == 0 and model.returns >= len(MEMBERS)
+    assert returns[0] == 0 and (model.returns > 1 or model.options.variant != AVERAGED)
     for place in np.flatnonzero(np.diff(returns)) + 1:
         assert all(step.horizon is None for step in steps[place + 1:place + 5]), 'none is pending'
     assert (error(steps[COUNT // 2:]) < 0.3 * load**2).all() and steps[-1].horizon is not None

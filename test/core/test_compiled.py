@@ -11,7 +11,6 @@ import pytest
 from semiparam_ros.core import (
     band_calibration,
     compiled,
-    effect_doubt,
     estimator,
     horizon_error,
     input_range,
@@ -55,43 +54,24 @@ def test_what_follows_the_errors(follower):
         np.testing.assert_allclose(getattr(fast, name), getattr(readable, name), **TOLERANCE)
 
 
-@pytest.mark.parametrize('doubted', [False, True])
-def test_an_estimator_follows_what_is_learnt_as_its_parts_do(monkeypatch, doubted):
+def test_an_estimator_follows_what_is_learnt_as_its_parts_do(monkeypatch):
     fast, readable = (estimator.Estimator.__new__(estimator.Estimator) for _ in range(2))
     for each in (fast, readable):
         each.calibration, each.wandering = band_calibration.BandCalibration(N), wandering_offset.WanderingOffset(N)
-        each.doubt, each._window_left = effect_doubt.EffectDoubt(N, True) if doubted else None, 3
-        each.horizon = HorizonIndex(1, N, 0, 0)
+        each._window_left = 3
     rng = np.random.default_rng(7)
     for index in range(200):
         outputs, mean, std = rng.standard_normal(N), 0.3 * rng.standard_normal(N), rng.uniform(0.5, 2.0, N)
-        beside = np.array([mean, std, mean + 0.1 * rng.standard_normal(N), 1.1 * std]) if doubted else None
-        said = outputs, SimpleNamespace(mean=mean, std=std, beside=beside), index % 7 > 0
+        said = outputs, SimpleNamespace(mean=mean, std=std), index % 7 > 0
         fast._follow(*said)
         with monkeypatch.context() as without:
-            for module in (estimator, band_calibration, wandering_offset, effect_doubt):
+            for module in (estimator, band_calibration, wandering_offset):
                 without.setattr(module, 'AVAILABLE', False)
             readable._follow(*said)
-    for follower in ('calibration', 'wandering', *(['doubt'] if doubted else [])):
+    for follower in ('calibration', 'wandering'):
         for name, values in getattr(fast, follower).state().items():
             np.testing.assert_allclose(values, getattr(readable, follower).state()[name], **TOLERANCE)
     assert fast._window_left == readable._window_left == 0
-
-
-@pytest.mark.parametrize(('features', 'count'), [(20, 3), (0, 3), (20, 9)])
-def test_a_mixture_with_what_were_without_some_columns(monkeypatch, features, count):
-    rng = np.random.default_rng(3)
-    model = SemiParametricRecursion(N, features, np.ones(9), 1.0, 0.1)
-    for _ in range(30):
-        prior = model.predict(rng.standard_normal(features), rng.standard_normal((N, 9)))
-        fast, theta = model.averaged(prior, count, 0.3), model.theta_without(count)
-        with monkeypatch.context() as without:
-            without.setattr(recursion, 'AVAILABLE', False)
-            readable = model.averaged(prior, count, 0.3)
-            np.testing.assert_allclose(theta, model.theta_without(count), **TOLERANCE)
-        for name in ('mean', 'covariance', 'std', 'beside'):
-            np.testing.assert_allclose(getattr(fast, name), getattr(readable, name), **TOLERANCE)
-        model.learn(prior, rng.standard_normal(N))
 
 
 @pytest.mark.parametrize(('features', 'columns', 'decay'), [(20, 9, DECAY), (20, 0, None), (0, 9, DECAY)])

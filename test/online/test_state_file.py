@@ -99,8 +99,8 @@ SCRATCH = {
 
 
 LAYOUT = {
-    16: {
-        'meta': 'format gate joints known memory newest origin passed_over renewal settings version window_left',
+    17: {
+        'meta': 'format gate joints known memory newest origin others passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
@@ -116,7 +116,17 @@ LAYOUT = {
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
         'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
-        'wandering.evidence_of_effects': 'f8 (1,)', 'wandering.without_effects': 'f8 (16, 6)',
+        'average.evidence': 'f8 (2, 6)', 'average.shares': 'f8 (2, 6)', 'average.filled': 'i8 ()',
+        'average.start': 'i8 ()', 'average.rows': 'f8 (5, 24)', 'average.origins': 'i8 (5,)',
+        # the same variant without effects
+        'other0.recursion.array': 'f8 (142, 40)', 'other0.recursion.left': 'f8 (8, 40)',
+        'other0.recursion.right': 'f8 (8, 142)', 'other0.recursion.places': 'i8 (102,)',
+        'other0.recursion.waiting': 'i8 ()', 'other0.recursion.inflation': 'f8 ()',
+        'other0.recursion.renewed': 'i8 (3,)', 'other0.recursion.memory': 'f8 ()',
+        'other0.recursion.compared': 'f8 (3,)', 'other0.recursion.information': 'f8 (17, 17)',
+        'other0.recursion.theta': 'f8 (16,)', 'other0.horizon.filled': 'i8 ()', 'other0.horizon.start': 'i8 ()',
+        'other0.horizon.rows': 'f8 (5, 200)', 'other0.horizon.origins': 'i8 (5,)',
+        'other0.calibration.table': 'f8 (11, 6)', 'other0.wandering.table': 'f8 (16, 6)',
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (6,)',  # level, mean, ratio of a closure
         'gate.3': 'f8 (0, 6)', 'gate.4': 'f8 (0, 6)',  # tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 2 else 'f8 (6,)' for number in range(5, 23)},  # six bands

@@ -9,7 +9,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.effect_doubt import MOST_EVIDENCE
 from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.robot import feedforward
 from semiparam_ros.core.robot.feedforward import joint_torques
@@ -167,7 +166,6 @@ def test_a_payload_that_was_picked_up_is_in_the_efforts_whatever_the_stamps():
     before, after = learnt(body, [effect], count=5), learnt(body, [effect])
     for estimator, there in ((before, False), (after, True)):
         theta = estimator.model.recursion.theta
-        estimator.doubt.evidence[:] = MOST_EVIDENCE  # the motion was without a load, and this had been learnt
         theta[estimator.columns.blocks['0']][0] = 2.0
         heavier = feedforward.desired(estimator, *row).efforts
         theta[estimator.columns.blocks['0']][0] = 0.0
@@ -178,13 +176,11 @@ def test_a_sensors_drift_moves_the_wrench_that_it_will_show_and_no_motor():
     body, effect = BODIES['wrench'], effect_from_text('sensor_drift')
     row = np.random.default_rng(2).uniform(-1.0, 1.0, (3, body.n_joints))
     estimator = learnt(body, [effect])
-    estimator.doubt.evidence[:] = MOST_EVIDENCE
     before = feedforward.desired(estimator, *row)
     estimator.model.recursion.theta[estimator.columns.blocks['0']] += 1.0
     after = feedforward.desired(estimator, *row)
     span = (MOTION.stamps[-1] - MOTION.stamps[0]) * 1e-9
-    assert estimator.doubt.probability > 0.9999
-    np.testing.assert_allclose(after.outputs - before.outputs, span * estimator.doubt.probability, rtol=1e-9)
+    np.testing.assert_allclose(after.outputs - before.outputs, span, rtol=1e-9)
     np.testing.assert_allclose(after.efforts, before.efforts, atol=1e-9)
 
 

@@ -260,8 +260,10 @@ def model_report(learner: Learner, tally: Tally) -> Report:
         values |= {f'pace {name} [1/sample]': f'{value:.2g}' for name, value in
                    zip(learner.body.output_names, pace.tolist(), strict=True)}
     values |= {f'weight {name}': f'{weights.mean():.3f}' for name, weights in learner.estimator.weights.items()}
-    if learner.estimator.doubt is not None:
-        values['probability of the declared effects'] = f'{learner.estimator.doubt.probability:.3f}'
+    probability = learner.estimator.effects_probability
+    if probability is not None:
+        values |= {f'probability of the declared effects {name}': f'{value:.3f}' for name, value in
+                   zip(learner.body.output_names, probability.tolist(), strict=True)}
     condition = conditioning(learner.estimator.model, learner.estimator.columns.prior_scale)
     if condition is not None:
         values |= {'condition number': f'{condition.number:.3g}',
