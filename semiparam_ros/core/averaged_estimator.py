@@ -22,6 +22,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, STACK, VECTOR, compiled
 from semiparam_ros.core.estimator import (
     DesiredOutputs,
     Estimator,
@@ -79,18 +80,25 @@ class MemberWeights:
     """
 
     def __init__(self, odds: Array, n_outputs: int) -> None:
-        self._prior = np.log(odds / odds.max())[:, None]
+        self._prior: Array = np.repeat(np.log(odds / odds.max())[:, None], n_outputs, axis=1)
         self._evidence = np.zeros((len(odds), n_outputs))
         self.weights: Array = np.repeat((odds / odds.sum())[:, None], n_outputs, axis=1)
         """(K, n), which sum to one over the members."""
 
     def learn(self, errors: Array, std: Array) -> None:
         """Take in the errors (K, n) of a sample, and the standard deviations (K, n) that were given to it."""
+        if AVAILABLE:
+            self.weights = np.empty_like(self.weights)
+            _weigh(errors, std, self._prior, self._evidence, self.weights)
+        else:
+            self._learn(errors, std)
+
+    def _learn(self, errors: Array, std: Array) -> None:
         ratio = errors / std
         log_weights = self._prior + _KEEP * self._evidence - np.log(std)
         log_weights -= 0.5 * (DEGREES + 1.0) * np.log1p(ratio * ratio / DEGREES)
         log_weights = np.maximum(log_weights - log_weights.max(axis=0), LEAST_LOG_WEIGHT)
-        self._evidence = log_weights - self._prior
+        self._evidence[:] = log_weights - self._prior
         weights = np.exp(log_weights)
         self.weights = weights / weights.sum(axis=0)
 
@@ -151,8 +159,9 @@ class AveragedEstimator(Estimator):
             each._leave_window()
         self._begin_averaging()
         for remembered in zip(*windows, strict=True) if learn else ():
-            said = np.array([each._learn_again(its) for each, its in zip(everyone, remembered, strict=True)])
-            self._weights.learn(remembered[0].outputs - said[:, 0], said[:, 1])
+            said = [each._learn_again(its) for each, its in zip(everyone, remembered, strict=True)]
+            mean, std = map(np.array, zip(*said, strict=True))
+            self._weights.learn(remembered[0].outputs - mean, std)
 
     def _window_without_effects(self) -> InitialWindow:
         """The window with the columns that it would have without them."""
@@ -281,11 +290,10 @@ class AveragedEstimator(Estimator):
         return self._horizons.advance_average(stamp, past, outputs, self._weights.weights)
 
     def _averaged(self, members: tuple[Prediction, ...]) -> Prediction:
-        weights, own = self._weights.weights, members[0]
-        mean, std = mixture(weights, _stacked(members, 'mean'), _stacked(members, 'std'))
-        means = _stacked(members, 'model_mean')
-        model_mean = (weights * means).sum(axis=0)
-        covariance = mixture_covariance(weights, means, [each.prior.covariance for each in members])
+        own, weights = members[0], self._weights.weights
+        mean, std, model_mean, covariance = mixed(
+            weights, _stacked(members, 'mean'), _stacked(members, 'std'), _stacked(members, 'model_mean'),
+            np.array([each.prior.covariance for each in members]))
         prior = own.prior._replace(covariance=covariance)
         return own._replace(mean=mean, std=std, model_mean=model_mean, model_std=np.sqrt(covariance.diagonal()),
                             prior=prior, members=members)
@@ -308,13 +316,24 @@ class AveragedEstimator(Estimator):
                               float(weights.mean(axis=1) @ [each.variance_ratio for each in found]))
 
 
+def mixed(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array,
+          ) -> tuple[Array, Array, Array, Array]:
+    """:func:`mixture` of what is published, and mean and :func:`mixture_covariance` of the models alone."""
+    if not AVAILABLE:
+        return (*mixture(weights, means, std), (weights * model_means).sum(axis=0),
+                mixture_covariance(weights, model_means, covariances))
+    mean, spread, model_mean, covariance = *np.empty((3, means.shape[1])), np.empty(covariances.shape[1:])
+    _mix(weights, means, std, model_means, covariances, mean, spread, model_mean, covariance)
+    return mean, spread, model_mean, covariance
+
+
 def mixture(weights: Array, means: Array, std: Array) -> tuple[Array, Array]:
     """(n,) mean and standard deviation of a mixture of K; all (K, n)."""
     mean = (weights * means).sum(axis=0)
     return mean, np.sqrt((weights * (std * std + (means - mean) ** 2)).sum(axis=0))
 
 
-def mixture_covariance(weights: Array, means: Array, covariances: Sequence[Array]) -> Array:
+def mixture_covariance(weights: Array, means: Array, covariances: Sequence[Array] | Array) -> Array:
     """(n, n) with the variances of the mixture; between outputs that weigh differently, the geometric mean weighs."""
     roots, mean = np.sqrt(weights), (weights * means).sum(axis=0)
     total = np.zeros_like(covariances[0])
@@ -329,6 +348,49 @@ def estimator_of(body: RigidBody, options: ModelOptions, effects: Sequence[Colum
     """The estimator that the options ask for; see :class:`Estimator`."""
     kind = AveragedEstimator if options.variant == AVERAGED or effects else Estimator
     return kind(body, options, effects, origin, window)
+
+
+@compiled(MATRIX, MATRIX, MATRIX, MATRIX, MATRIX)
+def _weigh(errors: Array, std: Array, prior: Array, evidence: Array, weights: Array) -> None:
+    """See :meth:`MemberWeights.learn`."""
+    members, n = errors.shape
+    for k in range(n):
+        best = -np.inf
+        for m in range(members):
+            ratio = errors[m, k] / std[m, k]
+            weights[m, k] = (prior[m, k] + _KEEP * evidence[m, k] - np.log(std[m, k])
+                             - 0.5 * (DEGREES + 1.0) * np.log1p(ratio * ratio / DEGREES))
+            best = max(best, weights[m, k])
+        total = 0.0
+        for m in range(members):
+            log_weight = max(weights[m, k] - best, LEAST_LOG_WEIGHT)
+            evidence[m, k] = log_weight - prior[m, k]
+            weights[m, k] = np.exp(log_weight)
+            total += weights[m, k]
+        for m in range(members):
+            weights[m, k] /= total
+
+
+@compiled(MATRIX, MATRIX, MATRIX, MATRIX, STACK, VECTOR, VECTOR, VECTOR, MATRIX)
+def _mix(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array, mean: Array, spread: Array,
+         model_mean: Array, covariance: Array) -> None:
+    """See :func:`mixed`."""
+    members, n = means.shape
+    for k in range(n):
+        mean[k] = model_mean[k] = spread[k] = 0.0
+        for m in range(members):
+            mean[k] += weights[m, k] * means[m, k]
+            model_mean[k] += weights[m, k] * model_means[m, k]
+        for m in range(members):
+            apart = means[m, k] - mean[k]
+            spread[k] += weights[m, k] * (std[m, k] * std[m, k] + apart * apart)
+        spread[k] = np.sqrt(spread[k])
+    for k in range(n):
+        for j in range(n):
+            covariance[k, j] = 0.0
+            for m in range(members):
+                apart = (model_means[m, k] - model_mean[k]) * (model_means[m, j] - model_mean[j])
+                covariance[k, j] += np.sqrt(weights[m, k] * weights[m, j]) * (covariances[m, k, j] + apart)
 
 
 def _stacked(members: Sequence[Prediction], name: str) -> Array:

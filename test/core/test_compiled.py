@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core import (
+    averaged_estimator,
     band_calibration,
     compiled,
     estimator,
@@ -72,6 +73,26 @@ def test_an_estimator_follows_what_is_learnt_as_its_parts_do(monkeypatch):
         for name, values in getattr(fast, follower).state().items():
             np.testing.assert_allclose(values, getattr(readable, follower).state()[name], **TOLERANCE)
     assert fast._window_left == readable._window_left == 0
+
+
+@pytest.mark.parametrize('members', [1, 2, 6])
+def test_an_average(monkeypatch, members):
+    rng = np.random.default_rng(9)
+    odds = rng.uniform(0.1, 9.0, members)
+    fast, readable = (averaged_estimator.MemberWeights(odds, N) for _ in range(2))
+    for _ in range(50):
+        means, model_means = rng.standard_normal((2, members, N))
+        std, roots = rng.uniform(0.5, 2.0, (members, N)), rng.standard_normal((members, N, N))
+        fast.learn(means, std)
+        readable._learn(means, std)
+        np.testing.assert_allclose(fast.weights, readable.weights, **TOLERANCE)
+        said = fast.weights, means, std, model_means, roots @ roots.swapaxes(1, 2)
+        found = averaged_estimator.mixed(*said)
+        with monkeypatch.context() as without:
+            without.setattr(averaged_estimator, 'AVAILABLE', False)
+            expected = averaged_estimator.mixed(*said)
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, other, **TOLERANCE)
 
 
 @pytest.mark.parametrize(('features', 'columns', 'decay'), [(20, 9, DECAY), (20, 0, None), (0, 9, DECAY)])
