@@ -8,6 +8,7 @@ import sys
 import termios
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -159,10 +160,14 @@ def test_ctrl_c_ends_the_node_and_its_processes(tmp_path, ros_domain, pauses):
         assert 'Traceback' not in group.output
 
 
-@pytest.mark.parametrize('after_s', [0.5, 1.5])
-def test_ctrl_c_while_the_node_starts(tmp_path, ros_domain, after_s):
+@pytest.mark.parametrize('loaded', ['_yaml', '_rclpy', '_multiarray_umath', 'libllvmlite', 'termios'])
+def test_ctrl_c_while_the_node_starts(tmp_path, ros_domain, loaded):
+    """As soon as the process has a library in its memory: with the first of them the command reads its parameters."""
     with run_node(tmp_path) as group:
-        time.sleep(after_s)
+        maps, end = Path(f'/proc/{group.process.pid}/maps'), time.monotonic() + PATIENCE_S
+        while loaded not in maps.read_text():
+            assert time.monotonic() < end and group.process.poll() is None, group.output
+            time.sleep(0.01)
         group.send()
         assert group.code() in ENDED, group.output
         assert 'Traceback' not in group.output
