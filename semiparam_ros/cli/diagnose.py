@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
         write_parameters(args.output, settings, diagnosis)
     if args.html:
         from semiparam_ros.report.diagnosis_page import diagnosis_page
-        write_text(args.html, diagnosis_page(diagnosis, variants, named))
+        write_text(args.html, diagnosis_page(diagnosis, variants, named, str(args.output or '')))
     for path in filter(None, (args.json, args.output, args.html)):
         output.print(f'written: {path}', soft_wrap=True)
     return 0

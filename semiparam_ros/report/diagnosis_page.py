@@ -146,7 +146,8 @@ def variant_rows(variants: Mapping[str, VariantFigures]) -> list[tuple[str, floa
     return rows
 
 
-def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantFigures], title: str) -> str:
+def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantFigures], title: str,
+                   written: str = '') -> str:
     """The page's text.
 
     :param variants: other models without and with the effects, where they were evaluated.
@@ -156,7 +157,7 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantFigures],
     structure = diagnosis.structure if diagnosis.structure and diagnosis.structure.significant else None
     return environment().get_template('diagnosis.html.j2').render(
         version=__version__, title=title, verdict=diagnosis.verdict, opening=opening, words=words,
-        summary=table_rows(diagnosis), next=next_step(diagnosis),
+        summary=table_rows(diagnosis), next=next_step(diagnosis, written),
         headline=_headline(diagnosis), outputs=_outputs(diagnosis), rows=output_rows(diagnosis),
         rounds=round_rows(diagnosis), over_time=_over_time(diagnosis), findings=_against_variables(diagnosis),
         structure=structure, unexplained=_unexplained(diagnosis.final, structure) if structure else None,

@@ -15,7 +15,7 @@ BUNDLED = ('icub_xy', 'icub_xz', 'icub_undeclared')
 
 
 def raw(path):
-    return [(message.topic, message.log_time, message.raw) for message in open_bag(path).messages()]
+    return [(message.topic, message.log_time, message.raw) for message in open_bag(path).messages(decode=False)]
 
 
 def commands(repository):

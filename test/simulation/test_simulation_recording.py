@@ -60,7 +60,7 @@ def test_stamps_are_regular():
 
 
 def test_the_same_seed_gives_the_same_recording_and_another_another():
-    scenario = replace(SHORT, effects=(EffectRequest('cable_hysteresis'),), baseline='bundled')
+    scenario = replace(SHORT, samples=200, effects=(EffectRequest('cable_hysteresis'),), baseline='bundled')
     first, second = simulate(scenario), simulate(scenario)
     other = simulate(replace(scenario, seed=8))
     for name in ('stamps', 'position', 'velocity', 'acceleration', 'outputs'):
@@ -72,7 +72,7 @@ def test_the_same_seed_gives_the_same_recording_and_another_another():
 
 def test_the_baseline_belongs_to_the_robot():
     """Another recording of the same robot meets the same cables; only the warming up is its own."""
-    xy, xz = (simulate(Scenario(motion=motion, samples=400, seed=seed, robot_seed=6, baseline='bundled'))
+    xy, xz = (simulate(Scenario(motion=motion, samples=200, seed=seed, robot_seed=6, baseline='bundled'))
               for motion, seed in (('circle_xy', 1), ('circle_xz', 2)))
     assert len(xy.baseline_truth) >= 4
     for mine, yours in zip(xy.baseline_truth, xz.baseline_truth, strict=True):
