@@ -41,7 +41,7 @@ def courses(figures: Mapping[str, VariantFigures]) -> Figure:
 
 
 def boxes(figures: Mapping[str, VariantFigures]) -> Figure:
-    """Distribution of each index after the first 30 s, over time and seeds."""
+    """Distribution of each index after the first 30 s, over time and seeds; there must be some."""
     names = _indices(figures)
     with page_style():
         figure = Figure(figsize=(PANEL[0], 3.0))
@@ -126,8 +126,7 @@ def _course(time: Array, values: Array) -> tuple[Array, Array]:
 
 def _late(one: VariantFigures, name: str) -> Array:
     index = one.indices[name]
-    late = index.time >= TRANSIENT_S
-    return np.asarray(index.series[:, late if late.any() else slice(None)].ravel())
+    return np.asarray(index.series[:, index.time >= TRANSIENT_S].ravel())
 
 
 def _mark_phases(panel: Axes) -> None:

@@ -161,14 +161,16 @@ def pictures(comparison: Comparison) -> list[Picture]:
         scenario.settings.joints and output_joints(scenario.settings, scenario.settings.joints)) or tuple(
         f'joint {index + 1}' for index in range(scenario.test.outputs.shape[1]))
     several = f"{_count(len(scenario.subsets), 'subset')} and {_count(len(scenario.seeds), 'feature draw')}"
+    steady = all(index.steady_state for one in figures.values() for index in one.indices.values())
     return [
         picture('Error over the horizon, in time', 'courses', comparison_figures.courses(figures),
                  f'Relative squared error of predicting the next {scenario.settings.horizon_length} samples, averaged '
                  f'over {several} and smoothed over two seconds. Lower is better. Look at how fast a curve falls in '
                  'the first minute, and where it settles. Dotted lines: 30 s and 60 s.'),
-        picture('Error over the horizon, in steady state', 'boxes', comparison_figures.boxes(figures),
-                 'The same index after the first 30 s: box from quartile to quartile, line at the median, whiskers '
-                 'from the 5th to the 95th percentile. A low box is accurate, a short one dependable.'),
+        *([picture('Error over the horizon, in steady state', 'boxes', comparison_figures.boxes(figures),
+                   'The same index after the first 30 s: box from quartile to quartile, line at the median, whiskers '
+                   'from the 5th to the 95th percentile. A low box is accurate, a short one dependable.')]
+          if steady else []),
         picture('Are the uncertainties honest?', 'calibration', comparison_figures.calibration(figures),
                  'How many more measurements a band holds than it promises. Zero is honest, below zero the model is '
                  'too sure of itself, above it too cautious; the shaded strip is two points wide on either side.'),

@@ -74,7 +74,7 @@ def without_times(document):
 
 
 def test_the_document_holds_every_figure(quick):
-    document, _ = quick
+    document, text = quick
     assert (document['schema'], document['command']) == (1, 'compare')
     assert document['subsets'] == [[0, 80], [80, 160]]
     assert list(document['variants']) == ['P', 'SPK-ML', 'SP2-VS']
@@ -89,6 +89,7 @@ def test_the_document_holds_every_figure(quick):
         assert 0.0 < variant['eps_force']['first_60_s']['mean'] < 0.1
         # four seconds a subset: nothing is steady
         assert variant['eps_torque']['steady_state'] is None
+    assert 'in time</h2>' in text and 'in steady state</h2>' not in text
 
 
 def test_it_is_the_estimator_of_evaluate(compare, folder):
