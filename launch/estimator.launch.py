@@ -10,7 +10,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-TOPICS = ('joint_states', 'wrench', 'joint_accelerations', 'robot_description', 'desired_trajectory')
+TOPICS = ('joint_states', 'wrench', 'joint_accelerations', 'temperature', 'robot_description', 'desired_trajectory')
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Collection, Sequence
-from math import isfinite
+from math import isfinite, nan
 from typing import Protocol
 
 import numpy as np
 
-from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.samples import NO_TEMPERATURE, Sample
 from semiparam_ros.core.stamps import in_seconds
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed, shortened
@@ -24,6 +24,9 @@ CAPACITY = 20_000
 LARGEST = 1e9
 """No robot has such an angle [rad], speed, acceleration, force [N] or torque [N m]; memory that was never written does,
 and one such value would leave nothing of a model."""
+HELD_FROM_NS = 1_000_000_000
+"""How long after its stamp a temperature counts. It comes too seldom to be waited for; by then it has come, however the
+topics interleave, and none changes so fast."""
 
 
 class Track:
@@ -77,6 +80,32 @@ class Track:
         return row + (stamp - first) / (second - first) * (self._rows[1] - row)
 
 
+class Held:
+    """A value that comes seldom: it counts from ``HELD_FROM_NS`` after its stamp on, until the next one does."""
+
+    def __init__(self) -> None:
+        self._value = nan
+        self._coming: deque[tuple[int, float]] = deque()
+
+    def append(self, stamp: int, value: float) -> None:
+        """The value at a later stamp [ns]."""
+        self._coming.append((stamp, value))
+        if len(self._coming) > CAPACITY:
+            self._value = self._coming.popleft()[1]
+
+    def at(self, stamp: int) -> float:
+        """The value that counts at ``stamp`` [ns], NaN before the first; stamps must not decrease."""
+        while self._coming and self._coming[0][0] + HELD_FROM_NS <= stamp:
+            self._value = self._coming.popleft()[1]
+        return self._value
+
+    def reset(self) -> None:
+        """Stamps begin anew; the newest value stays."""
+        if self._coming:
+            self._value = self._coming[-1][1]
+        self._coming.clear()
+
+
 class Differentiator(Protocol):
     """A causal estimate of rates, such as ``core.signals.differentiation.CausalDifferentiator``."""
 
@@ -102,7 +131,8 @@ class SampleStream:
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
                  tolerance_s: float = 0.02, differentiator: Differentiator | None = None,
                  measured_accelerations: bool = False, capacity: int | None = CAPACITY,
-                 velocity_filter: Differentiator | None = None, output_joints: Collection[str] = ()) -> None:
+                 velocity_filter: Differentiator | None = None, output_joints: Collection[str] = (),
+                 temperatures: Collection[str] = ()) -> None:
         """:param joints: names in the order of the samples' columns; messages may order theirs in any way.
         :param outputs: 'wrench' or 'effort'.
         :param sensor_frame: frame_id that wrenches must have; '' takes any.
@@ -111,6 +141,7 @@ class SampleStream:
         :param capacity: messages of a topic kept while another is silent; None keeps all.
         :param velocity_filter: gives the velocities of joint states that leave them empty; None refuses such.
         :param output_joints: those of the joints whose efforts are the outputs; all of them unless given.
+        :param temperatures: joints whose temperatures are measured; with a wrench, the frame_id of its sensor's alone.
         """
         if outputs not in ('wrench', 'effort'):
             raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
@@ -126,6 +157,9 @@ class SampleStream:
         self._differentiator = None if measured_accelerations else differentiator
         self._velocity_filter = velocity_filter
         self._capacity = capacity
+        sources = self.joints if self._effort else tuple(temperatures)
+        self._temperatures = {name: Held() for name in sources if name in temperatures}
+        self._of_sources = [self._temperatures.get(name, Held()) for name in sources] if temperatures else []
         gap = round(2e9 * tolerance_s)
         self._states, self._accelerations = Track(gap), Track(gap)
         self._followers = ([] if self._effort else [(self._states, 'joint state')]) \
@@ -151,7 +185,7 @@ class SampleStream:
         self._accelerations.clear()
         self._waiting.clear()
         self._last.clear()
-        for rates in (self._differentiator, self._velocity_filter):
+        for rates in (self._differentiator, self._velocity_filter, *self._temperatures.values()):
             if rates is not None:
                 rates.reset()
 
@@ -210,6 +244,17 @@ class SampleStream:
             return []
         self._append(self._accelerations, stamp, np.array(chosen, dtype=float), 'accelerations')
         return self._completed()
+
+    def temperature(self, stamp: int, frame_id: str, value: float) -> list[Sample]:
+        """A sensor_msgs/Temperature [deg C]: ``frame_id`` names whose. No sample waits for one."""
+        source = frame_id.lstrip('/')
+        if source not in self._temperatures:
+            self.strangers += 1
+            self.last_stranger = (f'temperature at {in_seconds(stamp)} s is of {frame_id!r}; expected '
+                                  f'{listed(tuple(self._temperatures))}.')
+        elif self._acceptable(f'temperature of {source}', stamp, (value,)):
+            self._temperatures[source].append(stamp, value)
+        return []
 
     def _order(self, what: str, stamp: int, names: Sequence[str]) -> list[int] | None:
         """Where our joints are among ``names``. Names hardly ever change, so the last answer is kept."""
@@ -299,4 +344,5 @@ class SampleStream:
             parts.append(row)
         joined = parts[0] if len(parts) == 1 else np.concatenate(parts)
         n = len(self.joints)
-        return Sample(stamp, joined[:n], joined[n:2 * n], joined[2 * n:], output)
+        temperature = np.array([held.at(stamp) for held in self._of_sources]) if self._of_sources else NO_TEMPERATURE
+        return Sample(stamp, joined[:n], joined[n:2 * n], joined[2 * n:], output, temperature)

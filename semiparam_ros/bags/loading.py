@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, NamedTuple
 
 from semiparam_ros.bags import readings
@@ -26,6 +26,7 @@ class Topics(NamedTuple):
     joint_states: str = layout.JOINT_STATES
     wrench: str = layout.WRENCH
     accelerations: str = layout.JOINT_ACCELERATIONS
+    temperature: str = layout.TEMPERATURE
     robot_description: str = layout.ROBOT_DESCRIPTION
 
 
@@ -66,15 +67,25 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
     with open_bag(path) as bag:
         measured = measured_accelerations(settings, topics.accelerations in bag.topics)
         needed = _needed(topics, settings.outputs, measured)
+        if settings.temperatures and topics.temperature in bag.topics:
+            needed[topics.temperature] = layout.TYPES[layout.TEMPERATURE]
         _require(bag, needed)
         description = recorded_description(bag, topics.robot_description)
         joints = _joints(settings, description, bag)
         stream = sample_stream(settings, joints, measured, capacity=None)
         outputs = topics.wrench if settings.outputs == 'wrench' else topics.joint_states
-        frame_id, lengths = '', list[int]()
+        frame_id, lengths, read_until = '', list[int](), bag.start_ns
         samples: list[Sample] = []
         for window in _windows(bag, bag.topics[outputs].count, most):
-            frame, stretch = _read(bag, stream, topics, needed, window)
+            if window is not None:
+                stream.reset()
+                if topics.temperature in needed:  # it holds from before the stretch on
+                    _read(bag, stream, topics, [topics.temperature], read_until, window[0])
+                read_until = window[1]
+            frame, stretch = _read(bag, stream, topics, needed, *(window or (None, None)))
+            if window is not None and window[0] + WARM_UP_NS > bag.start_ns and stretch:
+                counts = stretch[0].stamp + WARM_UP_NS
+                stretch = [sample for sample in stretch if sample.stamp >= counts]
             frame_id, samples = frame_id or frame, samples + stretch
             lengths.append(len(stretch))
         if not samples:
@@ -94,7 +105,7 @@ def sample_stream(settings: Table, joints: tuple[str, ...], measured: bool,
     accelerations, velocities = (CausalDifferentiator(len(joints), settings.acceleration_cutoff) for _ in range(2))
     return SampleStream(joints, settings.outputs, settings.sensor_frame, settings.alignment_tolerance,
                         None if measured else accelerations, measured, capacity, velocities,
-                        output_joints(settings, joints))
+                        output_joints(settings, joints), settings.temperatures)
 
 
 def recorded_description(bag: BagReader, topic: str = layout.ROBOT_DESCRIPTION) -> str | None:
@@ -138,35 +149,30 @@ def _joints(settings: Table, description: str | None, bag: BagReader) -> tuple[s
 
 
 def _windows(bag: BagReader, count: int, most: Callable[[float], int] | None) -> list[tuple[int, int] | None]:
-    """Log times [ns], from and before which to read; None for all. ``count``: samples of the whole bag, about."""
+    """Log times [ns], from and before which to read, with what filters need first; None for all. ``count``: samples of
+    the whole bag, about."""
     limit = most(count / max(1e-9 * bag.duration_ns, 1e-9)) if most else count
     if count <= limit:
         return [None]
     length = int(bag.duration_ns * limit / count) // STRETCHES
     starts = [bag.start_ns + (bag.duration_ns - length) * index // (STRETCHES - 1) for index in range(STRETCHES)]
-    return [(start, start + length) for start in starts]
+    return [(start - WARM_UP_NS, start + length) for start in starts]
 
 
-def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: dict[str, str],
-          window: tuple[int, int] | None = None) -> tuple[str, list[Sample]]:
-    """(frame of the wrenches, samples) of all messages in the order in which they were recorded, or of a window."""
+def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collection[str], start: int | None = None,
+          end: int | None = None) -> tuple[str, list[Sample]]:
+    """(frame of the wrenches, samples) of the messages on some topics in the order in which they were recorded, from a
+    log time [ns] on and before another; None: all."""
     kinds = {topics.joint_states: readings.JOINT_STATE, topics.wrench: readings.WRENCH,
-             topics.accelerations: readings.ACCELERATIONS}
+             topics.accelerations: readings.ACCELERATIONS, topics.temperature: readings.TEMPERATURE}
     samples: list[Sample] = []
     frame_id = ''
-    start = end = None
-    if window is not None:
-        stream.reset()
-        start, end = window[0] - WARM_UP_NS, window[1]
-    for message in bag.messages(needed.keys(), start_ns=start, end_ns=end):
+    for message in bag.messages(needed, start_ns=start, end_ns=end):
         kind = kinds[message.topic]
         reading = kind.read(message.data)
         samples += kind.feed(stream, reading.stamp, *reading.fields)
         if not frame_id and message.topic == topics.wrench:
             frame_id = reading.frame_id
-    if window is not None and window[0] > bag.start_ns and samples:
-        counts = samples[0].stamp + WARM_UP_NS
-        samples = [sample for sample in samples if sample.stamp >= counts]
     return frame_id, samples
 
 

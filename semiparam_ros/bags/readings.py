@@ -39,6 +39,12 @@ def of_accelerations(message: Any) -> Reading:
     return Reading(stamp_ns(header.stamp), header.frame_id, (message.joint_names, values))
 
 
+def of_temperature(message: Any) -> Reading:
+    """Of a sensor_msgs/Temperature."""
+    header = message.header
+    return Reading(stamp_ns(header.stamp), header.frame_id, (header.frame_id, message.temperature))
+
+
 class Kind(NamedTuple):
     """A kind of message: how it is read, and what of a stream takes its stamp and fields."""
 
@@ -49,3 +55,4 @@ class Kind(NamedTuple):
 JOINT_STATE = Kind(of_joint_state, SampleStream.joint_state)
 WRENCH = Kind(of_wrench, SampleStream.wrench)
 ACCELERATIONS = Kind(of_accelerations, SampleStream.accelerations)
+TEMPERATURE = Kind(of_temperature, SampleStream.temperature)

@@ -7,10 +7,12 @@ from semiparam_ros.bags.qos import LATCHED, Qos
 JOINT_STATES = '/joint_states'
 WRENCH = '/wrench'
 JOINT_ACCELERATIONS = '/joint_accelerations'
+TEMPERATURE = '/temperature'
 ROBOT_DESCRIPTION = '/robot_description'
 
 TYPES = {JOINT_STATES: 'sensor_msgs/msg/JointState', WRENCH: 'geometry_msgs/msg/WrenchStamped',
-         JOINT_ACCELERATIONS: 'trajectory_msgs/msg/JointTrajectory', ROBOT_DESCRIPTION: 'std_msgs/msg/String'}
+         JOINT_ACCELERATIONS: 'trajectory_msgs/msg/JointTrajectory', TEMPERATURE: 'sensor_msgs/msg/Temperature',
+         ROBOT_DESCRIPTION: 'std_msgs/msg/String'}
 
 
 def default_qos(topic: str) -> Qos:

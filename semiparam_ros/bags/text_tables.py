@@ -32,8 +32,10 @@ class TableLayout:
     """``columns``: role -> columns, each a number from 1 or a name of the header line.
 
     Roles: 'time', 'position', 'velocity', 'acceleration', 'effort' (one column for each joint), 'force', 'torque'
-    (three each). Without 'time', rows are ``period`` [s] apart and the first has the stamp ``start`` [s]. Signs
-    multiply what the file holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or -1).
+    (three each), 'temperature' [deg C] (one for each of ``temperatures``, which the messages have as frame_id; not a
+    number where there is none). Without 'time', rows are ``period`` [s] apart and the first has the stamp ``start``
+    [s]. Signs multiply what the file holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or
+    -1).
     """
 
     joints: tuple[str, ...] = ()
@@ -46,6 +48,7 @@ class TableLayout:
     wrench_sign: float = 1.0
     effort_sign: float = 1.0
     effort_factors: Mapping[str, float] = field(default_factory=dict)
+    temperatures: tuple[str, ...] = ()
 
     def checked(self) -> TableLayout:
         """Itself, or SemiparamError for the first thing that is missing or contradicts."""
@@ -102,7 +105,7 @@ def parse_columns(text: object) -> tuple[int | str, ...]:
 
 def _converted(name: str, value: Any, where: str) -> Any:
     """``value`` as the field of this name wants it."""
-    if name == 'joints':
+    if name in ('joints', 'temperatures'):
         return tuple(value.split(',') if isinstance(value, str) else map(str, value or ()))
     if name == 'columns':
         if not isinstance(value, Mapping):
@@ -151,7 +154,7 @@ def _positive(name: str, value: object, where: str) -> float:
 def _complaints(layout: TableLayout) -> Iterator[str]:
     """Sentences about what is wrong, the most basic first."""
     roles = layout.columns
-    widths = {**WIDTHS, **dict.fromkeys(PER_JOINT, len(layout.joints))}
+    widths = {**WIDTHS, **dict.fromkeys(PER_JOINT, len(layout.joints)), 'temperature': len(layout.temperatures)}
     if not layout.joints:
         yield 'the table needs the names of its joints: expected --joints NAME,NAME,... or "joints:" in the file.'
     for role in roles:
@@ -159,7 +162,8 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
             yield f'column role {role!r} is unknown: expected one of {", ".join(widths)}.'
         elif len(roles[role]) != widths[role]:
             yield (f'{role} has {len(roles[role])} columns; expected {widths[role]}'
-                   f'{", one for each of --joints" if role in PER_JOINT else ""}.')
+                   f'{", one for each of --joints" if role in PER_JOINT else ""}'
+                   f'{", one for each of --temperatures" if role == "temperature" else ""}.')
         elif 0 in roles[role]:
             yield f'{role} names column 0; columns count from 1.'
     if 'position' not in roles:
@@ -202,6 +206,7 @@ class Row(NamedTuple):
     acceleration: list[float]
     effort: list[float]
     wrench: list[float]
+    temperature: list[float]
 
 
 @dataclass
@@ -223,7 +228,7 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
     :param progress: called with the number of bytes read so far, of a text table.
     A line that does not fit the layout raises SemiparamError naming line and column.
     """
-    summary = Summary()
+    summary, written = Summary(), dict[str, float]()
     for row in read_rows(path, layout, progress):
         summary.not_increasing += summary.rows > 0 and row.stamp <= summary.end_ns
         summary.rows += 1
@@ -232,8 +237,13 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
             if robot_description is not None:
                 write_description(bag, robot_description, row.stamp)
         summary.end_ns = row.stamp
-        summary.not_finite += not all(math.isfinite(value) for part in row[1:] for value in part)
+        summary.not_finite += not all(math.isfinite(value) for part in row[1:6] for value in part)
         _write(bag, row, layout)
+        for name, value in zip(layout.temperatures, row.temperature, strict=False):
+            if math.isfinite(value) and value != written.get(name):
+                _put(bag, layout_names.TEMPERATURE, row.stamp, {
+                    'header': {'stamp': stamp_fields(row.stamp), 'frame_id': name}, 'temperature': value})
+                written[name] = value
     if not summary.rows:
         raise SemiparamError(f'{str(path)!r} holds no row of numbers.')
     return summary
@@ -300,7 +310,7 @@ class _Units:
     def __init__(self, layout: TableLayout) -> None:
         angle = math.pi / 180.0 if layout.degrees else 1.0
         self._factors = {'position': angle, 'velocity': angle, 'acceleration': angle, 'effort': layout.effort_sign,
-                         'force': layout.wrench_sign, 'torque': layout.wrench_sign}
+                         'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
         self._layout = layout
 
     def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> Row:
@@ -312,7 +322,7 @@ class _Units:
                                 for joint, value in zip(self._layout.joints, scaled['effort'], strict=True)]
         stamp = self._stamp(cells['time'][0] if 'time' in cells else None, number, where)
         return Row(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'], scaled['effort'],
-                   scaled['force'] + scaled['torque'])
+                   scaled['force'] + scaled['torque'], scaled['temperature'])
 
     def _stamp(self, cell: str | None, number: int, where: str) -> int:
         """[ns]. Decimal, since a float holds seconds since 1970 to 0.2 us only."""

@@ -25,9 +25,9 @@ from semiparam_ros.errors import SemiparamError
 
 HELP = 'Convert a table (text, .npz, .mat) or a bag (ROS 1, rosbag2, damaged MCAP) to an MCAP bag.'
 
-_TABLE_OPTIONS = ('joints', 'degrees', 'period', 'rate', 'start', 'time_unit')
+_TABLE_OPTIONS = ('joints', 'temperatures', 'degrees', 'period', 'rate', 'start', 'time_unit')
 _BOTH_OPTIONS = ('wrench_frame', 'wrench_sign', 'effort_sign', 'effort_factors')
-_ROLES = ('time', *PER_JOINT, 'force', 'torque')
+_ROLES = ('time', *PER_JOINT, 'force', 'torque', 'temperature')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,14 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_table_arguments(parser.add_argument_group(
         'tables', 'COLUMNS are numbers from 1 (1-4, or 1,3,5) or names: of the header line, of arrays (STRUCT.FIELD '
         'in a struct), or of the files of a folder; NAME:2 is the second column of an array. Options win over the '
-        '--columns file, which holds joints, columns, degrees, period (or rate), start, time_unit, wrench_frame, '
-        'wrench_sign, effort_sign, effort_factors (a mapping).'))
+        '--columns file, which holds joints, temperatures, columns, degrees, period (or rate), start, time_unit, '
+        'wrench_frame, wrench_sign, effort_sign, effort_factors (a mapping).'))
     _add_bag_arguments(parser.add_argument_group('bags'))
 
 
 def _add_table_arguments(group: Any) -> None:
     group.add_argument('--columns', metavar='FILE', type=Path, help='YAML file that says what the columns mean')
     group.add_argument('--joints', metavar='NAME,...', help='names of the joints, in the order of their columns')
+    group.add_argument('--temperatures', metavar='NAME,...',
+                       help='joints, or the frame of the sensor, whose temperatures there are, in the order of their '
+                            'columns')
     for role in _ROLES:
         group.add_argument(f'--{role}', metavar='COLUMNS', help=f'columns of the {role}')
     angles = group.add_mutually_exclusive_group()

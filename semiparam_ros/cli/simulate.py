@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from semiparam_ros.cli.options import add_params_option, output, require_bag_name, require_places, write_json
-from semiparam_ros.core.stamps import stamp_fields
+from semiparam_ros.core.stamps import NANOSECONDS, stamp_fields
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ def _add_effect_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument('--encoder-noise', type=float, default=1.0, metavar='SCALE',
                        help='of positions, velocities and accelerations (default: 1)')
     group.add_argument('--no-accelerations', action='store_true', help='leave the topic joint_accelerations out')
+    group.add_argument('--temperatures', action='store_true',
+                       help="record those of the joints, or of a wrench's sensor, also where no effect needs them")
     group.add_argument('--truth', '--json', type=Path, metavar='FILE', dest='truth',
                        help='write what was hidden to this JSON file, in SI units')
 
@@ -99,6 +101,7 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
     return Scenario(motion=args.motion, samples=samples_of(args), rate_hz=args.rate, effects=effects_of(args),
                     seed=args.seed, robot_seed=args.robot_seed, baseline=args.baseline, noise=args.noise,
                     encoder_noise=args.encoder_noise, accelerations=not args.no_accelerations,
+                    temperatures=args.temperatures,
                     **{name: value for name, value in chosen.items() if value is not None})
 
 
@@ -162,6 +165,9 @@ def messages(recording: SimulatedRecording, row: int, stamp: int) -> list[tuple[
     if recording.outputs_kind == 'effort':
         state['effort'] = values
     found = [(layout.JOINT_STATES, state)]
+    if recording.temperature is not None and is_read(recording, row):
+        found += [(layout.TEMPERATURE, {'header': {**header, 'frame_id': name}, 'temperature': value})
+                  for name, value in zip(recording.temperatures, recording.temperature[row].tolist(), strict=True)]
     if recording.acceleration is not None:
         point = {'accelerations': recording.acceleration[row].tolist()}
         found.append((layout.JOINT_ACCELERATIONS, {'header': header, 'joint_names': names, 'points': [point]}))
@@ -170,6 +176,12 @@ def messages(recording: SimulatedRecording, row: int, stamp: int) -> list[tuple[
         found.append((layout.WRENCH, {'header': {**header, 'frame_id': recording.frame_id},
                                       'wrench': {'force': force, 'torque': torque}}))
     return found
+
+
+def is_read(recording: SimulatedRecording, row: int) -> bool:
+    """Whether there are new readings of temperatures at a sample: one a second."""
+    seconds = (recording.stamps[max(row - 1, 0):row + 1] - recording.stamps[0]) // NANOSECONDS
+    return row == 0 or bool(seconds[1] > seconds[0])
 
 
 def truth_of(recording: SimulatedRecording) -> dict[str, Any]:

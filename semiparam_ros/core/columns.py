@@ -8,7 +8,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.samples import NO_TEMPERATURE, Sample, Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -157,7 +157,8 @@ class CoupledColumns:
             columns = self._without_effects.copy()
             return self.body.regressor(sample.position, sample.velocity, sample.acceleration, out=columns), None
         columns, memory = self.batch(Samples(np.array([sample.stamp]), sample.position[None], sample.velocity[None],
-                                             sample.acceleration[None], sample.outputs[None], origin), memory)
+                                             sample.acceleration[None], sample.outputs[None], origin,
+                                             temperature=sample.temperature[None]), memory)
         return columns[0], memory
 
     def batch(self, samples: Samples, memory: Memories = None) -> tuple[Array, Memories]:
@@ -205,16 +206,19 @@ class CoupledColumns:
         return columns
 
     def desired(self, position: Array, velocity: Array, acceleration: Array, now: int, origin: int,
-                ) -> tuple[Array, Array]:
+                temperature: Array = NO_TEMPERATURE) -> tuple[Array, Array]:
         """(n, p) columns of a desired state (n_joints,) as of ``now`` [ns]: as the sensor shows it, and of that what
         the arm needs, without the sensor's offset and effects.
+
+        :param temperature: that of a :class:`Sample` as of now.
 
         The state has no past. What remembers the way travelled (hysteresis, play, presliding) starts at rest and
         follows a straight way at the state's own velocity, so nothing measured mixes with it and it stays bounded.
         """
         rows = Samples(np.array([now - APPROACH_NS, now]),
                        np.array([position - APPROACH_NS * 1e-9 * velocity, position]), np.array([velocity] * 2),
-                       np.array([acceleration] * 2), np.full((2, self.body.n_outputs), np.nan), origin)
+                       np.array([acceleration] * 2), np.full((2, self.body.n_outputs), np.nan), origin,
+                       temperature=np.array([temperature] * 2))
         acting = [effect.desired() for effect in self.effects]
         shown = CoupledColumns(self.body, acting).batch(rows)[0][-1]
         needed = shown.copy()

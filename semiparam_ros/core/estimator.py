@@ -25,7 +25,7 @@ from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.samples import NO_TEMPERATURE, Sample
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, NANOSECONDS
 from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
@@ -257,6 +257,8 @@ class Estimator:
         self.input_scaling: tuple[Array, Array] | None = None
         self.origin = origin
         self._newest: int | None = None
+        self._temperature = NO_TEMPERATURE
+        """Of the newest sample: a desired state is as warm."""
         self._memory: Memories = None
         self.inputs_learnt: Array = np.zeros((0, 3 * body.n_joints))
         """See :mod:`semiparam_ros.core.input_range`."""
@@ -323,7 +325,7 @@ class Estimator:
         require_finite('desired positions, velocities and accelerations', x)
         origin = self.origin or 0
         now = origin if self._newest is None else self._newest
-        shown, needed = self.columns.desired(position, velocity, acceleration, now, origin)
+        shown, needed = self.columns.desired(position, velocity, acceleration, now, origin, self._temperature)
         found = self._desired(x, shown, needed)
         require_finite('predicted outputs of a desired state',
                        np.concatenate([found.shown, found.covariance.diagonal()]))
@@ -399,7 +401,7 @@ class Estimator:
     def _go_on_from(self, seen: Seen | Prediction) -> None:
         stamp = seen.sample.stamp
         self.origin, self._newest = self._origin_at(stamp), stamp
-        self._memory, self.motion = seen.memory, seen.motion
+        self._memory, self.motion, self._temperature = seen.memory, seen.motion, seen.sample.temperature
 
     def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
         """What a sample changes of what is learnt. :param errors: see :meth:`HorizonIndex.advance`."""

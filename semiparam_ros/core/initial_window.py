@@ -43,7 +43,7 @@ class InitialWindow:
     def append(self, sample: Sample, columns: Array) -> None:
         """Add one sample with its coupled columns (n, p)."""
         self._make_room(self._count + 1)
-        np.concatenate((*sample[1:], columns.ravel()), out=self._rows[self._count])
+        np.concatenate((*sample[1:5], columns.ravel()), out=self._rows[self._count])
         self._count += 1
 
     def unmoved(self, n_joints: int, least: float) -> list[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple, overload
 
@@ -16,14 +16,22 @@ PAUSE_NS = 60 * 10**9
 """Between two recordings that are taken for one after the other, though their stamps are not."""
 
 
+NO_TEMPERATURE = np.zeros(0)
+
+
 class Sample(NamedTuple):
-    """One instant. ``stamp`` [ns]; joints (n_joints,) in rad, rad/s, rad/s^2; ``outputs`` (n,) in N and N m."""
+    """One instant. ``stamp`` [ns]; joints (n_joints,) in rad, rad/s, rad/s^2; ``outputs`` (n,) in N and N m.
+
+    ``temperature`` [deg C]: (0,) where none are recorded, else of each joint (n_joints,) beside efforts, of the sensor
+    (1,) beside a wrench; NaN for those that are not known.
+    """
 
     stamp: int
     position: Array
     velocity: Array
     acceleration: Array
     outputs: Array
+    temperature: Array = NO_TEMPERATURE
 
     @property
     def inputs(self) -> Array:
@@ -37,7 +45,7 @@ class Samples:
 
     ``breaks`` [ns]: where several recordings are one, the first stamp of each but the first. ``whole``: nothing comes
     in later, so what belongs to one sample may be read from those after it too. ``averaged_s`` [s]: each value is the
-    mean over so long a time.
+    mean over so long a time. ``temperature`` (N, k) [deg C]: see :class:`Sample`; k = 0 unless given.
 
     Two are the same only when they are one object, so that what is computed of them can be cached.
     """
@@ -51,6 +59,11 @@ class Samples:
     breaks: tuple[int, ...] = ()
     whole: bool = False
     averaged_s: float = 0.0
+    temperature: Array = field(default_factory=lambda: NO_TEMPERATURE)
+
+    def __post_init__(self) -> None:
+        if not self.temperature.size:
+            object.__setattr__(self, 'temperature', np.empty((len(self.stamps), 0)))
 
     @classmethod
     def joined(cls, recordings: Sequence[Samples]) -> Samples:
@@ -66,11 +79,11 @@ class Samples:
             earliest = int(stamps[-1][-1]) + PAUSE_NS
             moved = max(earliest - int(recording.stamps[0]), 0)
             stamps.append(recording.stamps + moved)
-        position, velocity, acceleration, outputs = (
+        position, velocity, acceleration, outputs, temperature = (
             np.concatenate([getattr(recording, name) for recording in recordings])
-            for name in ('position', 'velocity', 'acceleration', 'outputs'))
+            for name in ('position', 'velocity', 'acceleration', 'outputs', 'temperature'))
         return cls(np.concatenate(stamps), position, velocity, acceleration, outputs, recordings[0].origin,
-                   tuple(int(part[0]) for part in stamps[1:]))
+                   tuple(int(part[0]) for part in stamps[1:]), temperature=temperature)
 
     @property
     def recordings(self) -> list[slice]:
@@ -85,8 +98,10 @@ class Samples:
         if not rows:
             raise SemiparamError('no complete samples: expected at least one joint state matched with one output.')
         stamps, *columns = zip(*rows, strict=True)
-        position, velocity, acceleration, outputs = (np.array(column, dtype=np.float64) for column in columns)
-        return cls(np.array(stamps, dtype=np.int64), position, velocity, acceleration, outputs, int(rows[0].stamp))
+        position, velocity, acceleration, outputs, temperature = (
+            np.array(column, dtype=np.float64) for column in columns)
+        return cls(np.array(stamps, dtype=np.int64), position, velocity, acceleration, outputs, int(rows[0].stamp),
+                   temperature=temperature)
 
     @property
     def time(self) -> Array:
@@ -111,10 +126,12 @@ class Samples:
         """One sample by its number; some of them by a slice, a mask or an array of numbers."""
         if isinstance(index, int | np.integer):
             return Sample(int(self.stamps[index]), self.position[index], self.velocity[index],
-                          self.acceleration[index], self.outputs[index])
+                          self.acceleration[index], self.outputs[index], self.temperature[index])
         return replace(self, stamps=self.stamps[index], position=self.position[index], velocity=self.velocity[index],
-                       acceleration=self.acceleration[index], outputs=self.outputs[index])
+                       acceleration=self.acceleration[index], outputs=self.outputs[index],
+                       temperature=self.temperature[index])
 
     def __iter__(self) -> Iterator[Sample]:
-        rows = zip(self.stamps.tolist(), self.position, self.velocity, self.acceleration, self.outputs, strict=True)
+        rows = zip(self.stamps.tolist(), self.position, self.velocity, self.acceleration, self.outputs,
+                   self.temperature, strict=True)
         return (Sample(*row) for row in rows)

@@ -56,7 +56,8 @@ class Start:
 
 
 ALWAYS = Start()
-Axis = Literal['any', 'time', 'position', 'velocity', 'acceleration', 'output', 'output_rate', 'link_velocity', 'phase']
+Axis = Literal['any', 'time', 'position', 'velocity', 'acceleration', 'output', 'output_rate', 'link_velocity', 'phase',
+               'temperature']
 """What a residual is drawn against so that an effect shows; ``any``: whichever of time and motion tells most."""
 
 

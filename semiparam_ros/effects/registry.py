@@ -44,6 +44,7 @@ from semiparam_ros.effects.sensor import (
     SensorOffset,
     ThermalDrift,
 )
+from semiparam_ros.effects.temperature import TemperatureDrift, TemperatureFriction
 from semiparam_ros.effects.terms import Terms
 from semiparam_ros.errors import SemiparamError
 
@@ -53,11 +54,11 @@ LARGEST = 4e9
 SUPERSEDED = ('at_link', 'directions')
 """Values that older files hold and that follow from the place."""
 BUILT_IN: tuple[type[Effect], ...] = (
-    Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
-    JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
+    Payload, SensorOffset, SensorDrift, ThermalDrift, TemperatureDrift, SensorGain, SensorCrosstalk, SensorMisalignment,
+    TimeDelay, JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
     PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
-    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash, GearCoupling,
-    SensorNonlinearity, CommonGain, VelocityFilter, Terms)
+    TemperatureFriction, RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash,
+    GearCoupling, SensorNonlinearity, CommonGain, VelocityFilter, Terms)
 
 
 @cache

@@ -26,7 +26,7 @@ from semiparam_ros.effects.base import (
 N_CHANNELS = 6
 
 
-class _ChannelEffect(Effect):
+class ChannelEffect(Effect):
     """A function of time alone, with one coefficient for each channel."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)
@@ -48,7 +48,7 @@ class _ChannelEffect(Effect):
         return self.profile(samples.time)[:, None, None] * np.eye(N_CHANNELS), None
 
 
-class SensorOffset(_ChannelEffect):
+class SensorOffset(ChannelEffect):
     """A jump of the bias; the constant bias of a recording is part of every model with a wrench."""
 
     kind: ClassVar[str] = 'sensor_offset'
@@ -59,7 +59,7 @@ class SensorOffset(_ChannelEffect):
     must_start: ClassVar[bool] = True
 
 
-class SensorDrift(_ChannelEffect):
+class SensorDrift(ChannelEffect):
     """A bias that grows in proportion to time."""
 
     kind: ClassVar[str] = 'sensor_drift'
@@ -74,14 +74,14 @@ class SensorDrift(_ChannelEffect):
         return time
 
 
-class ThermalDrift(_ChannelEffect):
+class ThermalDrift(ChannelEffect):
     """A bias that settles as exp(-t / time constant)."""
 
     kind: ClassVar[str] = 'thermal_drift'
     shows_against: ClassVar[Axis] = 'time'
     of_one_recording: ClassVar[bool] = True
     sentence: ClassVar[str] = 'the sensor warms up: its bias settles exponentially'
-    mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_drift', 'sensor_offset')
+    mistaken_for: ClassVar[tuple[str, ...]] = ('sensor_drift', 'temperature_drift', 'sensor_offset')
     separated_by: ClassVar[str] = 'a recording of several time constants from a cold start'
     parameter_units: ClassVar[dict[str, str]] = {'time_constant_s': 's'}
     positive: ClassVar[tuple[str, ...]] = ('time_constant_s',)

@@ -207,8 +207,9 @@ def body_of(recording: SimulatedRecording) -> RigidBody:
 def samples_of(recording: SimulatedRecording) -> Samples:
     """The recording as the estimator sees it."""
     acceleration = np.zeros_like(recording.velocity) if recording.acceleration is None else recording.acceleration
-    return Samples(recording.stamps, recording.position, recording.velocity, acceleration, recording.outputs,
-                   int(recording.stamps[0]))
+    found = Samples(recording.stamps, recording.position, recording.velocity, acceleration, recording.outputs,
+                    int(recording.stamps[0]))
+    return found if recording.temperature is None else replace(found, temperature=recording.temperature)
 
 
 def removed_share(found: Diagnosis, twin: Samples) -> float:

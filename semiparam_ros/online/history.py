@@ -29,10 +29,11 @@ class Rows(NamedTuple):
     stamps: Stamps  # (N,) [ns]
     values: Array  # (N, 3 n_joints + n_outputs) position, velocity, acceleration, outputs
     learnt: Codes  # (N,) what became of each, see Learning
+    temperature: Array  # (N, k)
 
     def part(self, chosen: slice) -> Rows:
         """Some of them, not copied."""
-        return Rows(self.stamps[chosen], self.values[chosen], self.learnt[chosen])
+        return Rows(self.stamps[chosen], self.values[chosen], self.learnt[chosen], self.temperature[chosen])
 
 
 @dataclass(frozen=True)
@@ -68,14 +69,15 @@ class SampleBatch:
             return None
         values, n = np.concatenate([rows.values for rows in self.rows]), self.n_joints
         return Samples(self.stamps, values[:, :n], values[:, n:2 * n], values[:, 2 * n:3 * n], values[:, 3 * n:],
-                       self.origin)
+                       self.origin, temperature=np.concatenate([rows.temperature for rows in self.rows]))
 
     def pairs(self) -> Iterator[tuple[Sample, int]]:
         """One sample after the other."""
         n = self.n_joints
         for rows in self.rows:
-            for stamp, row, learnt in zip(rows.stamps.tolist(), rows.values, rows.learnt.tolist(), strict=True):
-                yield Sample(stamp, row[:n], row[n:2 * n], row[2 * n:3 * n], row[3 * n:]), learnt
+            for stamp, row, learnt, temperature in zip(rows.stamps.tolist(), rows.values, rows.learnt.tolist(),
+                                                       rows.temperature, strict=True):
+                yield Sample(stamp, row[:n], row[n:2 * n], row[2 * n:3 * n], row[3 * n:], temperature), learnt
 
     def part(self, start: int, stop: int | None = None, step: int = 1) -> SampleBatch:
         """Some of them, not copied: those of these numbers."""
@@ -106,13 +108,13 @@ class SampleLog:
     def append(self, sample: Sample, learnt: int) -> None:
         """Keep one sample."""
         if not self._free:
-            self._n_joints, width = len(sample.position), sum(map(len, sample[1:]))
-            self._add_chunk(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)), np.empty(CHUNK, np.int8)),
-                            CHUNK)
+            self._n_joints, width = len(sample.position), sum(map(len, sample[1:5]))
+            self._add_chunk(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)), np.empty(CHUNK, np.int8),
+                                 np.empty((CHUNK, len(sample.temperature)))), CHUNK)
         chunk = self._chunks[-1]
         row = len(chunk.stamps) - self._free
-        chunk.stamps[row], chunk.learnt[row] = sample.stamp, learnt
-        np.concatenate(sample[1:], out=chunk.values[row])
+        chunk.stamps[row], chunk.learnt[row], chunk.temperature[row] = sample.stamp, learnt, sample.temperature
+        np.concatenate(sample[1:5], out=chunk.values[row])
         self._free -= 1
         self._count += 1
         self._let_go()
@@ -253,7 +255,7 @@ def arrays_of(batch: SampleBatch) -> dict[str, Array | Stamps | Codes]:
         return {'learnt': batch.learning}
     return {'stamps': samples.stamps, 'position': samples.position, 'velocity': samples.velocity,
             'acceleration': samples.acceleration, 'outputs': samples.outputs, 'learnt': batch.learning,
-            'origin': np.array(samples.origin)}
+            'temperature': samples.temperature, 'origin': np.array(samples.origin)}
 
 
 def batch_from(arrays: Mapping[str, Array], n_joints: int, n_outputs: int) -> SampleBatch:
@@ -264,4 +266,5 @@ def batch_from(arrays: Mapping[str, Array], n_joints: int, n_outputs: int) -> Sa
     stamps = arrays['stamps'].astype(np.int64)
     widths = {'position': n_joints, 'velocity': n_joints, 'acceleration': n_joints, 'outputs': n_outputs}
     values = np.hstack([arrays[name].reshape(len(learnt), width) for name, width in widths.items()])
-    return SampleBatch([Rows(stamps.reshape(len(learnt)), values, learnt)], n_joints, int(arrays['origin']))
+    rows = Rows(stamps.reshape(len(learnt)), values, learnt, arrays['temperature'].reshape(len(learnt), -1))
+    return SampleBatch([rows], n_joints, int(arrays['origin']))

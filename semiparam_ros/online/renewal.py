@@ -154,7 +154,7 @@ class Renewal:
         self._learnt += 1
         self._since_draft += 1
         mean, scale = estimator.input_scaling
-        _, position, velocity, acceleration, _ = prediction.sample
+        position, velocity, acceleration = prediction.sample[1:4]
         outside = bool(_is_outside(position, velocity, acceleration, mean, scale))
         if not (outside or self._whole.gathered or self._draft.gathered):
             return False

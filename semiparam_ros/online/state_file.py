@@ -24,9 +24,10 @@ from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.online.worker import Known, known_of, new_estimator
+from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 17
+FORMAT, VERSION = 'semiparam_ros state', 18
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
@@ -35,8 +36,11 @@ ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'ho
 MEMBER_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
 """Groups of arrays of each variant averaged with the first one."""
 
-FIXED = ('outputs', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')
+FIXED = ('outputs', 'temperatures', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')
 """Parameters that cannot change while a node runs, and so must agree."""
+
+MAY_BE_UNKNOWN = ('meta', 'history.temperature')
+"""Arrays that are texts, or hold NaN for what is not known."""
 
 
 Arrays: TypeAlias = dict[str, Array | Stamps | Mask | Codes]
@@ -227,7 +231,7 @@ def _require_file(path: Path) -> None:
 
 def _require_finite(what: str, arrays: Mapping[str, Array | Stamps | Mask | Codes]) -> None:
     for name, values in arrays.items():
-        if name != 'meta' and not np.isfinite(values).all():
+        if name not in MAY_BE_UNKNOWN and not np.isfinite(values).all():
             raise SemiparamError(f"{what} holds a value in '{name}' that is not finite.")
 
 
@@ -247,9 +251,9 @@ def _check_robot(path: Path, arrays: Mapping[str, Array], meta: Mapping[str, Any
         raise SemiparamError(f'{path} is of another robot, with the joints {", ".join(meta["joints"])}; expected '
                              f'{", ".join(body.joints)}.')
     for name in FIXED:
-        if meta['settings'][name] != settings.mapping()[name]:
-            raise SemiparamError(f'{path} was learnt with {name} {meta["settings"][name]}; this node has '
-                                 f'{settings.mapping()[name]}.')
+        given, own = meta['settings'][name], settings.mapping()[name]
+        if given != (list(own) if isinstance(own, tuple) else own):
+            raise SemiparamError(f'{path} was learnt with {name} {shown(given)}; this node has {shown(own)}.')
     ours = probe(body)
     if arrays['probe'].shape != ours.shape or not np.allclose(arrays['probe'], ours, rtol=1e-9, atol=1e-9):
         raise SemiparamError(f'{path} is of another robot: its description, outputs, sensor frame or wrench convention '

@@ -29,6 +29,7 @@ from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Axis, place
+from semiparam_ros.effects.temperature import REFERENCE_C, temperature_of
 from semiparam_ros.effects.terms import variable_values
 from semiparam_ros.report.html import FAINT, INK, page_style
 
@@ -120,6 +121,12 @@ def _phase(effect: Effect, fit: Fit) -> Variable:
     return Variable(f'phase at {frequency:.3g} Hz [cycles]', np.mod(frequency * fit.samples.time, 1.0))
 
 
+def _temperature(effect: Effect, fit: Fit) -> Variable:
+    values = temperature_of(fit.body, fit.samples, effect.where)
+    known = np.where(np.isnan(values), effect.value('reference_c', REFERENCE_C), values)
+    return Variable(f'temperature of {effect.where or "the sensor"} [deg C]', known)
+
+
 def _any(effect: Effect, fit: Fit) -> list[Variable]:
     return [_time(fit), *(variable for role in ('position', 'velocity', 'acceleration')
                           for variable in _joints(effect, fit, role))]
@@ -133,6 +140,7 @@ def _predicted(fit: Fit) -> Array:
 VARIABLES: dict[Axis, Callable[[Effect, Fit, int], list[Variable]]] = {
     'any': lambda effect, fit, channel: _any(effect, fit),
     'time': lambda effect, fit, channel: [_time(fit)],
+    'temperature': lambda effect, fit, channel: [_temperature(effect, fit)],
     'position': lambda effect, fit, channel: _joints(effect, fit, 'position'),
     'velocity': lambda effect, fit, channel: _joints(effect, fit, 'velocity'),
     'acceleration': lambda effect, fit, channel: _joints(effect, fit, 'acceleration'),

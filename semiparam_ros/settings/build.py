@@ -31,10 +31,11 @@ def build_estimator(settings: Table, robot_description: str | None = None, origi
 def build_rigid_body(settings: Table, robot_description: str | None = None) -> RigidBody:
     """The rigid-body regressor of the moving joints."""
     urdf = description.robot_description(settings, robot_description)
+    joints = description.moving_joints(settings, urdf)
+    description.check_temperatures(settings, joints)
     locked = dict(zip(settings.locked_joints_names, settings.locked_joints_positions, strict=True))
-    return RigidBody.from_urdf(urdf, description.moving_joints(settings, urdf), settings.outputs,
-                               settings.sensor_frame or None, settings.wrench_convention, locked,
-                               settings.output_joints)
+    return RigidBody.from_urdf(urdf, joints, settings.outputs, settings.sensor_frame or None,
+                               settings.wrench_convention, locked, settings.output_joints)
 
 
 def model_options(settings: Table) -> ModelOptions:

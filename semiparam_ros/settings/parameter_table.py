@@ -174,6 +174,10 @@ class Table:
     output_joints: tuple[str, ...] = declare(
         'output_joints', (), 'Of joints, those whose efforts are predicted; the others, such as a passive one or a '
         'gripper, are inputs only, and their efforts may be missing. With outputs effort alone. Empty: all of them.')
+    temperatures: tuple[str, ...] = declare(
+        'temperatures', (), 'Whose temperatures are taken from the topic temperature, by the frame_id of its messages: '
+        'joints, where efforts are predicted; with a wrench one name, that of its sensor there. Empty: none, and the '
+        'topic is not listened to.')
     wrench_convention: str = declare(
         'wrench_convention', 'action', 'Whether the measured wrench acts on the distal links (action) or is their '
         'reaction on the sensor (reaction).', choices=('action', 'reaction'))

@@ -55,6 +55,13 @@ def output_joints(settings: Table, joints: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in joints if name in (settings.output_joints or joints))
 
 
+def check_temperatures(settings: Table, joints: Sequence[str]) -> None:
+    """Raise SemiparamError when ``temperatures`` names what is none of the joints, where efforts are predicted."""
+    for name in settings.temperatures if settings.outputs == 'effort' else ():
+        if name not in joints:
+            raise SemiparamError(f"temperatures names '{name}'; expected some of the joints {', '.join(joints)}.")
+
+
 def resolved(name: str) -> Path:
     """A path from ``package://PACKAGE/PATH``, or from a plain one (with ~).
 

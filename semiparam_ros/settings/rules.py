@@ -62,6 +62,17 @@ def output_joints_are_joints(table: Table) -> str | None:
     return None
 
 
+def temperatures_are_distinct(table: Table) -> str | None:
+    """Effects know a joint's temperature by the joint, and a sensor's because there is one."""
+    names = table.temperatures
+    if (repeated := _repeated(names)) is not None:
+        return f"temperatures holds '{repeated}' twice; expected distinct names."
+    if table.outputs == 'wrench' and len(names) > 1:
+        return (f'temperatures holds {len(names)} names; with outputs wrench expected one, the frame_id of the '
+                "sensor's temperature, or none.")
+    return None
+
+
 def locked_joints_have_positions(table: Table) -> str | None:
     """One position for each name."""
     names, positions = table.locked_joints_names, table.locked_joints_positions
@@ -146,9 +157,9 @@ def state_file_is_a_plain_name(table: Table) -> str | None:
 
 RULES: tuple[Callable[[Table], str | None], ...] = (
     sensor_frame_is_named, one_robot_description, joints_are_distinct, output_joints_are_joints,
-    locked_joints_have_positions, features_come_in_pairs, shadow_variants_are_distinct, hyperparameters_have_sizes,
-    input_scaling_is_whole, hyperparameters_suffice, given_hyperparameters_know_their_features, effects_are_known,
-    state_file_is_a_plain_name)
+    temperatures_are_distinct, locked_joints_have_positions, features_come_in_pairs, shadow_variants_are_distinct,
+    hyperparameters_have_sizes, input_scaling_is_whole, hyperparameters_suffice,
+    given_hyperparameters_know_their_features, effects_are_known, state_file_is_a_plain_name)
 
 
 def broken_rule(table: Table) -> str | None:

@@ -31,7 +31,8 @@ class Scenario:
     :param baseline: ``none`` (nothing else is missing) or ``bundled`` (a few small unmodelled effects more).
     :param noise: scale of the outputs' noise, 2 % of their standard deviation at 1.
     :param noise_correlation_s: time over which the outputs' noise is correlated [s]; 0 for white noise.
-    :param encoder_noise: scale of the noise of positions, velocities and accelerations.
+    :param encoder_noise: scale of the noise of positions, velocities, accelerations and temperatures.
+    :param temperatures: of the joints, or of a wrench's sensor, are recorded; always where a hidden cause needs them.
     :param home: posture [rad] that circles go around.
     """
 
@@ -51,6 +52,7 @@ class Scenario:
     noise_correlation_s: float = 0.0
     encoder_noise: float = 1.0
     accelerations: bool = True
+    temperatures: bool = False
     home: tuple[float, ...] | None = None
 
 
@@ -59,6 +61,7 @@ class SimulatedRecording:
     """N samples as a robot's topics would give them, and the truth behind them.
 
     ``stamps`` (N,) [ns]; ``position``, ``velocity``, ``acceleration`` (N, n_joints) [rad, rad/s, rad/s^2];
+    ``temperature`` (N, n_joints), of a wrench's sensor (N, 1) [deg C], the newest reading at each stamp, or None;
     ``outputs`` (N, n) [N, N m]; ``noise_std`` (n,) is the standard deviation of the outputs' white noise.
     ``truth`` lists the requested effects, ``baseline_truth`` what the baseline adds: dicts with ``kind``, ``where``,
     ``start_s``, ``size``, ``rms_share``, ``unexplained_share`` and ``parameters`` (name -> value and unit).
@@ -77,3 +80,11 @@ class SimulatedRecording:
     noise_std: Array
     truth: tuple[dict[str, Any], ...]
     baseline_truth: tuple[dict[str, Any], ...]
+    temperature: Array | None = None
+
+    @property
+    def temperatures(self) -> tuple[str, ...]:
+        """Whose they are: the joints, or the frame of the sensor."""
+        if self.temperature is None:
+            return ()
+        return self.joint_names if self.outputs_kind == 'effort' else (self.frame_id,)

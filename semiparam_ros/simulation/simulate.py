@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.signal import lfilter
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.arm import Arm
-from semiparam_ros.simulation.causes import cause_of
+from semiparam_ros.simulation.causes import CAUSES, cause_of
 from semiparam_ros.simulation.hiding import (
     REFERENCE_HZ,
     REFERENCE_MOTION,
@@ -24,6 +25,7 @@ from semiparam_ros.simulation.motions import Homes, trajectory
 from semiparam_ros.simulation.robots import arm_of, homes_of, varied
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario, SimulatedRecording
 from semiparam_ros.simulation.trajectory import Instants
+from semiparam_ros.simulation.warming import readings, warming
 from semiparam_ros.simulation.world import World
 
 MIN_SAMPLES = 10
@@ -114,19 +116,23 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
     that adding an effect changes neither the motion nor the noise.
     """
     check(scenario)
-    moving, measuring, causing, warming = np.random.default_rng(scenario.seed).spawn(4)
+    moving, measuring, causing, inside, heating = np.random.default_rng(scenario.seed).spawn(5)
     building, inheriting, mounting = robot_generators(scenario)
     arm = varied(arm_of(scenario), building)
     homes = homes_of(scenario, arm)
     bare = moved(arm, scenario.motion, scenario.samples, scenario.rate_hz, homes, moving)
     scale = output_scale(bare)
+    if scenario.temperatures or any(CAUSES[effect.kind].by_temperature for effect in scenario.effects):
+        bare = bare.changed(temperature=warming(arm.n_joints if arm.outputs == 'effort' else 1, bare.duration, heating))
     world, extra = bare, list[dict[str, Any]]()
     if scenario.baseline == 'bundled':
         reference = moved(arm, REFERENCE_MOTION, round(REFERENCE_S * REFERENCE_HZ), REFERENCE_HZ, homes, inheriting)
-        world, extra = with_baseline(bare, reference, scale, inheriting, warming)
+        world, extra = with_baseline(bare, reference, scale, inheriting, inside)
     world, truth = add_effects(world, scenario.effects, scale, causing)
     offset = constant_offset(mounting) if arm.outputs == 'wrench' else np.zeros(arm.n_joints)
-    return measured(scenario, world, offset, scale, measuring, truth, extra)
+    found = measured(scenario, world, offset, scale, measuring, truth, extra)
+    return found if world.temperature is None else replace(
+        found, temperature=readings(world.temperature, world.times, scenario.encoder_noise, heating))
 
 
 def robot_generators(scenario: Scenario) -> list[np.random.Generator]:

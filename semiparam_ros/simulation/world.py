@@ -13,6 +13,7 @@ import pinocchio as pin
 from semiparam_ros.core.types import Array
 from semiparam_ros.simulation.arm import Arm
 from semiparam_ros.simulation.trajectory import Instants, Trajectory
+from semiparam_ros.simulation.warming import Temperature
 
 Change: TypeAlias = Callable[['World', Instants, Array], Array]
 """Takes the motion and the outputs (N, n) so far, returns the outputs with one more cause in them."""
@@ -32,7 +33,8 @@ class World:
 
     ``joint_shift`` (n_joints,) [rad] is the true position minus the reported one; ``delay_s`` is how late the outputs
     are. ``mechanical`` changes are forces on the arm, ``sensing`` ones belong to the sensor; each in order. ``before``
-    is the world with fewer of them, whose outputs need not be computed again.
+    is the world with fewer of them, whose outputs need not be computed again. ``temperature`` is that of the joints, or
+    of the sensor of a wrench; None where nobody asks.
     """
 
     arm: Arm
@@ -43,6 +45,7 @@ class World:
     bodies: tuple[Body, ...] = ()
     mechanical: tuple[Change, ...] = field(default=())
     sensing: tuple[Change, ...] = field(default=())
+    temperature: Temperature | None = None
     before: World | None = field(default=None, repr=False, compare=False)
 
     @property

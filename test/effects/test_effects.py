@@ -33,7 +33,7 @@ from semiparam_ros.simulation.simulate import simulate
 from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR
 from support.effect_cases import BODIES, CASES, MOTION, NAMES
 
-UNITS = {'N', 'm', 'kg', 's', 'rad', 'Hz', 'or'}
+UNITS = {'N', 'm', 'kg', 's', 'rad', 'Hz', 'K', 'or'}
 START_S = 1.0
 SMALL = 0.01
 UNSEEN = ('joint_offset', 'lift')
@@ -146,12 +146,12 @@ def test_both_outputs_have_the_kinds_that_the_design_lists():
     both = {'payload', 'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'periodic_disturbance',
             'terms', 'gear_coupling', 'velocity_filter'}
     assert set(kinds('wrench')) == both | {
-        'sensor_offset', 'sensor_drift', 'thermal_drift', 'sensor_gain', 'sensor_crosstalk', 'sensor_misalignment',
-        'viscous_drag', 'quadratic_drag', 'cable_spring', 'cable_hysteresis'}
+        'sensor_offset', 'sensor_drift', 'thermal_drift', 'temperature_drift', 'sensor_gain', 'sensor_crosstalk',
+        'sensor_misalignment', 'viscous_drag', 'quadratic_drag', 'cable_spring', 'cable_hysteresis'}
     assert set(kinds('effort')) == both | {
         'viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmetric_friction', 'load_friction',
         'rotor_inertia', 'joint_spring', 'effort_offset', 'effort_gain', 'transmission_ripple', 'backlash',
-        'common_gain', 'sensor_nonlinearity'}
+        'common_gain', 'sensor_nonlinearity', 'temperature_friction'}
 
 
 @pytest.mark.parametrize(('outputs', 'effect'), [case for case in CASES if case[1].where], ids=[
@@ -329,7 +329,7 @@ def late_and_uneven() -> Samples:
     at = np.minimum(np.arange(len(steps)), len(MOTION) - 1)
     still = np.where(np.arange(len(steps)) < len(MOTION), 1.0, 0.0)[:, None]
     return Samples(ORIGIN + 10**14 + np.cumsum(steps), MOTION.position[at], still * MOTION.velocity[at],
-                   still * MOTION.acceleration[at], MOTION.outputs[at], ORIGIN)
+                   still * MOTION.acceleration[at], MOTION.outputs[at], ORIGIN, temperature=MOTION.temperature[at])
 
 
 @pytest.mark.parametrize(('outputs', 'effect'), CASES, ids=NAMES)
@@ -516,6 +516,10 @@ def crosstalk(parameters: dict) -> dict[str, float]:
             if i != j}
 
 
+def reference(parameters: dict) -> dict[str, float]:
+    return {'reference_c': parameters['reference_c']['value']}
+
+
 def same(*names: str):
     """Coefficients that both call by these names, in this order."""
     return lambda parameters: [value for name in names for value in vector(parameters, name)]
@@ -549,6 +553,8 @@ COLUMNS = {
                                      'presliding_stuck': 1e-3 * (1.0 + p['stiction']['value'] / p['coulomb']['value'])},
                           same('coulomb', 'stiction'), 2.0 * EXACT),
     'backlash': (lambda p: {'gap': p['gap']['value'], 'flank': 0.1 * p['gap']['value']}, same('torque'), EXACT),
+    'temperature_friction': (reference, same('viscous', 'viscous_per_kelvin'), EXACT),
+    'temperature_drift': (reference, same('drift'), EXACT),
     'asymmetric_friction': (lambda p: BRISTLE, same('coulomb_forward', 'coulomb_backward', 'viscous_forward',
                                                  'viscous_backward'), EXACT),
 }
@@ -599,7 +605,7 @@ def acting(table: dict) -> list[tuple[str, str]]:
 def simulated(kind: str, outputs: str, rate_hz: float = 20.0):
     """The same motion without noise, with the cause and without: body, samples without, difference, truth."""
     scenario = Scenario(motion='circle_xy', samples=600, rate_hz=rate_hz, outputs=outputs, noise=0.0,
-                        encoder_noise=0.0, seed=3,
+                        encoder_noise=0.0, seed=3, temperatures=True,
                         effects=(EffectRequest(kind, size=2.0),))  # far above the converter's step
     changed, plain = simulate(scenario), simulate(replace(scenario, effects=()))
     np.testing.assert_array_equal(changed.position, plain.position)
@@ -615,7 +621,8 @@ def test_columns_times_true_coefficients_are_what_the_simulator_adds(kind, outpu
     shape, coefficients, accuracy = COLUMNS[kind]
     """Friction turns over between two samples, at which a bristle is bent more or less; at the first sample it
     has a past."""
-    body, samples, difference, truth = simulated(kind, outputs)
+    rate_hz = 1.0 if kind.startswith('temperature') else 20.0  # it is read once a second
+    body, samples, difference, truth = simulated(kind, outputs, rate_hz)
     parameters = truth['parameters']
     start = {} if truth['start_s'] is None else {'start_s': truth['start_s']}
     effect = kinds()[kind].from_values(truth['where'], {**shape(parameters), **start}, rigid_body_of(body, samples))

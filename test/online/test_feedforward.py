@@ -11,8 +11,10 @@ from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.robot.feedforward import described, desired, joint_torques
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.effects import kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.feedforward import STATUS, Feedforward, status
+from support.arms import smooth_motion
 from support.effect_cases import BODIES, CASES, MOTION, NAMES
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, URDF, motion
@@ -46,7 +48,8 @@ def learnt(outputs, effect):
         estimator = Estimator(body, ModelOptions(variant='P', initial_samples=1000), [effect])
         for sample in list(MOTION)[:20]:
             row = [values[:body.n_joints] for values in sample[1:4]]
-            estimator.step(Sample(sample.stamp, *row, body.regressor(*row) @ body.base_parameters + 0.1))
+            outputs = body.regressor(*row) @ body.base_parameters + 0.1
+            estimator.step(Sample(sample.stamp, *row, outputs, sample.temperature))
         LEARNT[place] = estimator
     return LEARNT[place]
 
@@ -65,6 +68,26 @@ def test_every_effect_and_every_state(case, values):
         else:
             assert np.isfinite(row).all()
             assert_safe(body, found)
+
+
+def test_a_desired_state_is_as_warm_as_the_newest_sample():
+    body, number, velocity = BODIES['effort'], 2, np.array([0.1, -0.2, 0.7, 0.3])
+    effect = kinds()['temperature_friction'](body.joints[number], options={'reference_c': 30.0})
+    estimator = Estimator(body, ModelOptions(variant='P', initial_samples=1000, forgetting=1.0), [effect])
+    for sample in smooth_motion(4, 400):
+        friction = np.zeros(4)
+        warmth = np.full(4, 30.0 + (sample.stamp % 10**9) * 1e-8)
+        friction[number] = (3.0 - 0.2 * (warmth[number] - 30.0)) * sample.velocity[number]
+        estimator.step(sample._replace(temperature=warmth, outputs=friction + body.regressor(*sample[1:4])
+                                       @ body.base_parameters))
+    found = {}
+    for warmth in (30.0, 40.0, np.nan):
+        estimator.step(sample._replace(temperature=np.full(4, warmth), outputs=np.zeros(4)), learn=False)
+        found[warmth] = desired(estimator, np.zeros(4), velocity, np.zeros(4)).outputs
+    expected = np.zeros(4)
+    expected[number] = -0.2 * 10.0 * velocity[number]
+    np.testing.assert_allclose(found[40.0] - found[30.0], expected, atol=0.02)
+    np.testing.assert_allclose(found[np.nan], found[30.0], atol=1e-12)
 
 
 def test_the_cases_are_of_every_effect():

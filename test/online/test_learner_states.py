@@ -31,7 +31,8 @@ SMALL = replace(SETTINGS, features_count=4, initial_samples=20, horizon_length=3
 MOTION = motion(400)
 VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS', 'auto')
 EFFECTS = ('sensor_drift', 'payload@ft', 'payload@ft{"start_s": 0.5}', 'time_delay{"delay_s": 0.005}',
-           'sensor_gain{"fx": 0.1}', 'periodic_disturbance{"frequency_hz": 1.3}', 'viscous_drag@ft')
+           'temperature_drift', 'sensor_gain{"fx": 0.1}', 'periodic_disturbance{"frequency_hz": 1.3}',
+           'viscous_drag@ft')
 FAST = [sample._replace(velocity=8.0 * sample.velocity, acceleration=64.0 * sample.acceleration,
                         outputs=BODY.regressor(sample.position, 8.0 * sample.velocity, 64.0 * sample.acceleration)
                         @ (1.2 * BODY.base_parameters)) for sample in MOTION]
@@ -45,13 +46,13 @@ class Lives(RuleBasedStateMachine):
         super().__init__()
         self.background = DelayedBackground()
         self.offered, self.answers, self.given, self.saved = [], [], [], []
-        self.stamp, self.place = MOTION[0].stamp, 0
+        self.stamp, self.place, self.warmth = MOTION[0].stamp, 0, np.nan
         self.learner, self.feedforward = None, Feedforward()
         self.kept = False  # hyperparameters of a draft, as the window after it failed
 
     @initialize(count=st.sampled_from([4, 'auto']), every=st.sampled_from([1, 3]), gain=st.sampled_from([0.0, 0.1]))
     def begin(self, count=4, every=1, gain=0.0):
-        settings = replace(SMALL, features_count=count, learn_every=every, learn_least_gain=gain)
+        settings = replace(SMALL, temperatures=('ft',), features_count=count, learn_every=every, learn_least_gain=gain)
         self.learner = Learner(settings, BODY, self.background, self)
 
     # What the learner tells
@@ -87,7 +88,7 @@ class Lives(RuleBasedStateMachine):
     def offer(self, sample):
         self.stamp += PERIOD_NS
         self.place += 1
-        sample = sample._replace(stamp=self.stamp)
+        sample = sample._replace(stamp=self.stamp, temperature=np.array([self.warmth]))
         self.offered.append(sample.stamp)
         self.learner.offer(sample)
 
@@ -115,6 +116,11 @@ class Lives(RuleBasedStateMachine):
         for _ in range(count):
             self.offer(MOTION[self.place % len(MOTION)]._replace(
                 position=MOTION[7].position, outputs=MOTION[7].outputs + 0.01 * rng.standard_normal(6)))
+
+    @rule(warmth=st.sampled_from([20.0, 21.5, 40.0]))
+    def warms(self, warmth):
+        """A temperature comes; before the first, none is known."""
+        self.warmth = warmth
 
     @rule(jump=st.sampled_from([-YEAR_NS, -10**10, 2 * 3600 * 10**9, YEAR_NS]))
     def clock_jumps(self, jump):
@@ -245,7 +251,7 @@ class Lives(RuleBasedStateMachine):
         if known and any(learning == Learning.AFTER_CHANGE for _, learning in self.given):
             return  # a later window's model learns nothing from before a change
         for sample in MOTION[::80]:
-            sample = sample._replace(stamp=self.stamp + PERIOD_NS)
+            sample = sample._replace(stamp=self.stamp + PERIOD_NS, temperature=np.array([self.warmth]))
             expected, found = fresh.predict(sample), learner.estimator.predict(sample)
             np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-6, atol=1e-6)
             np.testing.assert_allclose(found.std, expected.std, rtol=1e-6, atol=1e-6)

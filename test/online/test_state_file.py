@@ -1,6 +1,7 @@
 """Saved states: a learner that goes on from one was never interrupted, and no other file is touched."""
 
 import json
+import math
 import os
 import pickle
 import threading
@@ -99,17 +100,17 @@ SCRATCH = {
 
 
 LAYOUT = {
-    17: {
+    18: {
         'meta': 'format gate joints known memory newest origin others passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
-                    'horizon.length initial.samples noise outputs variant',
+                    'horizon.length initial.samples noise outputs temperatures variant',
         'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)', 'inputs_learnt': 'f8 (2, 6)',
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
         'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'i1 (70,)',
-        'history.origin': 'i8 ()',
+        'history.origin': 'i8 ()', 'history.temperature': 'f8 (70, 0)',
         'recursion.array': 'f8 (178, 40)', 'recursion.left': 'f8 (8, 40)', 'recursion.right': 'f8 (8, 178)',
         'recursion.places': 'i8 (138,)', 'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()',
         'recursion.renewed': 'i8 (3,)', 'recursion.memory': 'f8 ()', 'recursion.compared': 'f8 (3,)',
@@ -163,6 +164,21 @@ def test_a_number_of_features_chosen_by_itself_is_kept_by_a_state_of_a_state(tmp
     stage.learner.change(settings)
     state_file.save(tmp_path / 's.npz', stage.learner.state())
     assert state_file.load(tmp_path / 's.npz', settings, BODY).estimator.features_count == chosen
+
+
+def test_temperatures_are_kept_and_must_be_those_of_the_node(tmp_path):
+    """Those that are not known as well."""
+    warm = replace(SETTINGS, temperatures=('ft',), effects=('temperature_drift',))
+    samples = [sample._replace(temperature=np.array([math.nan if index < 20 else 20.0 + 0.1 * index]))
+               for index, sample in enumerate(motion(70))]
+    stage = stage_of(warm, samples)
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    found = state_file.load(tmp_path / 's.npz', warm, BODY)
+    np.testing.assert_array_equal(found.batch.samples.temperature[:, 0], [each.temperature[0] for each in samples])
+    for sample, (kept, _) in zip(samples, found.batch.pairs(), strict=True):
+        np.testing.assert_array_equal(kept.temperature, sample.temperature)
+    with pytest.raises(SemiparamError, match=r"was learnt with temperatures \['ft'\]; this node has \[\]"):
+        state_file.load(tmp_path / 's.npz', replace(warm, temperatures=()), BODY)
 
 
 def test_other_versions_are_refused(tmp_path):

@@ -216,6 +216,7 @@ def test_what_no_kind_explains_has_a_section_with_its_formulas(clean):
 # --- against what a residual is drawn ---
 
 MOTION = smooth_motion(4, 200)
+MOTION = replace(MOTION, temperature=30.0 + MOTION.time[:, None] * np.ones(4))
 BODIES = {'wrench': icub(), 'effort': RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')}
 LABELS = {
     'payload': 'time', 'sensor_drift': 'time', 'thermal_drift': 'time', 'sensor_offset': 'time',
@@ -227,7 +228,8 @@ LABELS = {
     'effort_gain': 'predicted', 'common_gain': 'predicted', 'sensor_nonlinearity': 'predicted',
     'gear_coupling': 'position of', 'sensor_gain': 'predicted', 'sensor_crosstalk': 'predicted',
     'sensor_misalignment': 'predicted', 'time_delay': 'rate of change', 'periodic_disturbance': 'phase',
-    'viscous_drag': 'velocity of', 'quadratic_drag': 'velocity of'}
+    'viscous_drag': 'velocity of', 'quadratic_drag': 'velocity of', 'temperature_drift': 'temperature of',
+    'temperature_friction': 'velocity of'}
 
 
 def state_of(outputs):

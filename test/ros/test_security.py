@@ -61,7 +61,7 @@ def play_until_shadows(client, samples, variants):
 
 @pytest.mark.slow
 def test_the_policy_names_exactly_what_live_nodes_read_write_and_serve(ros_domain, tmp_path, repository):
-    """A wrench model with every variant as a shadow, then one of efforts that follows a simulated clock."""
+    """A wrench model with every variant as a shadow; then efforts with temperatures, on a simulated clock."""
     params = tmp_path / 'p.yaml'
     dump_params(replace(LIVE, variant='P', shadow_variants=tuple(name for name in CHOICES if name != 'P')), params)
     samples = iter(motion(3000))
@@ -76,7 +76,7 @@ def test_the_policy_names_exactly_what_live_nodes_read_write_and_serve(ros_domai
         assert result.successful
         play_until_shadows(client, samples, set(CHOICES))
         wrench = offered(client)
-    dump_params(replace(LIVE, outputs='effort', sensor_frame=''), params)
+    dump_params(replace(LIVE, outputs='effort', sensor_frame='', temperatures=JOINTS), params)
     with NodeProcess(tmp_path, params, '-p', 'use_sim_time:=true'), Client() as client:
         client.connect('effort')
         effort = offered(client)

@@ -126,6 +126,7 @@ BROKEN = {
     'one_robot_description': {'robot_description': '<robot/>', 'robot_description_file': 'a.urdf'},
     'joints_are_distinct': {'joints': ['a', 'a']},
     'output_joints_are_joints': {'output_joints': ['a']},
+    'temperatures_are_distinct': {'temperatures': ['ft', 'other']},
     'locked_joints_have_positions': {'locked_joints.names': ['a']},
     'features_come_in_pairs': {'features.count': 3},
     'shadow_variants_are_distinct': {'shadow_variants': ['P', 'P']},

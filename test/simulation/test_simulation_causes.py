@@ -12,10 +12,11 @@ from semiparam_ros.simulation.fine_states import bouc_wen, bristle, play
 
 WRENCH = ('payload', 'sensor_offset', 'sensor_drift', 'thermal_drift', 'sensor_gain', 'sensor_crosstalk',
           'sensor_misalignment', 'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'viscous_drag',
-          'quadratic_drag', 'cable_spring', 'cable_hysteresis', 'periodic_disturbance')
+          'quadratic_drag', 'cable_spring', 'cable_hysteresis', 'periodic_disturbance', 'temperature_drift')
 EFFORT = ('viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmetric_friction', 'load_friction',
           'rotor_inertia', 'joint_spring', 'effort_offset', 'effort_gain', 'transmission_ripple', 'backlash', 'payload',
-          'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'periodic_disturbance')
+          'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'periodic_disturbance',
+          'temperature_friction')
 QUIET = {outputs: Scenario(motion='fourier', samples=500, outputs=outputs, seed=4, noise=0.0)
          for outputs in ('wrench', 'effort')}
 CASES = [(outputs, kind) for outputs in QUIET for kind in kinds(outputs)]

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -72,6 +72,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'horizon': (25, 1, 200),
     'motion': ('filtered', 'measured', 'missing'),
     'still': ('none', 'noisy', 'exact'),
+    'temperatures': ('none', 'measured'),
     'background': ('delayed', 'inline'),
 }
 """What is not a parameter's value:
@@ -81,6 +82,7 @@ asked: for the outputs; auto leaves them to the sensor's frame.
 start: of the effect; none, in seconds since the start of the recording, or as a stamp.
 motion: velocities and accelerations measured; accelerations filtered from the velocities; velocities missing, filtered
 from the positions.
+temperatures: none, or of the sensor (of the last joint), which are not known in the first second.
 still: the robot stands still for some seconds first, with the sensor's noise or without any: none of it may count.
 background: hyperparameters are estimated at once, or while further samples come and the provisional model answers.
 """
@@ -101,6 +103,7 @@ IMPOSSIBLE: dict[tuple[str, str, str], str] = {
 
 WINDOW = 24
 PERIOD_NS, START_NS = 10_000_000, 5_000_000_000
+WARMER_EVERY_NS = 500_000_000
 CONTACT_EVERY_S, CONTACT_S = 20.0, 0.4
 RUN_BACKGROUND_EVERY = 25
 KNOWN_AFTER = 1500
@@ -185,6 +188,7 @@ def all_values(kind: type[Effect], where: str | None, body: RigidBody) -> dict[s
         return {'time*abs(dq_a)': 1.2, 'bump(q_b,0.1,0.3)': 1.0, 'q_a^2*sin(q_b)': 0.3}
     moving = samples_of(raw_motion('wrench', 'none', 400), Settings(sensor_frame='ft'), 'wrench', 'measured')
     motion = Samples.from_list(moving)
+    motion = replace(motion, temperature=30.0 + motion.time[:, None] * np.ones(body.n_joints))
     residual = np.random.default_rng(0).standard_normal((len(motion), body.n_outputs))
     found = kind.searches(body, motion, where, residual)
     small = dict.fromkeys((name for name, _ in kind.calibrations), 0.01)
@@ -199,6 +203,7 @@ def settings_of(row: Row, count: int) -> Settings:
         'robot_description': URDF, 'joints': list(JOINTS), 'sensor_frame': 'ft' if wrench else '',
         'outputs': row['outputs'] if row['asked'] == 'by name' else 'auto',
         'output_joints': output_joints_of(row['outputs'], row['efforts']), 'variant': row['variant'],
+        'temperatures': [] if row['temperatures'] == 'none' else ['ft'] if wrench else JOINTS[-1:],
         'effects': [effect_to_text(effect)] if effect else [], 'forgetting': row['forgetting'], 'noise': row['noise'],
         'features.length_scales': row['length_scales'], 'features.count': row['features'],
         'learn.every': row['learn_every'], 'learn.least_gain': row['least_gain'], 'initial.samples': WINDOW,
@@ -256,6 +261,9 @@ def samples_of(motion: Motion, settings: Settings, outputs: str, source: str, bu
             found += stream.accelerations(stamp, JOINTS, acceleration)
         for stamp, _, _, _, measured in part if outputs == 'wrench' else ():
             found += stream.wrench(stamp + late, 'ft', measured)
+        for stamp, *_ in part:
+            if settings.temperatures and stamp % WARMER_EVERY_NS == 0:
+                stream.temperature(stamp, settings.temperatures[0], 20.0 + 1e-9 * stamp)
     assert not stream.faults, stream.last_fault
     return found
 
@@ -431,7 +439,7 @@ def check(row: Row, count: int) -> dict[str, object]:
 
 def assert_same_samples(one: list[Sample], other: list[Sample]) -> None:
     for mine, theirs in itertools.zip_longest(zip(*one, strict=True), zip(*other, strict=True)):
-        assert np.array_equal(mine, theirs), 'samples depend on how topics interleave'
+        assert np.array_equal(mine, theirs, equal_nan=True), 'samples depend on how topics interleave'
 
 
 def assert_finite(record: Record, largest: float = LARGEST_PREDICTION) -> None:

@@ -16,7 +16,9 @@ SHARE = 0.2
 """Of its own mass, what an arm may carry, and of its own weight, what its gears may rub with."""
 LEAST_PART = 0.3
 """Of the whole arm, what counts beyond a joint at least: friction of a wrist does not come from the hand's weight."""
-_PART = re.compile(r'(kg|N|m|s|rad|Hz)(?:\^(\d))?')
+WARMING = 10.0
+"""[K] over which what depends on a temperature may change by as much as it is."""
+_PART = re.compile(r'(kg|N|m|s|rad|Hz|K)(?:\^(\d))?')
 
 
 class Size(NamedTuple):
@@ -64,7 +66,7 @@ def plausible(unit: str, size: Size) -> float:
 
 
 def _of(product: str, size: Size) -> float:
-    basis = {'kg': SHARE * size.mass, 'N': SHARE * size.weight, 'm': size.length}
+    basis = {'kg': SHARE * size.mass, 'N': SHARE * size.weight, 'm': size.length, 'K': WARMING}
     value = 1.0
     for name, power in _PART.findall(product):
         value *= basis.get(name, 1.0) ** int(power or 1)

@@ -197,4 +197,5 @@ def averaged(samples: Samples, factor: int) -> Samples:
     middle = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
     return Samples(middle, mean(samples.position), mean(samples.velocity), mean(samples.acceleration),
                    mean(samples.outputs), samples.origin, samples.breaks,
-                   averaged_s=factor * float(np.median(np.diff(samples.stamps))) * 1e-9)
+                   averaged_s=factor * float(np.median(np.diff(samples.stamps))) * 1e-9,
+                   temperature=mean(samples.temperature))

@@ -42,7 +42,8 @@ def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
         for where in kind.places(body):
             if (name, where) not in declared:
                 searches = kind.searches(body, samples, where, fit.residual)
-                yield Candidate(kind, where, tuple(dict(values) for values in searches))
+                if searches:  # else nothing was recorded that it depends on
+                    yield Candidate(kind, where, tuple(dict(values) for values in searches))
 
 
 def held(effects: Sequence[Effect]) -> set[Place]:

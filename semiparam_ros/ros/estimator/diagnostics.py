@@ -30,6 +30,7 @@ CHECKPOINTS = 'checkpoints'
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENCE_S = 1.0
+TEMPERATURE_SILENCE_S = 60.0
 IMPLAUSIBLE = 3.0
 """Root mean square of standardised innovations above which the model does not describe the robot."""
 
@@ -162,14 +163,21 @@ class InputReport:
                   and now - self._inputs.arrived[topic] > SILENCE_S]
         absent = [topic for topic in self._inputs.needed if topic not in self._inputs.arrived]
         if absent:
-            stream = self._inputs.stream
-            others = f' Ignored: {stream.last_stranger}' if stream and stream.last_stranger else ''
-            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{others}{self._remedy(absent)}', values)
+            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{self._ignored()}{self._remedy(absent)}',
+                          values)
         if silent:
             return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.', values)
         if news > 0:
             return Report(WARN, f'{news} messages refused in the last second: {values["last refusal"]}', values)
+        cold = [name for name, last in self._inputs.temperatures.items() if now - last > TEMPERATURE_SILENCE_S]
+        if cold:
+            return Report(WARN, f'no temperature of {listed(cold)} for more than {TEMPERATURE_SILENCE_S:g} s; answers '
+                                f'go on with the last one.{self._ignored()}', values)
         return Report(OK, 'receiving.', values)
+
+    def _ignored(self) -> str:
+        stream = self._inputs.stream
+        return f' Ignored: {stream.last_stranger}' if stream and stream.last_stranger else ''
 
     def _remedy(self, absent: Sequence[str]) -> str:
         if WRENCH in absent and self._inputs.has_efforts:

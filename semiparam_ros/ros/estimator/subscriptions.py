@@ -14,7 +14,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReli
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
@@ -32,6 +32,7 @@ NEEDED = 5
 
 ROBOT_DESCRIPTION = 'robot_description'
 JOINT_STATES, WRENCH, ACCELERATIONS = 'joint_states', 'wrench', 'joint_accelerations'
+TEMPERATURE = 'temperature'
 
 
 class Stopwatch:
@@ -108,7 +109,8 @@ class Feed(NamedTuple):
 
 FEEDS = {JOINT_STATES: Feed(JointState, readings.JOINT_STATE, joint_state_layout_of),
          WRENCH: Feed(WrenchStamped, readings.WRENCH, wrench_layout_of),
-         ACCELERATIONS: Feed(JointTrajectory, readings.ACCELERATIONS, None)}
+         ACCELERATIONS: Feed(JointTrajectory, readings.ACCELERATIONS, None),
+         TEMPERATURE: Feed(Temperature, readings.TEMPERATURE, None)}
 
 
 class InputsListener(Protocol):
@@ -138,6 +140,8 @@ class Inputs:
         self.counts: Counter[str] = Counter()
         self.stopwatch = Stopwatch()
         self.arrived: dict[str, float] = {}
+        self.temperatures: dict[str, float] = dict.fromkeys(settings.temperatures, time.monotonic())
+        """When the last temperature of each came, or from when on it is waited for."""
         self.has_efforts = False
         """Whether the latest joint state held efforts."""
         self.stream: SampleStream | None = None
@@ -147,7 +151,8 @@ class Inputs:
         self._watch = ClockWatch()
         self._frame_topic = WRENCH if settings.outputs == 'wrench' else JOINT_STATES
         self.topics = [JOINT_STATES, *([WRENCH] if settings.outputs == 'wrench' else []),
-                       *([ACCELERATIONS] if settings.acceleration_source != 'filter' else [])]
+                       *([ACCELERATIONS] if settings.acceleration_source != 'filter' else []),
+                       *([TEMPERATURE] if settings.temperatures else [])]
         self._subscriptions = {topic: self._subscribe(topic, settings.reliability == 'best_effort')
                                for topic in self.topics}
         self._oversized = 0
@@ -159,7 +164,7 @@ class Inputs:
         """Topics without which there are no samples; measured accelerations only where the samples wait for them."""
         waits = self._settings.acceleration_source == 'measured' or (
             self.stream is not None and self.stream.takes_accelerations)
-        return [topic for topic in self.topics if topic != ACCELERATIONS or waits]
+        return [topic for topic in self.topics if topic != TEMPERATURE and (topic != ACCELERATIONS or waits)]
 
     def open(self, joints: tuple[str, ...]) -> None:
         """The joints are known: messages that came before are handed on first."""
@@ -277,11 +282,14 @@ class Inputs:
         backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
         samples = FEEDS[topic].kind.feed(stream, reading.stamp, *reading.fields)
         if stream.faults['backward_stamp'] > backward:
-            self._went_back(topic, reading)
+            if topic != TEMPERATURE:  # of many publishers: what one of them says of the time is not the robot's clock
+                self._went_back(topic, reading)
             return True
         if stream.strangers > strangers:
             return False
         self._watch.accepted(topic)
+        if topic == TEMPERATURE:
+            self.temperatures[reading.frame_id.lstrip('/')] = time.monotonic()
         if topic == JOINT_STATES:
             self.has_efforts = len(reading.fields[-1]) > 0
         if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:

@@ -36,6 +36,7 @@ from semiparam_ros.simulation.causes.sensor import (
     SensorOffset,
     ThermalDrift,
 )
+from semiparam_ros.simulation.causes.temperature import TemperatureDrift, TemperatureFriction
 from semiparam_ros.simulation.causes.unlisted import Bump, DriftingFriction, TwoMassFlexibility
 
 __all__ = ['CAUSES', 'LISTED_KINDS', 'UNLISTED_KINDS', 'Cause', 'Quantity', 'Site', 'cause_of', 'kinds']
@@ -44,7 +45,8 @@ _LISTED: tuple[type[Cause], ...] = (
     Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
     JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
     PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
-    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash)
+    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash, TemperatureDrift,
+    TemperatureFriction)
 _UNLISTED: tuple[type[Cause], ...] = (Bump, DriftingFriction, TwoMassFlexibility)
 
 LISTED_KINDS = tuple(cause.kind for cause in _LISTED)

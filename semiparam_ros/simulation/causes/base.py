@@ -82,7 +82,7 @@ class Cause:
 
     ``apply`` gives the world with it at a magnitude (in the unit of ``typical``, a first guess), ``parameters`` what a
     perfect diagnosis would find. ``start_s`` is None where the cause is there from the beginning. What a ``linear``
-    cause changes is proportional to its magnitude.
+    cause changes is proportional to its magnitude. One ``by_temperature`` needs a world that has temperatures.
     """
 
     where: str | None
@@ -94,6 +94,7 @@ class Cause:
     can_start: ClassVar[bool] = False
     typical: ClassVar[float] = 1.0
     linear: ClassVar[bool] = False
+    by_temperature: ClassVar[bool] = False
 
     @classmethod
     def draw(cls, site: Site) -> Cause:
