@@ -163,10 +163,13 @@ def play(args: argparse.Namespace, environment: dict[str, str], seam: float) -> 
     with (Program(node, environment, folder / 'estimator.log') as estimator,
           Program(record, environment, folder / 'record.log') as recorder):
         recorder.wait_for(lambda: recorder.said('recording'), 'the estimator was found', START_S)
+        say(f'{args.bag.name} is played into the live node; the hyperparameters are estimated from its first '
+            f'{seam:.0f} s.')
         with Program([*replay, folder / 'window.json', '--until', seam], environment) as player:
             player.finish(PLAY_S, beside=(estimator, recorder))
         estimator.wait_for(lambda: estimator.said('has its hyperparameters and takes over'),
                            'its hyperparameters were estimated', PLAY_S)
+        say('they are estimated; the rest is predicted and learnt sample by sample.')
         with Program([*replay, folder / 'replay.json', '--start-offset', seam], environment) as player:
             player.finish(PLAY_S, beside=(estimator, recorder))
         estimator.stop()  # it ends when the recorder has received everything
