@@ -47,8 +47,6 @@ _KEEP = 1.0 - 1.0 / EVIDENCE_MEMORY
 DEGREES = 5.0
 LEAST_LOG_WEIGHT = -6.0
 """The best has 0: who was poor for long still weighs enough to take over within a few samples of a change."""
-ODDS_OF_EFFECTS = 9.0
-"""Before anything is measured: whoever declares an effect has a reason."""
 
 
 class Member(NamedTuple):
@@ -74,37 +72,32 @@ def members_of(variant: str, effects: bool, ready: bool) -> tuple[Member, ...]:
 
 
 class MemberWeights:
-    """Log weights (K, n) of K members for n outputs.
+    """Log weights (K, n) of K members for n outputs; equal at the start."""
 
-    :param odds: (K,) those before anything is measured, in proportion.
-    """
-
-    def __init__(self, odds: Array, n_outputs: int) -> None:
-        self._prior: Array = np.repeat(np.log(odds / odds.max())[:, None], n_outputs, axis=1)
-        self._evidence = np.zeros((len(odds), n_outputs))
-        self.weights: Array = np.repeat((odds / odds.sum())[:, None], n_outputs, axis=1)
+    def __init__(self, n_members: int, n_outputs: int) -> None:
+        self._log_weights = np.zeros((n_members, n_outputs))
+        self.weights: Array = np.full((n_members, n_outputs), 1.0 / n_members)
         """(K, n), which sum to one over the members."""
 
     def learn(self, errors: Array, std: Array) -> None:
         """Take in the errors (K, n) of a sample, and the standard deviations (K, n) that were given to it."""
         if AVAILABLE:
             self.weights = np.empty_like(self.weights)
-            _weigh(errors, std, self._prior, self._evidence, self.weights)
+            _weigh(errors, std, self._log_weights, self.weights)
         else:
             self._learn(errors, std)
 
     def _learn(self, errors: Array, std: Array) -> None:
         ratio = errors / std
-        log_weights = self._prior + _KEEP * self._evidence - np.log(std)
+        log_weights = _KEEP * self._log_weights - np.log(std)
         log_weights -= 0.5 * (DEGREES + 1.0) * np.log1p(ratio * ratio / DEGREES)
-        log_weights = np.maximum(log_weights - log_weights.max(axis=0), LEAST_LOG_WEIGHT)
-        self._evidence[:] = log_weights - self._prior
-        weights = np.exp(log_weights)
+        self._log_weights = np.maximum(log_weights - log_weights.max(axis=0), LEAST_LOG_WEIGHT)
+        weights = np.exp(self._log_weights)
         self.weights = weights / weights.sum(axis=0)
 
     def state(self) -> dict[str, Array]:
         """Copies; :meth:`restore` takes them back bit for bit."""
-        return {'evidence': self._evidence.copy(), 'shares': self.weights.copy()}
+        return {'log_weights': self._log_weights.copy(), 'shares': self.weights.copy()}
 
     def restore(self, state: Mapping[str, Array | Stamps]) -> None:
         """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
@@ -112,7 +105,7 @@ class MemberWeights:
         if any(values.shape != self.weights.shape or not np.isfinite(values).all() for values in found):
             raise SemiparamError(f'the saved weights of the models have shape {found[0].shape}; expected finite '
                                  f'values of shape {self.weights.shape}.')
-        self._evidence, self.weights = found
+        self._log_weights, self.weights = found
 
 
 class AveragedEstimator(Estimator):
@@ -270,10 +263,9 @@ class AveragedEstimator(Estimator):
         self._begin_averaging()
 
     def _begin_averaging(self) -> None:
-        members, n_outputs = self.members, self.body.n_outputs
-        odds = np.array([ODDS_OF_EFFECTS if member.has_effects else 1.0 for member in members])
-        self._weights = MemberWeights(odds, n_outputs)
-        self._horizons = AveragedHorizons(self.options.horizon, n_outputs, len(members))
+        n_members, n_outputs = len(self.members), self.body.n_outputs
+        self._weights = MemberWeights(n_members, n_outputs)
+        self._horizons = AveragedHorizons(self.options.horizon, n_outputs, n_members)
 
     def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
         if not self._others:
@@ -350,22 +342,21 @@ def estimator_of(body: RigidBody, options: ModelOptions, effects: Sequence[Colum
     return kind(body, options, effects, origin, window)
 
 
-@compiled(MATRIX, MATRIX, MATRIX, MATRIX, MATRIX)
-def _weigh(errors: Array, std: Array, prior: Array, evidence: Array, weights: Array) -> None:
+@compiled(MATRIX, MATRIX, MATRIX, MATRIX)
+def _weigh(errors: Array, std: Array, log_weights: Array, weights: Array) -> None:
     """See :meth:`MemberWeights.learn`."""
     members, n = errors.shape
     for k in range(n):
         best = -np.inf
         for m in range(members):
             ratio = errors[m, k] / std[m, k]
-            weights[m, k] = (prior[m, k] + _KEEP * evidence[m, k] - np.log(std[m, k])
-                             - 0.5 * (DEGREES + 1.0) * np.log1p(ratio * ratio / DEGREES))
-            best = max(best, weights[m, k])
+            log_weights[m, k] = (_KEEP * log_weights[m, k] - np.log(std[m, k])
+                                 - 0.5 * (DEGREES + 1.0) * np.log1p(ratio * ratio / DEGREES))
+            best = max(best, log_weights[m, k])
         total = 0.0
         for m in range(members):
-            log_weight = max(weights[m, k] - best, LEAST_LOG_WEIGHT)
-            evidence[m, k] = log_weight - prior[m, k]
-            weights[m, k] = np.exp(log_weight)
+            log_weights[m, k] = max(log_weights[m, k] - best, LEAST_LOG_WEIGHT)
+            weights[m, k] = np.exp(log_weights[m, k])
             total += weights[m, k]
         for m in range(members):
             weights[m, k] /= total

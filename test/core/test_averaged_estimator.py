@@ -11,7 +11,6 @@ from semiparam_ros.core.averaged_estimator import (
     DEGREES,
     EVIDENCE_MEMORY,
     LEAST_LOG_WEIGHT,
-    ODDS_OF_EFFECTS,
     MemberWeights,
     estimator_of,
     mixture,
@@ -64,14 +63,12 @@ def error(predictions):
 def test_weights_are_forgotten_evidence():
     rng = np.random.default_rng(0)
     errors, std = 0.3 * rng.standard_normal((40, 3, 2)), rng.uniform(0.9, 1.1, (40, 3, 2))
-    odds = np.array([9.0, 1.0, 2.0])
-    weights, evidence = MemberWeights(odds, 2), np.zeros((3, 2))
-    np.testing.assert_allclose(weights.weights.T, [odds / 12.0] * 2)
+    weights, evidence = MemberWeights(3, 2), np.zeros((3, 2))
+    np.testing.assert_allclose(weights.weights, 1.0 / 3.0)
     for index in range(40):
         weights.learn(errors[index], std[index])
         evidence = (1.0 - 1.0 / EVIDENCE_MEMORY) * evidence
         evidence += student.logpdf(errors[index] / std[index], DEGREES) - np.log(std[index])
-    evidence += np.log(odds)[:, None]
     assert np.ptp(evidence, axis=0).max() < -LEAST_LOG_WEIGHT, 'the floor is another test'
     expected = np.exp(evidence - evidence.max(axis=0))
     np.testing.assert_allclose(weights.weights, expected / expected.sum(axis=0), rtol=1e-9)
@@ -79,7 +76,7 @@ def test_weights_are_forgotten_evidence():
 
 @pytest.mark.parametrize('scale', [1e-150, 1.0, 1e150])
 def test_weights_stay_finite_and_the_last_takes_over_within_a_few_samples(scale):
-    weights = MemberWeights(np.ones(2), 1)
+    weights = MemberWeights(2, 1)
     good, poor = np.array([[0.5], [8.0]]), np.array([[8.0], [0.5]])
     for _ in range(20000):
         weights.learn(scale * good, np.full((2, 1), scale))
@@ -181,7 +178,7 @@ def test_an_effect_is_believed_within_a_few_samples_of_its_start(variant):
     left = np.array([[(sample.outputs - each.mean)[-1] / size[-1] for each in pair]
                      for sample, *pair in zip(samples, plain, believing[1], strict=True)])
     probability = believing[0].effects_probability
-    assert probability[-1] > 0.99 and probability[0] == pytest.approx(1.0 / (1.0 + 1.0 / ODDS_OF_EFFECTS), abs=0.05)
+    assert probability[-1] > 0.99 and probability[0] == pytest.approx(0.5, abs=0.1)
     error = np.sqrt(np.mean(np.square(left[start + 5:]), axis=0))
     assert error[1] < 0.5 * error[0]
     np.testing.assert_allclose(left[WINDOW:start, 1], left[WINDOW:start, 0], atol=0.05)

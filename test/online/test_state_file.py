@@ -117,7 +117,7 @@ LAYOUT = {
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
         'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
-        'average.evidence': 'f8 (2, 6)', 'average.shares': 'f8 (2, 6)', 'average.filled': 'i8 ()',
+        'average.log_weights': 'f8 (2, 6)', 'average.shares': 'f8 (2, 6)', 'average.filled': 'i8 ()',
         'average.start': 'i8 ()', 'average.rows': 'f8 (5, 24)', 'average.origins': 'i8 (5,)',
         # the same variant without effects
         'other0.recursion.array': 'f8 (142, 40)', 'other0.recursion.left': 'f8 (8, 40)',
