@@ -110,7 +110,7 @@ def learnt(body, effects, count=40):
     for sample in list(MOTION)[:count]:
         inputs = [values[:body.n_joints] for values in sample[1:4]]
         outputs = body.regressor(*inputs) @ body.base_parameters
-        estimator.step(Sample(sample.stamp + 1_700_000_000_000_000_000, *inputs, outputs))
+        estimator.step(Sample(sample.stamp + 1_700_000_000_000_000_000, *inputs, outputs, sample.temperature))
     return estimator
 
 
@@ -131,16 +131,16 @@ def test_no_kind_of_effect_makes_efforts_that_the_motion_does_not_take(outputs, 
 
 @pytest.mark.parametrize(('outputs', 'effect'), CASES, ids=NAMES)
 def test_what_was_measured_does_not_mix_with_a_desired_state(outputs, effect):
-    """Columns of a desired state depend on it and on the time alone, and are those of the effect wherever it has no
-    past."""
+    """Columns of a desired state depend on it, the time and temperatures alone, and are those of the effect wherever
+    it has no past."""
     body, effect = BODIES[outputs], wanted(effect)
     columns = CoupledColumns(body, [effect])
     row = np.random.default_rng(2).uniform(-1.0, 1.0, (3, body.n_joints))
     now = int(MOTION.stamps[-1])
-    shown, needed = columns.desired(*row, now, MOTION.origin)
+    shown, needed = columns.desired(*row, now, MOTION.origin, MOTION.temperature[-1])
     # In outputs, N or N m: what a coefficient of its usual size brings about.
     assert np.isfinite(shown).all() and np.abs(shown * columns.prior_scale).max() < 1e4
-    sample = Sample(now, *row, np.full(body.n_outputs, np.nan))
+    sample = Sample(now, *row, np.full(body.n_outputs, np.nan), MOTION.temperature[-1])
     acting = CoupledColumns(body, [effect.desired()])
     fresh, memory = acting.one(sample, MOTION.origin)
     if effect.kind in ('cable_hysteresis', 'backlash') or 'presliding' in effect.parameters:
