@@ -34,6 +34,7 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
 
 import numpy as np
 import pinocchio as pin
@@ -47,7 +48,7 @@ from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.renewal import LaterWindow
-from semiparam_ros.online.worker import Done, InlineBackground, Job, Result, absorb
+from semiparam_ros.online.worker import Done, Job, Result, absorb
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
 from semiparam_ros.settings.robot_description import moving_joints
@@ -57,6 +58,7 @@ from semiparam_ros.simulation.robots import bundled_urdf
 from semiparam_ros.simulation.scenario import SimulatedRecording
 from semiparam_ros.simulation.simulate import START_NS, joint_readings, output_readings
 from semiparam_ros.simulation.trajectory import Instants
+from support.node_helpers import InlineBackground
 
 ICUB = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow'), 'r_arm_ft_sensor'
 LOAD_KG, RAMP_S = 1.5, 0.5
