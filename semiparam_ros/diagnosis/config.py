@@ -273,6 +273,9 @@ class DiagnosisConfig:
     most_times_plausible: float = 5.0
     """Refuses a load or a force of more than this many times what is plausible for the robot, a fifth of its own
     weight (chosen)."""
+    weight_shows: float = 18.5
+    """Refuses a load whose mass and first moments lie nearer to none than this squared distance, in their own
+    covariance: 1 in 1000 by chance with four of them."""
     unlike_a_body: float = 30.0
     """Refuses a load whose inertial parameters lie this squared distance from any body's, in their own covariance: 1 in
     1000 by chance with ten of them."""

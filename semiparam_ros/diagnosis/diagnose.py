@@ -26,6 +26,7 @@ from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
 from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
+from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
@@ -61,7 +62,8 @@ class Diagnosis:
 
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
     recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
-    what is told of the effects and declared comes from it, and the ``deviations`` are those of its values.
+    what is told of the effects and declared comes from it, and the ``deviations`` are those of its values; where that
+    gives an effect values that it cannot have, it is the final model itself.
     """
 
     config: DiagnosisConfig
@@ -207,7 +209,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         structure = replace(structure, significant=False)  # errors of the inputs explain more than that
     everything, new = final, [index for index, _, _ in places_in(final, steps)]
     if steps and other is None:
-        everything = fitted_to_all(final, fitting | held_out, new)
+        refit = fitted_to_all(final, fitting | held_out, new)
+        everything = refit if all_plausible(final, refit) else final
     sure = deviations(everything, new, inputs.disturbed(samples) if everything.effects else ())
     found, refinements = split_off_refinements(findings(final, steps, everything, sure), steps)
     touches = [] if setup else contacts(final)

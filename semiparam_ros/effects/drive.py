@@ -54,6 +54,10 @@ class JointSpring(JointEffect):
     separated_by: ClassVar[str] = "the joint's whole range in several postures of the others"
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('stiffness', 'N m/rad'), Coefficient('rest_torque', 'N m'))
 
+    def physical(self, coefficients: Array) -> bool:
+        """It pulls back: one that pushes on makes up for a mass that is off."""
+        return float(coefficients[0]) > 0.0
+
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         return np.column_stack([position, np.ones_like(position)])
 

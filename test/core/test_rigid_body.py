@@ -327,6 +327,18 @@ def test_a_joint_may_be_called_root_joint():
         **EXACT)
 
 
+@pytest.mark.parametrize('joints', [ODD_JOINTS, ODD_JOINTS[:3]])
+@pytest.mark.parametrize('options', [('effort',), ('wrench', 'mid_link_ft')])
+def test_a_link_may_have_the_name_of_a_joint(joints, options):
+    """As the gripper of the SO-100: pinocchio asked which of the two was meant, and no message said so."""
+    alike = ODD_ARM.replace('"forearm"', f'"{ODD_JOINTS[3]}"')
+    assert alike != ODD_ARM
+    state = states(len(joints), 1)[0]
+    named, plain = (RigidBody.from_urdf(urdf, joints, *options) for urdf in (alike, ODD_ARM))
+    assert list(named.arm.names) == list(plain.arm.names)
+    np.testing.assert_allclose(predicted(named, state), predicted(plain, state), **EXACT)
+
+
 def test_the_models_survive_a_trip_to_another_process():
     import pickle
 

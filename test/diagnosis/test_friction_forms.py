@@ -12,7 +12,7 @@ from semiparam_ros.diagnosis.search.delay_with_friction import with_leads
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.shapes import settled
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
-from semiparam_ros.effects.friction import CoulombFriction
+from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from semiparam_ros.effects.geometry import TimeDelay
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 
@@ -66,9 +66,26 @@ def test_friction_that_leads_is_no_delay_of_the_efforts():
     assert [effect.value('lead_s') for effect in leading.effects] == pytest.approx([0.01] * 4, abs=5e-4)
 
 
+def test_friction_with_its_shape_anew_holds_no_impossible_value():
+    """A joint that creeps has a friction of any slope, -15 N m s/rad once; the leads of all joints bent it so."""
+    samples = rubbing(lead_s=0.01)
+    driven = samples.outputs - 0.5 * samples.velocity * (np.arange(4) == 1)
+    start = fitted(replace(samples, outputs=driven))
+    viscous = [ViscousFriction(joint) for joint in BODY.joints[:2]]
+    start = declare(start, viscous)
+    assert not viscous[1].physical(start.theta[start.assembly.blocks['5']])
+    leading = with_leads(start, ())
+    assert [effect.value('lead_s') for effect in leading.effects[:4]] == pytest.approx([0.01] * 4, abs=1e-3)
+    assert viscous[1] not in leading.effects
+    assert viscous[1] in with_leads(start, {('viscous_friction', BODY.joints[1])}).effects
+
+
 def test_a_delay_that_every_output_shows_is_believed():
     bare = fitted(rubbing(delay_s=0.02))
-    assert improves(bare, fitted(bare.samples, delay_s=0.0))
+    late = fitted(bare.samples, delay_s=0.0)
+    assert improves(bare, late)
+    asking = replace(late, config=replace(late.config, least_evidence=1e9))
+    assert carries_over(bare, asking) and not improves(bare, asking)
 
 
 def test_a_lead_of_friction_and_a_delay_are_settled_together():

@@ -150,6 +150,18 @@ def test_what_a_model_holds_as_a_part_is_no_candidate():
     assert not tried & held([asymmetric]) and ('coulomb_friction', 'grip') in tried
 
 
+def test_of_two_effects_with_a_part_in_common_the_later_one_is_declared():
+    """Beside each other their dry friction cancelled: -9 and 10 N m were told of a joint with 1.5."""
+    parts = {'stribeck_friction': {'turn_speed': 0.01, 'stribeck_speed': 0.1},
+             'asymmetric_friction': {'turn_speed': 0.01}, 'viscous_friction': {}}
+    sticking, asymmetric, viscous = (kinds()[kind]('turn', dict(values)) for kind, values in parts.items())
+    fit = fit_model(BODY, moving(), [], np.ones(COUNT, dtype=bool), np.ones(4))
+    assert [effect.kind for effect in declare(fit, [viscous, sticking, asymmetric]).effects] == ['asymmetric_friction']
+    assert [effect.kind for effect in declare(fit, [asymmetric, sticking]).effects] == ['stribeck_friction']
+    elsewhere = kinds()['stribeck_friction']('grip', dict(parts['stribeck_friction']))
+    assert len(declare(fit, [viscous, sticking, elsewhere]).effects) == 3
+
+
 def test_friction_of_all_joints_is_found_in_one_round_and_every_round_improves_the_same_score():
     dry, viscous = np.array([1.0, 2.0, 0.5, 0.1]), np.array([2.0, 1.0, 0.3, 0.05])
     found = diagnose(BODY, rubbing(moving(1), dry, viscous, 0.02))

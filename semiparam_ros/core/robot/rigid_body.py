@@ -28,6 +28,7 @@ from semiparam_ros.errors import SemiparamError
 GRAVITY = np.array([0.0, 0.0, -9.81])
 SENSOR = 'semiparam_sensor'
 ROOT = 'semiparam_root'
+JOINT = 'joint '
 
 OUTPUTS = ('wrench', 'effort')
 WRENCH_NAMES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
@@ -89,7 +90,22 @@ def reduced(model: pin.Model, joints: Collection[str], locked: Mapping[str, floa
     """The model with all but the named joints held where ``locked`` says, 0 unless given."""
     moving = set(joints) | ({model.names[1]} if keep_root else set())
     frozen = [model.getJointId(name) for name in list(model.names)[1:] if name not in moving]
-    return pin.buildReducedModel(model, frozen, _posture(model, locked))
+    posture, apart = _posture(model, locked), _joints_apart(model)
+    left = pin.buildReducedModel(apart, frozen, posture)
+    for number, name in enumerate(left.names):
+        left.names[number] = name.removeprefix(JOINT)
+    return left
+
+
+def _joints_apart(model: pin.Model) -> pin.Model:
+    """The model with names of joints that no link has: a URDF may name both alike, but pinocchio looks for either."""
+    apart = model.copy()
+    for frame in apart.frames:
+        if frame.type == pin.FrameType.JOINT:
+            frame.name = JOINT + frame.name
+    for number in range(1, apart.njoints):
+        apart.names[number] = JOINT + apart.names[number]
+    return apart
 
 
 def mark_sensor(arm: pin.Model, full: pin.Model, joints: Sequence[str], locked: Mapping[str, float],

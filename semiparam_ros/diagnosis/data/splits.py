@@ -120,7 +120,8 @@ def improves(before: Fit, after: Fit, least: float = 0.0) -> bool:
 
 
 def _helps_beyond_turns(before: Fit, after: Fit) -> bool:
-    """Whether effects that move friction carry over to outputs whose joints are too fast for dry friction to turn."""
+    """Whether effects that move friction are credible and carry over where joints are too fast for dry friction to
+    turn."""
     known = {(effect.kind, effect.where) for effect in before.effects}
     moving = [effect for effect in after.effects if effect.moves_friction and (effect.kind, effect.where) not in known]
     if not moving or after.body.outputs != 'effort':
@@ -131,4 +132,7 @@ def _helps_beyond_turns(before: Fit, after: Fit) -> bool:
         return True
     rest = [effect for effect in after.effects if effect not in moving]
     without, within = (refitted(after, effects, after.nuisance, fast) for effects in (rest, after.effects))
-    return carries_over(without, within)
+    counts = within.counts / within.correlation
+    spent = sum(len(effect.calibrations) for effect in moving)
+    worth = 0.5 * (counts @ np.log(without.squares / within.squares) - spent * np.log(counts.sum()))
+    return bool(worth > config.least_evidence) and carries_over(without, within)

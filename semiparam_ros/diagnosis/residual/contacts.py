@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.data.outliers import NORMAL_MAD
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.regression import Fit, with_effects
@@ -73,10 +74,22 @@ def _deviations(fit: Fit) -> Array:
     scale = NORMAL_MAD * np.array([np.median(values[fit.train_mask & use]) if (fit.train_mask & use).any() else 0.0
                                    for values, use in zip(left.T, fit.counted.T, strict=True)])
     scale = np.maximum(scale, 1e-6 * np.abs(fit.samples.outputs).max(axis=0) + 1e-12)
-    deviations = _steady(left / scale * fit.counted, fit.config.contact_samples)
+    deviations = _steady(left / scale * (fit.counted & ~_turning(fit)), fit.config.contact_samples)
     inside = np.flatnonzero(fit.train_mask)
     deviations[:inside[0] + 1] = deviations[inside[-1]:] = 0.0  # a smoother sees the ends from one side
     return deviations
+
+
+def _turning(fit: Fit) -> Mask:
+    """(N, n) efforts of joints that are just turning back, where the model holds their friction: its form is only known
+    so well there, and next to little noise the rest of it looks like a touch."""
+    rubbing = [any(effect.where == joint and effect.shows_against == 'velocity' for effect in fit.effects)
+               for joint in fit.body.output_names]
+    if not any(rubbing):
+        return np.zeros(fit.residual.shape, dtype=bool)
+    forward = fit.samples.velocity[:, fit.body.output_index] > 0.0
+    turns = np.diff(forward, axis=0, prepend=forward[:1])
+    return np.asarray(binary_dilation(turns, np.ones((2 * fit.config.contact_samples + 1, 1))) & rubbing)
 
 
 def _middle(fit: Fit) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from semiparam_ros.diagnosis.data.splits import improves
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, others
+from semiparam_ros.diagnosis.search.plausibility import without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, nonlinear, refined, score
 from semiparam_ros.diagnosis.search.shapes import settled
@@ -35,6 +36,7 @@ def delay_with_friction(fit: Fit, kinds: dict[str, type[Effect]],
     after = declare(_turning_at_once(fit, declared), [kinds[KIND](None, {'delay_s': 0.0})])
     for _ in range(fit.config.delay_rounds):
         after = reshaped(after, declared)
+    after = without_impossible(after, declared)
     delay = next(effect for effect in after.effects if effect.kind == KIND)
     trial = score(fit, Trial(delay, after.residual, 1), after.correlation)
     return (trial, after) if delay.is_noticeable(fit.samples) and improves(fit, after) else None
@@ -52,6 +54,7 @@ def reshaped(fit: Fit, declared: Collection[Place]) -> Fit:
         if trial is None:
             continue
         other = refit_weights(with_effects(without, [*without.effects, refined(without, trial).effect]))
+        other = without_impossible(other, declared)
         if _left(other, fit) < _left(fit, fit):
             fit = other
     return fit if fit is before else declare(fit, [])
@@ -68,7 +71,8 @@ def with_leads(fit: Fit, declared: Collection[Place]) -> Fit:
         return fit
     leading = with_effects(fit, [effect.with_values(**{LEAD: 0.0}) if effect in bare else effect
                                  for effect in fit.effects])
-    after = settled(leading, [index for index, effect in enumerate(leading.effects) if LEAD in effect.parameters])
+    after = without_impossible(settled(leading, [
+        index for index, effect in enumerate(leading.effects) if LEAD in effect.parameters]), declared)
     worth = score(fit, Trial(bare[0], after.residual, len(bare)), after.correlation).evidence
     return after if worth > fit.config.least_evidence and improves(fit, after) else fit
 

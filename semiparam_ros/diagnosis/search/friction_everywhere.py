@@ -15,6 +15,7 @@ from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held
 from semiparam_ros.diagnosis.search.delay_with_friction import reshaped, with_leads
 from semiparam_ros.diagnosis.search.elimination import worth_at_once
+from semiparam_ros.diagnosis.search.plausibility import without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.scoring import Trial, score
 from semiparam_ros.effects import Effect
@@ -68,7 +69,7 @@ def _completed(fit: Fit, kinds: dict[str, type[Effect]], declared: Collection[Pl
     if fit.body.outputs != 'effort':
         return None
     missing = min(_missing(fit, kinds), key=lambda added: _loss(fit, added), default=[])
-    return _physical(declare(fit, missing), declared) if missing else None
+    return without_impossible(declare(fit, missing), declared) if missing else None
 
 
 def _missing(fit: Fit, kinds: dict[str, type[Effect]]) -> list[list[Effect]]:
@@ -115,14 +116,3 @@ def _pruned(fit: Fit, kinds: Collection[str], declared: Collection[Place]) -> Fi
         else:
             most = count - 1
     return best
-
-
-def _physical(fit: Fit, declared: Collection[Place]) -> Fit:
-    """The model without effects whose coefficients their causes cannot have."""
-    while True:
-        blocks = fit.assembly.blocks
-        kept = [effect for index, effect in enumerate(fit.effects) if (effect.kind, effect.where) in declared
-                or effect.is_calibration or effect.physical(fit.theta[blocks[str(index)]])]
-        if len(kept) == len(fit.effects):
-            return fit
-        fit = declare(with_effects(fit, kept), [])

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from scipy.optimize import least_squares
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.regression import Fit, with_effects
+from semiparam_ros.diagnosis.search.candidates import Place
+from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.effects import Effect
 
 
@@ -18,6 +22,20 @@ def all_plausible(before: Fit, after: Fit) -> bool:
                for index, effect in enumerate(after.effects))
 
 
+def without_impossible(fit: Fit, declared: Collection[Place]) -> Fit:
+    """The model without effects whose coefficients their causes cannot have.
+
+    :param declared: kinds and places that stay all the same.
+    """
+    while True:
+        blocks = fit.assembly.blocks
+        kept = [effect for index, effect in enumerate(fit.effects) if (effect.kind, effect.where) in declared
+                or effect.is_calibration or effect.physical(fit.theta[blocks[str(index)]])]
+        if len(kept) == len(fit.effects):
+            return fit
+        fit = declare(with_effects(fit, kept), [])
+
+
 def _plausible(fit: Fit, index: int) -> bool:
     effect = fit.effects[index]
     block = fit.assembly.blocks[str(index)]
@@ -27,7 +45,15 @@ def _plausible(fit: Fit, index: int) -> bool:
     if effect.bounded_by_weight and np.any(np.abs(theta) > fit.config.most_times_plausible * Effect.prior_scale(
             effect, fit.body)):
         return False
-    return not effect.is_load or _is_a_body(fit, theta, block)
+    return not effect.is_load or (_weighs(fit, theta, block) and _is_a_body(fit, theta, block))
+
+
+def _weighs(fit: Fit, theta: Array, block: slice) -> bool:
+    """Whether the mass and the first moments of a load are more than chance: what has none is no load, however much
+    inertia it seems to have."""
+    part = slice(block.start, block.start + 4)
+    covariance = fit.theta_covariance()[part, part] * float(fit.correlation.mean())
+    return float(theta[:4] @ np.linalg.lstsq(covariance, theta[:4], rcond=1e-12)[0]) > fit.config.weight_shows
 
 
 def _is_a_body(fit: Fit, theta: Array, block: slice) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns, others
+from semiparam_ros.diagnosis.search.candidates import added_columns, held
 from semiparam_ros.effects import Effect
 
 
@@ -67,11 +67,13 @@ def moved_by(effect: Effect, step: Array) -> Effect:
 
 
 def declare(fit: Fit, effects: list[Effect]) -> Fit:
-    """The model with further effects, every calibration settled and the weights those of the new residual."""
+    """The model with further effects, every calibration settled and the weights those of the new residual.
+
+    One that holds a part of what a known one holds takes its place: dry friction twice at a joint has no value.
+    """
     for effect in effects:
-        replaced = {(part.kind, part.where) for part in effect.plainer()}
-        known = [one for one in (fit.effects if effect.must_start else others(fit, effect))
-                 if (one.kind, one.where) not in replaced]
+        parts = held([effect])
+        known = [one for one in fit.effects if not held([one]) & parts]
         fit = with_effects(fit, [*known, effect])
     fit = _with_own_load(_relocated(refit_weights(fit)))
     calibrations = [effect for effect in fit.effects if effect.is_calibration]
