@@ -176,10 +176,13 @@ class Fit:
         places = _places(blocks, number)
         columns = np.empty((sum(map(len, places.values())), len(order)))
         for block in blocks:
+            first, last = places[id(block)][[0, -1]].tolist()
             if known is not None and id(block) in there:
-                columns[places[id(block)]] = known.columns[there[id(block)]]
-            else:
-                columns[places[id(block)]] = block.columns[:, number].T[block.felt[number]][:, order]
+                before = there[id(block)][0]
+                columns[first:last + 1] = known.columns[before:before + last + 1 - first]
+                continue
+            for row, felt in zip(columns[first:last + 1], block.felt[number].tolist(), strict=True):
+                np.take(block.columns[:, number, felt], order, out=row, mode='clip')  # 'raise' would buffer
         return Channel(blocks, columns, _products_of(columns[:, :used], places, there, known))
 
     @property

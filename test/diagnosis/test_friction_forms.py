@@ -8,6 +8,7 @@ import pytest
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.data.preparation import averaged
 from semiparam_ros.diagnosis.data.splits import carries_over, improves
+from semiparam_ros.diagnosis.residual.contacts import contacts
 from semiparam_ros.diagnosis.search.delay_with_friction import with_leads
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.shapes import settled
@@ -93,3 +94,14 @@ def test_a_lead_of_friction_and_a_delay_are_settled_together():
     found = settled(start, range(4))
     assert found.effects[-1].value('delay_s') == pytest.approx(0.02, abs=1e-3)
     assert [effect.value('lead_s') for effect in found.effects[:-1]] == pytest.approx([0.01] * 4, abs=2e-3)
+
+
+def test_a_joint_that_turns_back_is_no_touch():
+    """Eleven touches were told, wherever friction of another form than the model's turned over beside little noise."""
+    motion = smooth_motion(4, COUNT, seed=0, speed=0.1)
+    exact = BODY.regressors(motion) @ BODY.base_parameters + 3.0 * np.tanh(motion.velocity / (1.5 * TURN))
+    noise = 0.001 * exact.std(axis=0) * np.random.default_rng(1).standard_normal(exact.shape)
+    samples = replace(motion, outputs=exact + noise, whole=True)
+    assert contacts(fitted(samples)) == []
+    touched = samples.outputs + 5.0 * ((samples.time > 30.0) & (samples.time < 30.8))[:, None]
+    assert [contact.joint for contact in contacts(fitted(replace(samples, outputs=touched)))] == [BODY.joints[-1]]

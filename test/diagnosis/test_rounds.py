@@ -252,6 +252,11 @@ def test_calibrations_that_no_robot_has_are_known(kind, where, possible, impossi
     assert kinds()[kind](where, possible).possible and not kinds()[kind](where, impossible).possible
 
 
+def test_a_spring_that_pushes_on_is_impossible():
+    spring = kinds()['joint_spring']('grip')
+    assert spring.physical(np.array([0.2, -1.0])) and not spring.physical(np.array([-0.2, 1.0]))
+
+
 def test_friction_that_drives_its_joint_in_one_direction_is_impossible():
     friction = kinds()['asymmetric_friction']('turn', {'turn_speed': 0.01})
     assert friction.physical(np.array([1.0, 0.5, 0.2, -0.01]))
