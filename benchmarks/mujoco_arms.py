@@ -50,6 +50,7 @@ class Setting:
     late_s: float = 0.0
     asymmetry: float = 0.0
     payload_kg: float = 0.0
+    carrier: str = 'panda_hand'
     zeros: tuple[float, ...] = ()
     sensor: tuple[str, str] | None = None
     seed: int = 0
@@ -63,6 +64,9 @@ PANDA = tuple(f'panda_joint{number}' for number in range(1, 8))
 PANDA_HOME = (0.0, -0.3, 0.0, -1.8, 0.0, 1.8, 0.6)
 KINOVA = tuple(f'j2s6s200_joint_{number}' for number in range(1, 7))
 TALOS = tuple(f'arm_left_{number}_joint' for number in range(2, 8))
+PR2 = tuple(f'r_{name}_joint' for name in ('shoulder_pan', 'shoulder_lift', 'upper_arm_roll', 'elbow_flex',
+                                           'forearm_roll', 'wrist_flex', 'wrist_roll'))
+SO100 = ('shoulder_pan', 'shoulder_lift', 'elbow_flex', 'wrist_flex', 'wrist_roll')
 UR5, UR10 = 'ur_description/urdf/ur5_robot.urdf', 'ur_description/urdf/ur10_robot.urdf'
 XARM7, TALOS_URDF = 'xarm_description/urdf/xarm7.urdf', 'talos_data/robots/talos_left_arm.urdf'
 PANDA_URDF = 'panda_description/urdf/panda.urdf'
@@ -89,6 +93,12 @@ SETTINGS = (
     Setting('Panda, sensor at the wrist, two zeros off', PANDA_URDF, PANDA, PANDA_HOME,
             (0.5, 0.6, 0.4, 0.5, 0.3, 0.3, 0.2), 'points', 200, zeros=(0.0, 0.04, 0.0, -0.03, 0.0, 0.0, 0.0),
             sensor=('panda_joint8', 'panda_link8'), noise_colour=0.8, seed=9),
+    Setting('PR2 at 1 kHz, the same motion twice, load from half time on', 'pr2_description/urdf/pr2.urdf', PR2,
+            (-0.3, 0.2, -0.4, -1.0, 0.3, -0.6, 0.2), (3.0, 3.0, 2.0, 2.0, 0.5, 0.5, 0.4), 'twice', 1000, noise=0.02,
+            noise_colour=0.95, payload_kg=0.8, carrier='r_gripper_palm_link', seed=10),
+    Setting('SO-100 at 50 Hz, from point to point', 'so_arm_description/urdf/so100.urdf', SO100,
+            (0.0, 1.6, -1.5, 0.5, 0.0), (0.15, 0.15, 0.12, 0.08, 0.05), 'points', 50, armature=0.01, noise=0.02,
+            seed=11),
 )
 
 
@@ -138,7 +148,7 @@ def _as_it_is(spec: mujoco.MjSpec, setting: Setting, rng: np.random.Generator) -
         joint.frictionloss, joint.damping = dry, [dry * setting.viscous_share, 0.0, 0.0]
         joint.armature = setting.armature
     if setting.payload_kg:
-        load = spec.body('panda_hand').add_body(name='load', pos=[0.0, 0.02, 0.1])
+        load = spec.body(setting.carrier).add_body(name='load', pos=[0.0, 0.02, 0.1])
         load.mass, load.inertia, load.explicitinertial = 1e-6, [1e-9] * 3, True
 
 
