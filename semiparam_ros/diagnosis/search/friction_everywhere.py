@@ -32,10 +32,11 @@ def friction_of_all(fit: Fit, kinds: dict[str, type[Effect]], declared: Collecti
     :param declared: kinds and places that were in the model before the search and stay as they are.
     """
     full = _completed(fit, kinds, declared)
-    if full is None or not _is_widespread(full) or not _better(fit, full):
+    if full is None or not _is_widespread(full, fit.config.least_evidence) or not _better(fit, full):
         return None
     after = _shaped(_pruned(full, (EffortOffset.kind,), declared), declared)
-    return after if _is_widespread(after) else None  # while its form is wrong, one joint's friction bends all others'
+    # While its form is wrong, one joint's friction bends all others'.
+    return after if _is_widespread(after, 0.0) else None
 
 
 def friction_where_it_helps(fit: Fit, kinds: dict[str, type[Effect]], declared: Collection[Place]) -> Fit | None:
@@ -90,11 +91,11 @@ def _loss(fit: Fit, effects: list[Effect]) -> float:
     return fit.loss_with(np.concatenate([added_columns(fit, effect) for effect in effects], axis=2))[0]
 
 
-def _is_widespread(fit: Fit) -> bool:
-    """Whether friction is credible at more than half of the joints, and at three at least."""
+def _is_widespread(fit: Fit, least: float) -> bool:
+    """Whether friction is worth more than ``least`` [nat] at more than half of the joints, and at three at least."""
     worth = worth_at_once(fit)
     rubbing = {effect.where for index, effect in enumerate(fit.effects)
-               if effect.kind in FRICTION and worth[index] > fit.config.least_evidence}
+               if effect.kind in FRICTION and worth[index] > least}
     return len(rubbing) > max(2, fit.body.n_outputs // 2)
 
 
