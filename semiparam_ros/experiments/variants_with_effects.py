@@ -3,7 +3,8 @@
 Features can swallow an effect: their residual is small where they learnt, and the effect shows only in how they carry
 over to other motion. Features are drawn by chance, and a draw's luck is as large as what is looked for: several are
 drawn, the same ones without and with the effects. They learn from the recording as the node does, sample by sample with
-the accelerations that came with it, not from the smoothed motion that causes are looked for in.
+the accelerations that came with it, not from the smoothed motion that causes are looked for in. The models with the
+effects are judged as such, not as far as a node would believe them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Literal, TypedDict
 
 import numpy as np
 
-from semiparam_ros.core.averaged_estimator import estimator_of
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.variants import variant_named
 from semiparam_ros.diagnosis.diagnose import Diagnosis, Recorded
@@ -87,7 +88,7 @@ def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Seq
     options = model_options(settings)
     window = min(options.initial_samples, int(recorded.fitting.sum()))
     first, judged = recorded.samples, recorded.judged
-    estimator = estimator_of(body, replace(options, initial_samples=window), effects, first.origin)
+    estimator = Estimator(body, replace(options, initial_samples=window), effects, first.origin)
     for sample, learn in zip(recorded.samples, recorded.fitting, strict=True):
         estimator.step(sample, bool(learn))
     if not estimator.ready:  # the robot stood still in some of them
