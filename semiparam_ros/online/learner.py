@@ -116,7 +116,8 @@ class Learner:
         """That hyperparameters are estimated from; None: the initial window."""
         self._awaits_draft = False
         self.takeovers: list[int] = []
-        self.switcher.remember(settings, estimator)
+        if not self._renewal.refines:  # a draft's hyperparameters are not those that follow it
+            self.switcher.remember(settings, estimator)
         self._follow_settings(retry=True)
 
     # Samples

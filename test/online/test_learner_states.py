@@ -314,6 +314,22 @@ def test_a_life_in_which_the_hyperparameters_are_estimated_again(tmp_path, monke
     assert not life.learner.switcher.renewed
 
 
+def test_a_state_saved_while_a_draft_answers_is_refined_as_the_life_that_went_on(monkeypatch):
+    """The draft's hyperparameters counted as the final ones."""
+    monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
+    life = Lives()
+    life.begin()
+    life.chooses('SP-ML')
+    life.shadows(['NP-ML', 'P'])
+    life.comes_to_rest()
+    life.moves(32)
+    life.background.run(3)
+    life.saves()
+    assert life.learner.estimator.ready and life.learner.switcher.successor is not None
+    life.loads()
+    life.comes_to_rest()
+
+
 def test_a_clock_that_jumps_while_a_model_is_built_jumps_for_it_at_the_same_sample():
     """It used to forget what its effects remember after all that waited, the samples after the jump among them."""
     life = Lives()
