@@ -282,8 +282,9 @@ def with_a_window():
     return life
 
 
-def test_a_file_holds_what_a_life_goes_on_with(tmp_path):
+def test_a_file_holds_what_a_life_goes_on_with(tmp_path, monkeypatch):
     """The state that the lives above keep in memory is the one that the file gives back."""
+    monkeypatch.setattr('semiparam_ros.online.worker.OLDER', 1)  # a fresh estimator learns all
     life = with_a_window()
     save(tmp_path / 's.npz', life.learner.state())
     life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, BODY))

@@ -5,10 +5,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
@@ -28,7 +27,7 @@ LINE_S = 10.0
 LOOK_S = 0.2
 FLUSH_S = 2.0
 POLL_S = 0.05
-QUIET_LOOKS, MOST_LOOKS = 10, 40
+QUIET_S, QUIET_AT_MOST_S = 0.5, 2.0
 
 
 class Recording(Protocol):
@@ -188,30 +187,13 @@ class RecordSession:
         return node.complete or idle or late
 
     def _let_the_last_arrive(self, node: RecordNode) -> None:
-        """What was published before the signal may still be on its way, however long nothing came before.
-
-        A thread that waits for a processor may have something to take in: time alone tells nothing on a busy machine.
-        """
-        quiet, last = 0, node.last_message
-        for _ in range(MOST_LOOKS):
-            time.sleep(POLL_S)
-            quiet = 0 if node.last_message != last or _others_run() else quiet + 1
-            last = node.last_message
-            if quiet == QUIET_LOOKS:
-                return
+        """What was published before the signal may still be on its way, however long nothing came before."""
+        signalled = time.monotonic()
+        wait_until(lambda: time.monotonic() - max(node.last_message, signalled) > QUIET_S, QUIET_AT_MOST_S,
+                   threading.Event())
 
     def _say(self, sentence: str) -> None:
         self._console.print(sentence, soft_wrap=True)
-
-
-def _others_run() -> bool:
-    """Whether another thread of this process runs, or waits for a processor."""
-    with suppress(OSError):  # one may end meanwhile
-        for task in Path('/proc/self/task').iterdir():
-            state = (task / 'stat').read_text().rpartition(')')[2].split()[0]
-            if state == 'R' and task.name != str(threading.get_native_id()):
-                return True
-    return False
 
 
 def _check(ros: RosProcess, node: RecordNode, writer: BagWriter) -> None:
