@@ -428,7 +428,7 @@ def _at(count, rate):
     coarse = motion(round(count * 50 / rate) + 2)
     at, known = np.arange(count) / rate, np.arange(len(coarse)) / 50.0
     columns = {name: np.array([np.interp(at, known, column) for column in np.array(
-        [getattr(sample, name) for sample in coarse]).T]).T for name in coarse[0]._fields if name != 'stamp'}
+        [getattr(sample, name) for sample in coarse]).T]).T for name in ('position', 'velocity', 'acceleration', 'outputs')}
     stamps = coarse[0].stamp + np.round(at * 1e9).astype(int)
     return [coarse[0]._replace(stamp=int(stamp), **{name: values[index] for name, values in columns.items()})
             for index, stamp in enumerate(stamps)]
