@@ -427,8 +427,9 @@ def _at(count, rate):
     """The motion of ``motion`` at another rate."""
     coarse = motion(round(count * 50 / rate) + 2)
     at, known = np.arange(count) / rate, np.arange(len(coarse)) / 50.0
-    columns = {name: np.array([np.interp(at, known, column) for column in np.array(
-        [getattr(sample, name) for sample in coarse]).T]).T for name in ('position', 'velocity', 'acceleration', 'outputs')}
+    columns = {name: np.array([np.interp(at, known, column)
+                               for column in np.array([getattr(sample, name) for sample in coarse]).T]).T
+               for name in ('position', 'velocity', 'acceleration', 'outputs')}
     stamps = coarse[0].stamp + np.round(at * 1e9).astype(int)
     return [coarse[0]._replace(stamp=int(stamp), **{name: values[index] for name, values in columns.items()})
             for index, stamp in enumerate(stamps)]
