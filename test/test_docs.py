@@ -12,6 +12,7 @@ import pytest
 from semiparam_ros.cli import documentation
 from semiparam_ros.cli.main import COMMANDS
 from semiparam_ros.core.variants import CHOICES
+from semiparam_ros.effects.registry import BUILT_IN
 from semiparam_ros.settings.parameter_table import BY_NAME
 from support.doc_blocks import RUN, SHOWN, WRITTEN, Workshop, blocks, check_parses, commands
 
@@ -163,3 +164,8 @@ def test_messages_are_those_of_the_package(page, sentences):
         fragments = [part.strip(" ',;:()") for part in message.split('...')]
         for fragment in (part for part in fragments if len(part) > 7):
             assert fragment in sentences, (message, fragment)
+
+
+@pytest.mark.parametrize('page', ['README.md', 'docs/robustness.md'])
+def test_as_many_kinds_of_effects_are_told_as_there_are(page):
+    assert f' {len(BUILT_IN)} kinds' in (REPOSITORY / page).read_text(encoding='utf-8')
