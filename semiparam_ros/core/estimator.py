@@ -217,6 +217,7 @@ class EstimatorState(NamedTuple):
     newest: int | None  # [ns] stamp of the last sample
     memory: Memories
     inputs_learnt: Array
+    temperature: Array  # [deg C] of the last sample
     motion: Motion | None
     others: tuple[MemberState, ...] = ()  # the variants averaged with it
     average: Mapping[str, Array | Stamps] | None = None  # their weights, and the horizons of the average
@@ -520,7 +521,8 @@ class Estimator:
         wandering = {} if self.wandering is None else self.wandering.state()
         return EstimatorState(self.model.recursion.state(), self.horizon.state(), self.calibration.state(), wandering,
                               self._window_left, (self._since_learnt, self.passed_over), self.window.state(),
-                              self.origin, self._newest, self._memory, self.inputs_learnt, self.motion)
+                              self.origin, self._newest, self._memory, self.inputs_learnt, self._temperature,
+                              self.motion)
 
     def restore(self, state: EstimatorState) -> None:
         """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
@@ -532,7 +534,7 @@ class Estimator:
         self.window.restore(state.window)
         self._memory, self.motion = state.memory, state.motion
         self.origin, self._newest = state.origin, state.newest
-        self.inputs_learnt = state.inputs_learnt
+        self.inputs_learnt, self._temperature = state.inputs_learnt, state.temperature
 
     def _restore_learnt(self, state: EstimatorState | MemberState) -> None:
         self.model.recursion.restore(state.recursion)

@@ -39,7 +39,7 @@ MEMBER_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
 FIXED = ('outputs', 'temperatures', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')
 """Parameters that cannot change while a node runs, and so must agree."""
 
-MAY_BE_UNKNOWN = ('meta', 'history.temperature')
+MAY_BE_UNKNOWN = ('meta', 'history.temperature', 'temperature')
 """Arrays that are texts, or hold NaN for what is not known."""
 
 
@@ -107,7 +107,8 @@ def snapshot(state: SavedState) -> Snapshot:
         'calibration': learnt.calibration, 'wandering': learnt.wandering,
         'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window, 'motion': _stacked(learnt.motion)}
     arrays: Arrays = {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
-                      'inputs_learnt': learnt.inputs_learnt, 'probe': probe(state.estimator.body)}
+                      'inputs_learnt': learnt.inputs_learnt, 'temperature': learnt.temperature,
+                      'probe': probe(state.estimator.body)}
     for group, members in groups.items():
         arrays |= _named(group, members)
     return Snapshot(arrays, state.batch)
@@ -272,11 +273,19 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
                                      int(meta['window_left']), _counts(meta['passed_over']),
                                      _group(arrays, 'window'), meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
-                                     arrays['inputs_learnt'], _unstacked(_group(arrays, 'motion'), body),
+                                     arrays['inputs_learnt'], _temperature(arrays),
+                                     _unstacked(_group(arrays, 'motion'), body),
                                      tuple(_member(_group(arrays, f'other{index}'), other)
                                            for index, other in enumerate(meta.get('others', []))),
                                      _group(arrays, 'average') if 'others' in meta else None))
     return estimator
+
+
+def _temperature(arrays: Mapping[str, Array]) -> Array:
+    found, kept = arrays['temperature'], arrays.get('history.temperature', np.zeros((0, 0)))
+    if found.shape not in ((0,), kept.shape[1:]):
+        raise ValueError(f'the temperature has shape {found.shape}')
+    return found
 
 
 def _hyperparameters(values: Mapping[str, Any]) -> Hyperparameters:

@@ -107,7 +107,7 @@ LAYOUT = {
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
                     'horizon.length initial.samples noise outputs temperatures variant',
-        'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)', 'inputs_learnt': 'f8 (2, 6)',
+        'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)', 'inputs_learnt': 'f8 (2, 6)', 'temperature': 'f8 (0,)',
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
         'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'i1 (70,)',
         'history.origin': 'i8 ()', 'history.temperature': 'f8 (70, 0)',
@@ -177,6 +177,8 @@ def test_temperatures_are_kept_and_must_be_those_of_the_node(tmp_path):
     np.testing.assert_array_equal(found.batch.samples.temperature[:, 0], [each.temperature[0] for each in samples])
     for sample, (kept, _) in zip(samples, found.batch.pairs(), strict=True):
         np.testing.assert_array_equal(kept.temperature, sample.temperature)
+    desired = [each.predict_desired(*samples[9][1:4]).shown for each in (found.estimator, stage.learner.estimator)]
+    np.testing.assert_array_equal(*desired)  # as warm as the last sample
     with pytest.raises(SemiparamError, match=r"was learnt with temperatures \['ft'\]; this node has \[\]"):
         state_file.load(tmp_path / 's.npz', replace(warm, temperatures=()), BODY)
 
