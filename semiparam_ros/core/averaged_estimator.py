@@ -132,8 +132,7 @@ class AveragedEstimator(Estimator):
         plain = seen
         if self.columns.effects:
             plain = seen._replace(columns=self._without_effects.one(seen.sample, 0)[0])
-        return [other._answer(seen if member.has_effects else plain)
-                for member, other in zip(self.members[1:], self._others, strict=True)]
+        return [other._answer(seen if other.columns.effects else plain) for other in self._others]
 
     def finish_window(self, draft: bool = False, learn: bool = True) -> None:
         """See :meth:`Estimator.finish_window`; every member has its own hyperparameters of the same window."""
@@ -273,7 +272,7 @@ class AveragedEstimator(Estimator):
         own, *beside = prediction.members
         counts = learn or not self._window_left  # as for the bands
         outputs, stamp = prediction.sample.outputs, prediction.sample.stamp
-        past = np.zeros((len(self.members), self.options.horizon, len(outputs)))
+        past = np.zeros((len(prediction.members), self.options.horizon, len(outputs)))
         super()._take_in(own, learn, past[0])
         for other, its, charged in zip(self._others, beside, past[1:], strict=True):
             other._take_in(its, learn, charged)
@@ -298,8 +297,8 @@ class AveragedEstimator(Estimator):
         if self.columns.effects:
             position, velocity, acceleration = x.reshape(3, -1)
             plain = self._without_effects.desired(position, velocity, acceleration, now=0, origin=0)
-        found = [own, *(other._desired(x, *((shown, needed) if member.has_effects else plain))
-                        for member, other in zip(self.members[1:], self._others, strict=True))]
+        found = [own, *(other._desired(x, *((shown, needed) if other.columns.effects else plain))
+                        for other in self._others)]
         weights = self._weights.weights
         means = np.array([each.shown for each in found])
         return DesiredOutputs((weights * means).sum(axis=0),

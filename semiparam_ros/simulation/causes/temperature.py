@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -37,10 +38,10 @@ class TemperatureFriction(JointTorque):
     reference_c: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
-        joint, world = site.joint(), site.world
+    def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
+        world = site.world
         change = -float(site.rng.uniform(0.4, 0.7)) / float(np.abs(warmer(world, world.times, joint)).max())
-        return cls(world.arm.joints[joint], None, joint, change, at_start(world, joint))
+        return change, at_start(world, joint)
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         thinner = 1.0 + self.change * warmer(world, motion.time, self.joint)
