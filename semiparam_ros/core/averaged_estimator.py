@@ -3,14 +3,15 @@
 ``variant: auto`` averages variants. Declared effects, too, are believed only as far as what comes speaks for them: each
 variant with them stands beside the same variant without any (a spike and slab prior; Mitchell and Beauchamp 1988).
 
-Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members' answers by itself:
+Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members by itself: w_mk follows the
+log density that member m gave to what was measured, forgotten slowly, with Student's t for the densities, so that a
+spike decides nothing. The answers meet in a logarithmic opinion pool (Genest and Zidek 1986), where a member that is
+less sure of this sample than the others counts less for it:
 
-    mean_k = sum_m w_mk mean_mk,      var_k = sum_m w_mk (std_mk^2 + (mean_mk - mean_k)^2)
+    v_mk ~ w_mk / std_mk^2,      mean_k = sum_m v_mk mean_mk,      var_k = sum_m v_mk (std_mk^2 + (mean_mk - mean_k)^2)
 
-the mean and variance of the mixture. The weights follow the log density that each member gave to what was measured,
-forgotten slowly, with Student's t for the densities, so that a spike decides nothing. Each member has its own
-hyperparameters from the same initial window, its own wandering offset and bands; those that have the same effects share
-their columns.
+the pool's variance, 1 / sum_m (w_mk / std_mk^2), and what the members disagree. Each member has its own hyperparameters
+from the same initial window, its own wandering offset and bands; those that have the same effects share their columns.
 """
 
 from __future__ import annotations
@@ -276,14 +277,15 @@ class AveragedEstimator(Estimator):
         super()._take_in(own, learn, past[0])
         for other, its, charged in zip(self._others, beside, past[1:], strict=True):
             other._take_in(its, learn, charged)
+        std = _stacked(prediction.members, 'std')
         if prediction.motion.is_news and counts:
-            self._weights.learn(outputs - _stacked(prediction.members, 'mean'), _stacked(prediction.members, 'std'))
-        return self._horizons.advance_average(stamp, past, outputs, self._weights.weights)
+            self._weights.learn(outputs - _stacked(prediction.members, 'mean'), std)
+        return self._horizons.advance_average(stamp, past, outputs, pool_weights(self._weights.weights, std))
 
     def _averaged(self, members: tuple[Prediction, ...]) -> Prediction:
-        own, weights = members[0], self._weights.weights
-        mean, std, model_mean, covariance = mixed(
-            weights, _stacked(members, 'mean'), _stacked(members, 'std'), _stacked(members, 'model_mean'),
+        own, stds = members[0], _stacked(members, 'std')
+        mean, std, model_mean, covariance = pooled(
+            pool_weights(self._weights.weights, stds), _stacked(members, 'mean'), stds, _stacked(members, 'model_mean'),
             np.array([each.prior.covariance for each in members]))
         prior = own.prior._replace(covariance=covariance)
         return own._replace(mean=mean, std=std, model_mean=model_mean, model_std=np.sqrt(covariance.diagonal()),
@@ -299,33 +301,40 @@ class AveragedEstimator(Estimator):
             plain = self._without_effects.desired(position, velocity, acceleration, now=0, origin=0)
         found = [own, *(other._desired(x, *((shown, needed) if other.columns.effects else plain))
                         for other in self._others)]
-        weights = self._weights.weights
+        weights = pool_weights(self._weights.weights,
+                               np.sqrt([each.covariance.diagonal() for each in found]))
         means = np.array([each.shown for each in found])
         return DesiredOutputs((weights * means).sum(axis=0),
                               (weights * np.array([each.needed for each in found])).sum(axis=0),
-                              mixture_covariance(weights, means, [each.covariance for each in found]),
+                              pool_covariance(weights, means, [each.covariance for each in found]),
                               float(weights.mean(axis=1) @ [each.variance_ratio for each in found]))
 
 
-def mixed(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array,
-          ) -> tuple[Array, Array, Array, Array]:
-    """:func:`mixture` of what is published, and mean and :func:`mixture_covariance` of the models alone."""
+def pool_weights(weights: Array, std: Array) -> Array:
+    """(K, n) v of the logarithmic pool, one in sum over the members; w and the standard deviations are (K, n)."""
+    shares = weights * (std.min(axis=0) / std) ** 2
+    return np.asarray(shares / shares.sum(axis=0))
+
+
+def pooled(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array,
+           ) -> tuple[Array, Array, Array, Array]:
+    """:func:`pool` of what is published, and mean and :func:`pool_covariance` of the models alone."""
     if not AVAILABLE:
-        return (*mixture(weights, means, std), (weights * model_means).sum(axis=0),
-                mixture_covariance(weights, model_means, covariances))
+        return (*pool(weights, means, std), (weights * model_means).sum(axis=0),
+                pool_covariance(weights, model_means, covariances))
     mean, spread, model_mean, covariance = *np.empty((3, means.shape[1])), np.empty(covariances.shape[1:])
-    _mix(weights, means, std, model_means, covariances, mean, spread, model_mean, covariance)
+    _pool(weights, means, std, model_means, covariances, mean, spread, model_mean, covariance)
     return mean, spread, model_mean, covariance
 
 
-def mixture(weights: Array, means: Array, std: Array) -> tuple[Array, Array]:
-    """(n,) mean and standard deviation of a mixture of K; all (K, n)."""
+def pool(weights: Array, means: Array, std: Array) -> tuple[Array, Array]:
+    """(n,) mean and standard deviation of K answers with the :func:`pool_weights`; all (K, n)."""
     mean = (weights * means).sum(axis=0)
     return mean, np.sqrt((weights * (std * std + (means - mean) ** 2)).sum(axis=0))
 
 
-def mixture_covariance(weights: Array, means: Array, covariances: Sequence[Array] | Array) -> Array:
-    """(n, n) with the variances of the mixture; between outputs that weigh differently, the geometric mean weighs."""
+def pool_covariance(weights: Array, means: Array, covariances: Sequence[Array] | Array) -> Array:
+    """(n, n) with the variances of the pool; between outputs that weigh differently, the geometric mean weighs."""
     roots, mean = np.sqrt(weights), (weights * means).sum(axis=0)
     total = np.zeros_like(covariances[0])
     for root, each, covariance in zip(roots, means, covariances, strict=True):
@@ -362,9 +371,9 @@ def _weigh(errors: Array, std: Array, log_weights: Array, weights: Array) -> Non
 
 
 @compiled(MATRIX, MATRIX, MATRIX, MATRIX, STACK, VECTOR, VECTOR, VECTOR, MATRIX)
-def _mix(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array, mean: Array, spread: Array,
-         model_mean: Array, covariance: Array) -> None:
-    """See :func:`mixed`."""
+def _pool(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array, mean: Array, spread: Array,
+          model_mean: Array, covariance: Array) -> None:
+    """See :func:`pooled`."""
     members, n = means.shape
     for k in range(n):
         mean[k] = model_mean[k] = spread[k] = 0.0

@@ -86,10 +86,10 @@ def test_an_average(monkeypatch, members):
         readable._learn(means, std)
         np.testing.assert_allclose(fast.weights, readable.weights, **TOLERANCE)
         said = fast.weights, means, std, model_means, roots @ roots.swapaxes(1, 2)
-        found = averaged_estimator.mixed(*said)
+        found = averaged_estimator.pooled(*said)
         with monkeypatch.context() as without:
             without.setattr(averaged_estimator, 'AVAILABLE', False)
-            expected = averaged_estimator.mixed(*said)
+            expected = averaged_estimator.pooled(*said)
         for one, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(one, other, **TOLERANCE)
 
