@@ -5,13 +5,9 @@ variant with them stands beside the same variant without any (a spike and slab p
 
 Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members by itself: w_mk follows the
 log density that member m gave to what was measured, forgotten slowly, with Student's t for the densities, so that a
-spike decides nothing. The answers meet in a logarithmic opinion pool (Genest and Zidek 1986), where a member that is
-less sure of this sample than the others counts less for it:
-
-    v_mk ~ w_mk / std_mk^2,      mean_k = sum_m v_mk mean_mk,      var_k = sum_m v_mk (std_mk^2 + (mean_mk - mean_k)^2)
-
-the pool's variance, 1 / sum_m (w_mk / std_mk^2), and what the members disagree. Each member has its own hyperparameters
-from the same initial window, its own wandering offset and bands; those that have the same effects share their columns.
+spike decides nothing. The answers meet in a logarithmic pool (see ``opinion_pool``). Each member has its own
+hyperparameters from the same initial window, its own wandering offset and bands; those that have the same effects share
+their columns.
 """
 
 from __future__ import annotations
@@ -23,7 +19,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, STACK, VECTOR, compiled
+from semiparam_ros.core.compiled import AVAILABLE, MATRIX, compiled
 from semiparam_ros.core.estimator import (
     DesiredOutputs,
     Estimator,
@@ -36,6 +32,7 @@ from semiparam_ros.core.estimator import (
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonErrors
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import InitialWindow
+from semiparam_ros.core.opinion_pool import pool_both, pool_together, pool_weights
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Stamps
@@ -280,13 +277,13 @@ class AveragedEstimator(Estimator):
         std = _stacked(prediction.members, 'std')
         if prediction.motion.is_news and counts:
             self._weights.learn(outputs - _stacked(prediction.members, 'mean'), std)
-        return self._horizons.advance_average(stamp, past, outputs, pool_weights(self._weights.weights, std))
+        return self._horizons.advance_average(stamp, past, outputs, self._weights.weights, std)
 
     def _averaged(self, members: tuple[Prediction, ...]) -> Prediction:
-        own, stds = members[0], _stacked(members, 'std')
-        mean, std, model_mean, covariance = pooled(
-            pool_weights(self._weights.weights, stds), _stacked(members, 'mean'), stds, _stacked(members, 'model_mean'),
-            np.array([each.prior.covariance for each in members]))
+        own = members[0]
+        mean, std, model_mean, covariance = pool_both(
+            self._weights.weights, _stacked(members, 'mean'), _stacked(members, 'std'),
+            _stacked(members, 'model_mean'), np.array([each.prior.covariance for each in members]))
         prior = own.prior._replace(covariance=covariance)
         return own._replace(mean=mean, std=std, model_mean=model_mean, model_std=np.sqrt(covariance.diagonal()),
                             prior=prior, members=members)
@@ -301,46 +298,11 @@ class AveragedEstimator(Estimator):
             plain = self._without_effects.desired(position, velocity, acceleration, now=0, origin=0)
         found = [own, *(other._desired(x, *((shown, needed) if other.columns.effects else plain))
                         for other in self._others)]
-        weights = pool_weights(self._weights.weights,
-                               np.sqrt([each.covariance.diagonal() for each in found]))
-        means = np.array([each.shown for each in found])
-        return DesiredOutputs((weights * means).sum(axis=0),
-                              (weights * np.array([each.needed for each in found])).sum(axis=0),
-                              pool_covariance(weights, means, [each.covariance for each in found]),
+        weights, covariances = self._weights.weights, np.array([each.covariance for each in found])
+        shown, covariance = pool_together(weights, np.array([each.shown for each in found]), covariances)
+        shares = pool_weights(weights, np.sqrt(covariances.diagonal(axis1=1, axis2=2)))
+        return DesiredOutputs(shown, (shares * np.array([each.needed for each in found])).sum(axis=0), covariance,
                               float(weights.mean(axis=1) @ [each.variance_ratio for each in found]))
-
-
-def pool_weights(weights: Array, std: Array) -> Array:
-    """(K, n) v of the logarithmic pool, one in sum over the members; w and the standard deviations are (K, n)."""
-    shares = weights * (std.min(axis=0) / std) ** 2
-    return np.asarray(shares / shares.sum(axis=0))
-
-
-def pooled(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array,
-           ) -> tuple[Array, Array, Array, Array]:
-    """:func:`pool` of what is published, and mean and :func:`pool_covariance` of the models alone."""
-    if not AVAILABLE:
-        return (*pool(weights, means, std), (weights * model_means).sum(axis=0),
-                pool_covariance(weights, model_means, covariances))
-    mean, spread, model_mean, covariance = *np.empty((3, means.shape[1])), np.empty(covariances.shape[1:])
-    _pool(weights, means, std, model_means, covariances, mean, spread, model_mean, covariance)
-    return mean, spread, model_mean, covariance
-
-
-def pool(weights: Array, means: Array, std: Array) -> tuple[Array, Array]:
-    """(n,) mean and standard deviation of K answers with the :func:`pool_weights`; all (K, n)."""
-    mean = (weights * means).sum(axis=0)
-    return mean, np.sqrt((weights * (std * std + (means - mean) ** 2)).sum(axis=0))
-
-
-def pool_covariance(weights: Array, means: Array, covariances: Sequence[Array] | Array) -> Array:
-    """(n, n) with the variances of the pool; between outputs that weigh differently, the geometric mean weighs."""
-    roots, mean = np.sqrt(weights), (weights * means).sum(axis=0)
-    total = np.zeros_like(covariances[0])
-    for root, each, covariance in zip(roots, means, covariances, strict=True):
-        apart = root * (each - mean)
-        total += covariance * np.multiply.outer(root, root) + np.multiply.outer(apart, apart)
-    return total
 
 
 def estimator_of(body: RigidBody, options: ModelOptions, effects: Sequence[ColumnBlock] = (),
@@ -368,28 +330,6 @@ def _weigh(errors: Array, std: Array, log_weights: Array, weights: Array) -> Non
             total += weights[m, k]
         for m in range(members):
             weights[m, k] /= total
-
-
-@compiled(MATRIX, MATRIX, MATRIX, MATRIX, STACK, VECTOR, VECTOR, VECTOR, MATRIX)
-def _pool(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array, mean: Array, spread: Array,
-          model_mean: Array, covariance: Array) -> None:
-    """See :func:`pooled`."""
-    members, n = means.shape
-    for k in range(n):
-        mean[k] = model_mean[k] = spread[k] = 0.0
-        for m in range(members):
-            mean[k] += weights[m, k] * means[m, k]
-            model_mean[k] += weights[m, k] * model_means[m, k]
-        for m in range(members):
-            apart = means[m, k] - mean[k]
-            spread[k] += weights[m, k] * (std[m, k] * std[m, k] + apart * apart)
-        spread[k] = np.sqrt(spread[k])
-    for k in range(n):
-        for j in range(n):
-            covariance[k, j] = 0.0
-            for m in range(members):
-                apart = (model_means[m, k] - model_mean[k]) * (model_means[m, j] - model_mean[j])
-                covariance[k, j] += np.sqrt(weights[m, k] * weights[m, j]) * (covariances[m, k, j] + apart)
 
 
 def _stacked(members: Sequence[Prediction], name: str) -> Array:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.opinion_pool import pool_weights
 from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
@@ -262,7 +263,7 @@ def advance(rows: Array, start: int, filled: int, decay: Array, features: Array,
 
 
 class AveragedHorizons(HorizonIndex):
-    """The running index of a weighted average of models: of each moment's weights, as they stood.
+    """The running index of several models in a pool (see ``opinion_pool``): of each moment's weights, as they stood.
 
     :param n_models: K, in a fixed order.
     """
@@ -270,18 +271,20 @@ class AveragedHorizons(HorizonIndex):
     def __init__(self, length: int, n_outputs: int, n_models: int) -> None:
         self._begin(length, n_outputs, (n_models, n_outputs))
 
-    def advance_average(self, stamp: int, errors: Array, outputs: Array, weights: Array) -> HorizonErrors | None:
-        """Charge one sample, from the errors (K, T, n) that each model's own index charged it with, and keep the
-        weights (K, n) as they stand after it; see :meth:`advance`."""
+    def advance_average(self, stamp: int, errors: Array, outputs: Array, weights: Array, std: Array,
+                        ) -> HorizonErrors | None:
+        """Charge one sample, from the errors (K, T, n) that each model's own index charged it with and the standard
+        deviations (K, n) of it, and keep the weights (K, n) as they stand after it; see :meth:`advance`."""
         row = self.make_room()
         self._outputs[row] = outputs
-        models, (shares,) = slice(self._start, self._start + self._filled), self._remembered()
+        models, (kept,) = slice(self._start, self._start + self._filled), self._remembered()
+        shares = pool_weights(kept[models], std)
         average = np.zeros((self._filled, len(outputs)))
         for index, each in enumerate(errors):
-            average += shares[models, index] * each[:self._filled]
+            average += shares[:, index] * each[:self._filled]
         self._squared_error[models] += average * average
         eps = self._complete() if self._filled == self.length else self.nothing
-        shares[row], self._squared_error[row] = weights, 0.0
+        kept[row], self._squared_error[row] = weights, 0.0
         return self.moved_on(stamp, eps)
 
 

@@ -1,4 +1,4 @@
-"""Models averaged by their evidence: the weights, the pool, and members that are as each would be alone."""
+"""Models averaged by their evidence: the weights, and members that are as each would be alone."""
 
 import pickle
 from dataclasses import replace
@@ -13,9 +13,6 @@ from semiparam_ros.core.averaged_estimator import (
     LEAST_LOG_WEIGHT,
     MemberWeights,
     estimator_of,
-    pool,
-    pool_covariance,
-    pool_weights,
 )
 from semiparam_ros.core.estimator import Estimator, ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -85,35 +82,6 @@ def test_weights_stay_finite_and_the_last_takes_over_within_a_few_samples(scale)
     for _ in range(3):
         weights.learn(scale * poor, np.full((2, 1), scale))
     assert np.isfinite(weights.weights).all() and weights.weights[1, 0] > 0.9
-
-
-@pytest.mark.parametrize('scale', [1e-150, 1.0, 1e150])
-def test_answers_are_pooled_as_the_product_of_their_densities_and_what_they_disagree(scale):
-    weights, means, std = np.array([0.7, 0.2, 0.1]), np.array([0.3, -0.4, 1.0]), np.array([0.5, 0.2, 2.0])
-    axis = np.linspace(-12.0, 12.0, 200001)
-    density = np.exp(-0.5 * weights @ ((axis - means[:, None]) / std[:, None]) ** 2)
-    density /= density.sum()
-    shares = pool_weights(weights[:, None], scale * std[:, None])
-    mean, found = pool(shares, scale * means[:, None], scale * std[:, None])
-    np.testing.assert_allclose(shares.sum(), 1.0)
-    np.testing.assert_allclose(mean / scale, density @ axis, rtol=1e-9)
-    variance = density @ axis**2 - (density @ axis) ** 2 + shares[:, 0] @ (means - mean / scale) ** 2
-    np.testing.assert_allclose((found / scale) ** 2, variance, rtol=1e-9)
-
-
-def test_variances_and_covariances_hold_what_the_answers_disagree():
-    rng = np.random.default_rng(1)
-    weights, means = np.array([[0.7, 0.7], [0.3, 0.3]]), rng.standard_normal((2, 2))
-    roots = [np.array([[1.0, 0.0], [0.8, 1.2]]), np.array([[0.5, 0.0], [-0.1, 1.0]])]
-    std = np.sqrt([np.diag(root @ root.T) for root in roots])
-    chosen = rng.random(400000) < 0.7
-    draws = np.where(chosen[:, None], *(mean + rng.standard_normal((400000, 2)) @ root.T
-                                        for mean, root in zip(means, roots, strict=True)))
-    mean, found = pool(weights, means, std)
-    np.testing.assert_allclose(mean, draws.mean(axis=0), atol=0.02)
-    covariance = pool_covariance(weights, means, [root @ root.T for root in roots])
-    np.testing.assert_allclose(covariance, np.cov(draws.T), atol=0.03)
-    np.testing.assert_allclose(found**2, np.diag(covariance), rtol=1e-12)
 
 
 def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_best(averaged):

@@ -15,6 +15,7 @@ from semiparam_ros.core import (
     estimator,
     horizon_error,
     input_range,
+    opinion_pool,
     recursion,
     square_root_filter,
     wandering_offset,
@@ -86,10 +87,10 @@ def test_an_average(monkeypatch, members):
         readable._learn(means, std)
         np.testing.assert_allclose(fast.weights, readable.weights, **TOLERANCE)
         said = fast.weights, means, std, model_means, roots @ roots.swapaxes(1, 2)
-        found = averaged_estimator.pooled(*said)
+        found = opinion_pool.pool_both(*said)
         with monkeypatch.context() as without:
-            without.setattr(averaged_estimator, 'AVAILABLE', False)
-            expected = averaged_estimator.pooled(*said)
+            without.setattr(opinion_pool, 'AVAILABLE', False)
+            expected = opinion_pool.pool_both(*said)
         for one, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(one, other, **TOLERANCE)
 

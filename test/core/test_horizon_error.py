@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonIndex, force_and_torque
+from semiparam_ros.core.opinion_pool import pool_weights
 from semiparam_ros.core.recursion import SemiParametricRecursion
 from semiparam_ros.errors import SemiparamError
 
@@ -109,12 +110,14 @@ def test_a_perfect_model_has_no_error_and_a_constant_output_a_finite_one():
 def test_an_average_is_charged_with_the_weights_of_its_moment():
     rng, length, count = np.random.default_rng(0), 4, 30
     errors, weights = rng.normal(size=(count, 3, length, N)), rng.dirichlet(np.ones(3), size=(count, N))
-    outputs, index = rng.normal(size=(count, N)), AveragedHorizons(length, N, 3)
-    found = [index.advance_average(t, list(errors[t]), outputs[t], weights[t].T) for t in range(count)]
+    std, outputs = rng.uniform(0.5, 2.0, (count, 3, N)), rng.normal(size=(count, N))
+    index = AveragedHorizons(length, N, 3)
+    found = [index.advance_average(t, errors[t], outputs[t], weights[t].T, std[t]) for t in range(count)]
     assert found[:length] == [None] * length
     for t in range(count - length):
         # The model of t is the newest one at t + 1.
-        left = [(weights[t].T * errors[t + s, :, s - 1]).sum(axis=0) for s in range(1, length + 1)]
+        left = [(pool_weights(weights[t].T, std[t + s]) * errors[t + s, :, s - 1]).sum(axis=0)
+                for s in range(1, length + 1)]
         y = outputs[t + 1:t + 1 + length]
         assert found[t + length].origin == t
         squared = np.sum(np.square(left), axis=0)
