@@ -137,7 +137,7 @@ class Player:
         self._gate = gate
         self._paced = rate is not None
         self.loop = loop
-        self._clock = PlayClock(timeline.start_ns, 1.0 if rate is None else rate, paused or not self._paced, monotonic)
+        self._clock = PlayClock(timeline.start_ns, 1.0 if rate is None else rate, True, monotonic)
         self._held = paused
         self._changed = threading.Condition()
         self._steps = 0
@@ -164,8 +164,10 @@ class Player:
             first = next(items, None)
             if first is None:
                 return self._nothing_from(position)
-            with self._changed:  # after the first read, which takes longest
+            with self._changed:  # after the first read, which takes longest: till then the bag time stands still
                 self._clock.jump(position)
+                if self._paced:
+                    self._clock.set_paused(self._held)
             for item in chain([first], items):
                 verdict = self._wait_for(item)
                 if verdict is not _Next.GO:

@@ -74,6 +74,23 @@ def test_everything_is_played_in_order_and_at_its_time():
     assert player.published == 20 and player.now() == score.end_ns
 
 
+def test_the_bag_time_does_not_run_before_the_first_message_is_read():
+    """It would go back then, and nodes on simulated time would begin anew."""
+    clock, seen = itertools.count(0, 7 * MS), []
+    score = Score(20)
+
+    class SlowToOpen:
+        start_ns, end_ns = score.start_ns, score.end_ns
+
+        def play(self, from_ns):
+            seen.extend(player.now() for _ in range(5))
+            yield from score.play(from_ns)
+
+    player = Player(SlowToOpen(), lambda item: seen.append(player.now()), monotonic=lambda: next(clock))
+    assert player.run() is Ending.FINISHED
+    assert seen[:5] == [score.start_ns] * 5 and seen == sorted(seen) and seen[-1] > score.start_ns
+
+
 def test_unpaced_playback_does_not_wait():
     score = Score(100, spacing=3600 * 10**9)
     heard = []
