@@ -64,7 +64,8 @@ def _add_follow(group: argparse._ArgumentGroup) -> None:
     group.add_argument('--wait-timeout', type=float, default=30.0, metavar='S',
                        help='how long to wait for subscribers and followers (default 30)')
     group.add_argument('--wait-for-all-acked', type=float, default=0.0, metavar='S',
-                       help='at the end, wait so long until reliable subscribers have everything')
+                       help='at the end, wait so long until reliable subscribers have everything, and fail if not '
+                       '(default: 3.5 s, and no failure)')
 
 
 def _add_publishing(group: argparse._ArgumentGroup) -> None:

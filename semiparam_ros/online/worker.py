@@ -6,6 +6,7 @@ A thread would not do: it would share the interpreter's lock with the callbacks,
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import pickle
@@ -87,24 +88,49 @@ class Background(Protocol):
         """Run ``function`` in the caller's thread as soon as what already waits there is done."""
 
 
+class Worker(NamedTuple):
+    """A process that waits for jobs, and this end of the line to it."""
+
+    process: BaseProcess
+    line: Connection
+
+
+def forked_worker() -> Worker:
+    """A worker that has everything loaded and shares this process's memory; only while no other thread runs.
+
+    It costs nothing, where one that is spawned loads for two seconds of processor time.
+    """
+    usual = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # until the worker has learnt to ignore it
+    try:
+        fork = multiprocessing.get_context('fork')
+        ours, theirs = fork.Pipe()
+        process = fork.Process(target=_work, args=(theirs, ours), daemon=True)
+        process.start()
+        theirs.close()
+        return Worker(process, ours)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, usual)
+
+
 class ProcessBackground:
-    """One process, started at once so that it is warm when it is needed, and replaced should it die or stand still.
+    """One process, there from the start, warm when it is needed, and replaced should it die or stand still.
 
     It is given one job at a time: when it dies, just the job that it worked on is to blame, and is tried once more.
 
     :param later: see :data:`Later`; in that thread all of this runs but the jobs themselves.
     :param told: called there with what a job tells of its progress, see :func:`tell`.
     :param still_s: see :data:`STILL_S`.
+    :param first: the first process; spawned if left out, as later ones are, which come while threads run.
     """
 
     def __init__(self, later: Later, told: Callable[[str], None] = lambda sentence: None,
-                 still_s: float = STILL_S) -> None:
+                 still_s: float = STILL_S, first: Worker | None = None) -> None:
         self._later, self._told, self._still_s = later, told, still_s
         self._closed = False
         self._queue: deque[_ProcessJob] = deque()
         self._running: _ProcessJob | None = None
         self._handed: SimpleQueue[_ProcessJob | None] = SimpleQueue()
-        self._process: BaseProcess | None = None
+        self._first, self._process = first, first and first.process
         self._thread = threading.Thread(target=self._serve, name='background', daemon=True)
         self._thread.start()
 
@@ -176,35 +202,27 @@ class ProcessBackground:
     # In the thread that talks with the process
 
     def _serve(self) -> None:
-        resource_tracker.ensure_running()  # which would unblock the signal
-        # The process inherits this: a Ctrl-C while it is still importing is not for it.
-        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-        process, line = self._new_process()
+        worker = self._watched(self._first or _spawned_worker())
         while (job := self._handed.get()) is not None:
-            if not process.is_alive():
-                line.close()
-                process, line = self._new_process()
-            self._later(self._finish, self._ask(process, line, job))
+            if not worker.process.is_alive():
+                worker.line.close()
+                worker = self._watched(_spawned_worker())
+            self._later(self._finish, self._ask(worker, job))
             del job  # it holds a history
-        line.close()
-        process.kill()
-        process.join()
+        worker.line.close()
+        worker.process.kill()
+        worker.process.join()
 
-    def _new_process(self) -> tuple[BaseProcess, Connection]:
-        spawn = multiprocessing.get_context('spawn')
-        ours, theirs = spawn.Pipe()
-        process = spawn.Process(target=_work, args=(theirs,), daemon=True)
-        process.start()
-        theirs.close()  # the process has its own: when it ends, nobody waits for the other half of a result
-        self._process = process
+    def _watched(self, worker: Worker) -> Worker:
+        self._process = worker.process
         if self._closed:
-            process.kill()
-        threading.Thread(target=self._watch, args=(process,), name='watch', daemon=True).start()
-        return process, ours
+            worker.process.kill()
+        threading.Thread(target=self._watch, args=(worker.process,), name='watch', daemon=True).start()
+        return worker
 
-    def _ask(self, process: BaseProcess, line: Connection, job: _ProcessJob) -> _Outcome | None:
+    def _ask(self, worker: Worker, job: _ProcessJob) -> _Outcome | None:
         """What comes of a job; None: the process died."""
-        outcome = None
+        (process, line), outcome = worker, None
         try:
             transport.send(line, (job.function, job.arguments))
             while True:
@@ -232,6 +250,19 @@ class ProcessBackground:
                 still = still + 1 if self._running is not None and state != 'R' and used == before else 0
                 if still > LOOKS:
                     process.kill()
+
+
+def _spawned_worker() -> Worker:
+    """A worker begun anew, from a thread that may not unblock SIGINT later."""
+    resource_tracker.ensure_running()  # which would unblock the signal
+    # The process inherits this: a Ctrl-C while it is still importing is not for it.
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    spawn = multiprocessing.get_context('spawn')
+    ours, theirs = spawn.Pipe()
+    process = spawn.Process(target=_work, args=(theirs,), daemon=True)
+    process.start()
+    theirs.close()  # the process has its own: when it ends, nobody waits for the other half of a result
+    return Worker(process, ours)
 
 
 @dataclass
@@ -276,10 +307,13 @@ _line: Connection | None = None
 """In a background's process: the way back to the node."""
 
 
-def _work(line: Connection) -> None:
+def _work(line: Connection, other_end: Connection | None = None) -> None:
     """The process: leave Ctrl-C to the node, yield to it, work on one job after the other, and end when it ends."""
     global _line
     _line = line
+    if other_end is not None:  # one that was forked has it too, and would never see the line end
+        other_end.close()
+    gc.freeze()  # pages of what is loaded that the collector does not write stay shared with the node
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGUSR1, _give_up)
     os.nice(NICENESS)

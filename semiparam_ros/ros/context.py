@@ -30,6 +30,9 @@ ONE_KEY_S = 0.5
 
 SPIN_S = 0.2
 CALL_S = 10.0
+DELIVER_S = 3.5
+"""At the end, how long subscribers may take to receive the last messages: Fast DDS sends again after 3 s what was
+missed."""
 
 Result = TypeVar('Result')
 

@@ -86,6 +86,6 @@ def test_messages_of_any_size_leave_nothing_behind(start_node):
     assert len(values['last refusal']) < 700
     for value in ({'variant': 'x' * 100_000}, {'effects': ['payload@' + 'x' * 100_000]}, {'x' * 100_000: 1}):
         result = client.set(**value)[0]
-        assert not result.successful
+        assert not result.successful, next(iter(value))[:20]
         assert 0 < len(result.reason) < 700
     assert all(len(line) < 1000 for line in node.output.splitlines())

@@ -39,6 +39,7 @@ def recorder(out):
         with Tool(out.parent, 'record', out, '--topics', '/wrench') as record:
             source.wait_for_listeners(wrench)
             source.wait_for(lambda: record.said('recording 1 topics'))
+            source.meet('bag_record')
             yield source, wrench, record
 
 

@@ -27,6 +27,8 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from support.replay_peers import meet
+
 PATIENCE_S = 240.0
 POLL_S = 0.005
 RECENT = 50
@@ -118,22 +120,8 @@ class Client:
         self.meet()
 
     def meet(self):
-        """Wait until the node knows every reader and writer that there is here.
-
-        Participants learn of each other's readers, and of the writers, in the order in which these were made. A call
-        with a writer of requests and a reader of answers of its own is answered once the node knows both, and so all
-        that was made before. An answer that is sent before its reader is known is lost: it is asked for again.
-        """
-        client, calls, due = self.node.create_client(GetParameters, f'{self.target}/get_parameters'), [], 0.0
-
-        def answered():
-            nonlocal due
-            if client.service_is_ready() and time.monotonic() > due:
-                calls.append(client.call_async(GetParameters.Request()))
-                due = time.monotonic() + 1.0
-            return any(call.done() for call in calls)
-
-        self.wait(answered, 'the node knows this client')
+        """Wait until the node knows every reader and writer that there is here."""
+        meet(self.node, self.target, self.wait)
 
     def wait(self, condition, what='', timeout_s=PATIENCE_S):
         """Until a condition holds; time in which the machine stood still does not count."""

@@ -8,6 +8,7 @@ import threading
 import time
 
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -78,6 +79,25 @@ class Tool:
             self.process.wait()
 
 
+def meet(node, other, wait_for):
+    """Wait until another node knows every reader and writer of this one.
+
+    Participants learn of each other's readers, and of the writers, in the order in which these were made. A call with a
+    writer of requests and a reader of answers of its own is answered once the other knows both, and so all that was
+    made before. An answer that is sent before its reader is known is lost: it is asked for again.
+    """
+    client, calls, due = node.create_client(GetParameters, f'{other}/get_parameters'), [], 0.0
+
+    def answered():
+        nonlocal due
+        if client.service_is_ready() and time.monotonic() > due:
+            calls.append(client.call_async(GetParameters.Request()))
+            due = time.monotonic() + 1.0
+        return any(call.done() for call in calls)
+
+    wait_for(answered, f'{other} knows {node.get_name()}')
+
+
 class Peer:
     """A node in this process, with a context of its own, that keeps what it receives in ``heard[topic]``."""
 
@@ -133,6 +153,10 @@ class Peer:
             while not condition():
                 assert looks, what or {topic: len(each) for topic, each in self.heard.items()}
                 looks -= not self.changed.wait(0.05)
+
+    def meet(self, other):
+        """Wait until a node knows every writer of this one: messages sent before may come seconds late."""
+        meet(self.node, other, self.wait_for)
 
     def call(self, kind, service, request=None):
         """The response of one service call."""

@@ -19,7 +19,8 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.state_file import SavedState, folder_of
-from semiparam_ros.online.worker import Later, ProcessBackground
+from semiparam_ros.online.worker import Later, ProcessBackground, Worker
+from semiparam_ros.ros.context import DELIVER_S
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.estimator.diagnostics import (
@@ -40,19 +41,17 @@ from semiparam_ros.settings.parameter_table import BY_NAME
 from semiparam_ros.settings.snapshot import Settings, unknown_name
 
 NAME = 'estimator'
-DELIVER_S = 3.5
-"""At the end, how long subscribers may take to receive the last answers: DDS sends again after 3 s what was missed."""
 
 
 class EstimatorNode(Node):
     """Learns, predicts and publishes.
 
     :param later: see :data:`Later`.
-    :param files: the parameter files, see :func:`located`.
+    :param files: the parameter files, see :func:`located`. :param worker: the process beside it; begun if left out.
     Raises SemiparamError when the parameters do not describe an estimator.
     """
 
-    def __init__(self, later: Later, files: Sequence[Path] = ()) -> None:
+    def __init__(self, later: Later, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
         super().__init__(NAME)
         self.learner: Learner | None = None
         self.errors = InternalErrors(self.get_logger().error, self._complain)
@@ -63,7 +62,7 @@ class EstimatorNode(Node):
         self._outputs = Outputs(self, settings.outputs)
 
         guarded = partial(later, self._guarded, 'the background')
-        self._background = ProcessBackground(guarded)
+        self._background = ProcessBackground(guarded, first=worker)
         self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
         self._inputs = Inputs(self, settings, self)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,

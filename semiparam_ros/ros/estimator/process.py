@@ -16,7 +16,7 @@ from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.effects import kinds
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.worker import Later
+from semiparam_ros.online.worker import Later, Worker, forked_worker
 from semiparam_ros.ros.context import SPIN_S, StopSignals, rcl_reason, spin_for, start_rclpy
 from semiparam_ros.ros.estimator.node import EstimatorNode
 
@@ -45,17 +45,18 @@ def take_priority(priority: int) -> str:
 
 def run_estimator(ros_arguments: Sequence[str]) -> int:
     """Run the node until a signal ends it; raises SemiparamError when it cannot start."""
+    worker = forked_worker()  # before the first thread
     with StopSignals() as stop:
-        return _run(ros_arguments, stop)
+        return _run(ros_arguments, stop, worker)
 
 
-def _run(ros_arguments: Sequence[str], stop: StopSignals) -> int:
+def _run(ros_arguments: Sequence[str], stop: StopSignals, worker: Worker) -> int:
     start_rclpy(ros_arguments)
     sys.setswitchinterval(SWITCH_S)
     try:
         # This executor takes a third of what rclpy's others take.
         executor = EventsExecutor()
-        node = _new_node(executor.create_task, parameter_files(ros_arguments))
+        node = _new_node(executor.create_task, parameter_files(ros_arguments), worker)
         try:
             executor.add_node(node)
             refused = take_priority(node.settings.realtime_priority)
@@ -82,9 +83,9 @@ def parameter_files(ros_arguments: Sequence[str]) -> list[Path]:
     return [Path(path) for path in reversed(named)]
 
 
-def _new_node(later: Later, files: Sequence[Path]) -> EstimatorNode:
+def _new_node(later: Later, files: Sequence[Path], worker: Worker) -> EstimatorNode:
     try:
-        return EstimatorNode(later, files)
+        return EstimatorNode(later, files, worker)
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
 

@@ -100,6 +100,7 @@ class ReplayNode(Node):
 
     def wait_for_all_acked(self, topics: Collection[str], timeout_s: float) -> list[str]:
         """Wait until every reliable subscriber has everything; those of ``topics`` where one has not in time."""
+        deadline = time.monotonic() + timeout_s
         return [topic for topic, output in self.outputs.items()
                 if topic in topics and self.offers[topic].reliability == 'reliable'
-                and not output.wait_for_all_acked(Duration(nanoseconds=int(timeout_s * 1e9)))]
+                and not output.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))]

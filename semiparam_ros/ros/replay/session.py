@@ -23,7 +23,7 @@ from semiparam_ros.playback.progress import ReplayProgress
 from semiparam_ros.playback.read_ahead import ReadAhead
 from semiparam_ros.playback.report import Answers, ReplayAccount
 from semiparam_ros.playback.timeline import BagTimeline, PlayedTopic
-from semiparam_ros.ros.context import RosProcess, call_in_executor
+from semiparam_ros.ros.context import DELIVER_S, RosProcess, call_in_executor
 from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
 from semiparam_ros.ros.message_types import is_installed
 from semiparam_ros.ros.recorded_qos import load_overrides, lossless, overridden
@@ -183,15 +183,15 @@ class ReplaySession:
         return ending
 
     def _settle(self, node: ReplayNode) -> None:
-        """Wait for the acknowledgements of the transport."""
+        """Wait until the last messages have arrived; that some have not is a failure where it was asked for."""
         patience = max(self._options.wait_for_all_acked_s, ACKNOWLEDGE_S if self._followers else 0.0)
-        # A follower that has answered has received: only others are asked, for their answer may take 3 s (the period
-        # of Fast DDS's heartbeat).
+        # A follower that has answered has received: only others are asked, for their answer may take 3 s.
         followers = {follower.name for follower in self._followers}
         topics = {each.topic for each in subscribers(node) if each.owner not in followers}
+        missed = node.wait_for_all_acked(topics, patience or DELIVER_S)
         if patience:
             self._failures += [f'not every subscriber of {topic} acknowledged everything within {patience:g} s.'
-                               for topic in node.wait_for_all_acked(topics, patience)]
+                               for topic in missed]
 
     def _judge(self, ending: str) -> None:
         """An unanswered request is a failure of a playback that promised to lose none."""
