@@ -28,8 +28,8 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import numpy as np
 
 from semiparam_ros.bags.loading import LoadedBag, load_samples
-from semiparam_ros.core.estimator import Prediction, log_density
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.single_estimator import Prediction, log_density
 from semiparam_ros.core.types import Array
 from semiparam_ros.core.variants import AVERAGED, CHOICES, MEMBERS, VARIANTS
 from semiparam_ros.effects import kinds

@@ -31,7 +31,7 @@ VARIANTS: dict[str, Variant] = {
 }
 
 AVERAGED = 'auto'
-"""Several variants side by side, averaged by their running evidence (core.averaged_estimator)."""
+"""Several variants side by side, averaged by their running evidence (core.estimator)."""
 MEMBERS = ('SPK-ML', 'P', 'NP-VS')
 """Those that are averaged; what is asked of one model is that of the first."""
 CHOICES = (*VARIANTS, AVERAGED)

@@ -11,9 +11,10 @@ from functools import partial
 import numpy as np
 
 from semiparam_ros.bags.loading import LoadedBag
-from semiparam_ros.core.estimator import Estimator, Prediction
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors, force_and_torque
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate

@@ -32,9 +32,9 @@ import numpy as np
 
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.compiled import NUMBER, VECTOR, compiled
-from semiparam_ros.core.estimator import Prediction
 from semiparam_ros.core.robot.frames import force_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.settings.parameter_table import Table

@@ -14,10 +14,11 @@ import numpy as np
 
 from semiparam_ros.atomic_write import remove_leftovers, replacing
 from semiparam_ros.core.columns import Memories, Memory
-from semiparam_ros.core.estimator import Estimator, EstimatorState, MemberState
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.motion import Motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.single_estimator import EstimatorState, MemberState
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.contact_gate import ContactGate

@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar,
 
 import numpy as np
 
-from semiparam_ros.core.averaged_estimator import estimator_of
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.recursion import KEPT
@@ -432,7 +431,7 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
     if known is not None:
         settings = settings.changed(hyperparameter_values(*known[:3]))
     options = replace(model_options(settings), others=known.others if known else ())
-    return estimator_of(body, options, declared_effects(settings), origin, known.window if known else 0)
+    return Estimator(body, options, declared_effects(settings), origin, known.window if known else 0)
 
 
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
-from semiparam_ros.core.averaged_estimator import estimator_of
-from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.settings import robot_description as description
 from semiparam_ros.settings.parameter_table import Table, Value
 
@@ -25,7 +25,7 @@ def build_estimator(settings: Table, robot_description: str | None = None, origi
     Raises SemiparamError when the URDF, a joint, the sensor frame, an effect or a hyperparameter does not fit.
     """
     body = build_rigid_body(settings, robot_description)
-    return estimator_of(body, model_options(settings), declared_effects(settings), origin)
+    return Estimator(body, model_options(settings), declared_effects(settings), origin)
 
 
 def build_rigid_body(settings: Table, robot_description: str | None = None) -> RigidBody:

@@ -10,9 +10,10 @@ from rich.console import Console
 
 from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.evaluate import print_scores
-from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.experiments.evaluation import Scores, by_phase, normalised_errors, update_times
 from semiparam_ros.settings import Settings, dump_params, load_params
 from support import node_helpers

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core import (
-    averaged_estimator,
     band_calibration,
     compiled,
     estimator,
@@ -17,6 +16,7 @@ from semiparam_ros.core import (
     input_range,
     opinion_pool,
     recursion,
+    single_estimator,
     square_root_filter,
     wandering_offset,
 )
@@ -57,7 +57,7 @@ def test_what_follows_the_errors(follower):
 
 
 def test_an_estimator_follows_what_is_learnt_as_its_parts_do(monkeypatch):
-    fast, readable = (estimator.Estimator.__new__(estimator.Estimator) for _ in range(2))
+    fast, readable = (single_estimator.SingleEstimator.__new__(single_estimator.SingleEstimator) for _ in range(2))
     for each in (fast, readable):
         each.calibration, each.wandering = band_calibration.BandCalibration(N), wandering_offset.WanderingOffset(N)
         each._window_left = 3
@@ -67,7 +67,7 @@ def test_an_estimator_follows_what_is_learnt_as_its_parts_do(monkeypatch):
         said = outputs, SimpleNamespace(mean=mean, std=std), index % 7 > 0
         fast._follow(*said)
         with monkeypatch.context() as without:
-            for module in (estimator, band_calibration, wandering_offset):
+            for module in (single_estimator, band_calibration, wandering_offset):
                 without.setattr(module, 'AVAILABLE', False)
             readable._follow(*said)
     for follower in ('calibration', 'wandering'):
@@ -79,7 +79,7 @@ def test_an_estimator_follows_what_is_learnt_as_its_parts_do(monkeypatch):
 @pytest.mark.parametrize('members', [1, 2, 6])
 def test_an_average(monkeypatch, members):
     rng = np.random.default_rng(9)
-    fast, readable = (averaged_estimator.MemberWeights(members, N) for _ in range(2))
+    fast, readable = (estimator.MemberWeights(members, N) for _ in range(2))
     for _ in range(50):
         means, model_means = rng.standard_normal((2, members, N))
         std, roots = rng.uniform(0.5, 2.0, (members, N)), rng.standard_normal((members, N, N))

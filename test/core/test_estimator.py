@@ -9,13 +9,13 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from semiparam_ros.core.averaged_estimator import estimator_of
-from semiparam_ros.core.estimator import Estimator, ModelOptions, information_gain, log_density
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.motion import STILL_SAMPLES, at_start
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.single_estimator import ModelOptions, SingleEstimator, information_gain, log_density
 from semiparam_ros.core.variants import AVERAGED, CHOICES
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
@@ -48,7 +48,7 @@ def recording(arm):
 
 
 def estimator(arm, variant, **options):
-    return estimator_of(arm, ModelOptions(**({'variant': variant, 'features_count': 60, 'initial_samples': WINDOW,
+    return Estimator(arm, ModelOptions(**({'variant': variant, 'features_count': 60, 'initial_samples': WINDOW,
                                               'horizon': 5} | options)))
 
 
@@ -159,7 +159,7 @@ def test_without_learning_the_answers_stay_but_horizons_go_on(trained, recording
     np.testing.assert_allclose(late[-1].horizon.eps, error / power, rtol=1e-9)
 
 
-@patch('semiparam_ros.core.estimator.estimate', estimate)  # another search, see conftest
+@patch('semiparam_ros.core.single_estimator.estimate', estimate)  # another search, see conftest
 def test_it_is_deterministic(trained, arm, recording):
     model, predictions = trained
     again = run(estimator(arm, model.options.variant), recording)
@@ -452,7 +452,7 @@ def pushed(arm, recording):
 
 def declaring(trained, arm, *effects):
     """The same variant, untrained, with effects."""
-    return estimator_of(arm, trained[0].options, [effect_from_text(text) for text in effects])
+    return Estimator(arm, trained[0].options, [effect_from_text(text) for text in effects])
 
 
 def test_every_variant_learns_an_effect_that_begins_after_the_window(trained, arm, recording, pushed):
@@ -481,12 +481,12 @@ def test_an_effect_that_the_window_cannot_tell_or_does_not_see_explodes_in_no_va
 @pytest.mark.parametrize('variant', ['SP-ML', 'NP-ML', 'SP2-ML'])
 def test_hyperparameters_handed_on_give_the_same_model_with_effects(arm, pushed, variant):
     effects = [effect_from_text('external_force@r_hand')]
-    reference = Estimator(arm, ModelOptions(variant=variant, features_count=60, initial_samples=WINDOW), effects)
+    reference = SingleEstimator(arm, ModelOptions(variant=variant, features_count=60, initial_samples=WINDOW), effects)
     run(reference, pushed[:WINDOW])
     mean, scale = reference.input_scaling
     options = replace(reference.options, hyperparameters=reference.model.hyperparameters, input_mean=tuple(mean),
                       input_scale=tuple(scale))
-    given = Estimator(arm, options, effects)
+    given = SingleEstimator(arm, options, effects)
     run(given, pushed[:WINDOW])
     for sample in pushed[WINDOW:WINDOW + 5]:
         np.testing.assert_allclose(given.step(sample).mean, reference.step(sample).mean, rtol=0, atol=1e-9)

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.settings.build import build_rigid_body
 from support.declared_effects import panda, ur3
 from support.learner_stage import Stage

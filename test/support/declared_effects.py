@@ -27,10 +27,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.core.averaged_estimator import estimator_of
-from semiparam_ros.core.estimator import ModelOptions
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.errors import SemiparamError
@@ -174,7 +174,7 @@ def error(name: str, variant: str, effect: Effect | None) -> float:
     body, samples = recording(name)
     window = int(WINDOW_SHARE * len(samples))
     options = ModelOptions(variant=variant, features_count=FEATURES, initial_samples=window)
-    estimator = estimator_of(body, options, [effect] if effect else [], samples.origin)
+    estimator = Estimator(body, options, [effect] if effect else [], samples.origin)
     left = np.array([sample.outputs - estimator.step(sample).mean for sample in samples])[window:]
     variance = samples.outputs.var(axis=0)
     moving = variance > 0.0

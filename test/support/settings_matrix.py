@@ -400,7 +400,7 @@ def _offer_with_tares(stage: Live, samples: list[Sample], tares: list[int]) -> N
 ESTIMATES = Estimates(starts=1)
 
 
-@patch('semiparam_ros.core.estimator.estimate', ESTIMATES)
+@patch('semiparam_ros.core.single_estimator.estimate', ESTIMATES)
 @patch('semiparam_ros.online.renewal.SHARE', 2.0)
 def check(row: Row, count: int) -> dict[str, object]:
     """Run one row; AssertionError says what does not hold. Returns figures.

@@ -7,16 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from semiparam_ros.core.averaged_estimator import (
-    DEGREES,
-    EVIDENCE_MEMORY,
-    LEAST_LOG_WEIGHT,
-    MemberWeights,
-    estimator_of,
-)
-from semiparam_ros.core.estimator import Estimator, ModelOptions
+from semiparam_ros.core.estimator import DEGREES, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT, Estimator, MemberWeights
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.single_estimator import ModelOptions, SingleEstimator
 from semiparam_ros.core.variants import AVERAGED
 from semiparam_ros.effects import effect_from_text, effect_to_text
 from semiparam_ros.errors import SemiparamError
@@ -34,7 +28,7 @@ def recording(unmodelled):
     return replace(motion, outputs=outputs + 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape))
 
 
-def begun(variant, samples, effects=(), build=estimator_of):
+def begun(variant, samples, effects=(), build=Estimator):
     options = ModelOptions(variant=variant, features_count=30, initial_samples=WINDOW, horizon=4)
     model = build(ARM, options, [effect_from_text(text) for text in effects])
     return model, [model.step(sample) for sample in samples]
@@ -89,7 +83,7 @@ def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_b
     errors = []
     for index, member in enumerate(model.members):
         effects = [effect_to_text(effect) for effect in model.columns.effects if member.has_effects]
-        _, alone = begun(member.variant, samples, effects, Estimator)
+        _, alone = begun(member.variant, samples, effects, SingleEstimator)
         errors.append(error(alone))
         for one, other in zip(alone[WINDOW:], predictions[WINDOW:], strict=True):
             np.testing.assert_array_equal(one.mean, other.members[index].mean)
@@ -105,7 +99,7 @@ def test_before_the_window_is_over_the_rigid_body_without_effects_stands_beside_
     if not model.columns.effects:
         assert model.effects_probability is None
         return
-    plain = Estimator(ARM, model.options)
+    plain = SingleEstimator(ARM, model.options)
     for sample, prediction in zip(samples[:WINDOW - 1], predictions, strict=False):
         np.testing.assert_array_equal(plain.step(sample).model_mean, prediction.members[1].model_mean)
     odds = np.array([sum(weights for name, weights in model.weights.items() if ('without' in name) == without)
@@ -118,7 +112,7 @@ def test_a_state_goes_on_as_it_was_with_the_hyperparameters_of_every_member(aver
     samples, model, _ = averaged
     model = pickle.loads(pickle.dumps(model))
     mean, scale = ((), ()) if model.input_scaling is None else map(tuple, model.input_scaling)
-    twin = estimator_of(ARM, replace(model.options, hyperparameters=model.model.hyperparameters,
+    twin = Estimator(ARM, replace(model.options, hyperparameters=model.model.hyperparameters,
                                      input_mean=mean, input_scale=scale), model.columns.effects)
     twin.restore(pickle.loads(pickle.dumps(model.state())))
     assert twin.others == model.others and list(twin.weights) == [member.name for member in model.members]
