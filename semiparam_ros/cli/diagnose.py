@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     variants = _evaluate_variants(args, settings, diagnosis)
     named = ', '.join(map(str, args.bags))
     result = diagnosis.as_dict() | {'command': 'diagnose', 'bag': named, 'variants': variants}
-    _show(diagnosis, variants, str(args.output or ''))
+    show(diagnosis, variants, str(args.output or ''))
     if args.json:
         write_json(args.json, result)
     if args.output:
@@ -180,7 +180,8 @@ def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: 
                                  lambda done, total: bar.update(task, completed=done, total=total))
 
 
-def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures], written: str) -> None:
+def show(diagnosis: Diagnosis, variants: dict[str, VariantFigures], written: str = '') -> None:
+    """Print the report. :param written: the parameter file that declares what was found; '' for none."""
     from rich import box
     from rich.table import Table
 
@@ -211,6 +212,9 @@ def _show(diagnosis: Diagnosis, variants: dict[str, VariantFigures], written: st
     output.print(table)
     for name, before, after, lower in variant_rows(variants):
         output.print(f'{name}: held-out nMSE {before:.5f} without the effects, {after:.5f} with them{lower}.',
+                     soft_wrap=True)
+    if not variants and diagnosis.structure is not None and diagnosis.structure.significant:
+        output.print('What is left and follows the motion can be learnt all the same: --variants SPK-ML judges it.',
                      soft_wrap=True)
     output.print(f'Next: {next_step(diagnosis, written)}', soft_wrap=True)
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from semiparam_ros.cli.diagnose import diagnose_bag, write_parameters
+from semiparam_ros.cli.diagnose import diagnose_bag, show, write_parameters
 from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
@@ -558,7 +558,7 @@ def measured(measured_icub, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found():
+def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found(capsys):
     """A force that acts in a small part of the workspace looks a little like many kinds, and like none."""
     recording = simulate(Scenario(motion='circle_xy', samples=SAMPLES, seed=1,
                                   effects=(EffectRequest('bump', size=2.0),)))
@@ -566,6 +566,8 @@ def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found():
     assert diagnosis.verdict == 'unexplained' and diagnosis.steps
     assert diagnosis.structure.formulas and diagnosis.structure.variables
     assert text_report(diagnosis)[0].startswith('Something is missing that')
+    show(diagnosis, {})
+    assert '--variants SPK-ML judges it' in capsys.readouterr().out
 
 
 @pytest.mark.slow
