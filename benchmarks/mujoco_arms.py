@@ -108,10 +108,12 @@ def case(setting: Setting, robots: Path) -> Case:
     return Case(setting.name, robot.body, recorded(setting, robot))
 
 
-def recorded(setting: Setting, robot: Robot) -> Samples:
-    """What the robot's driver reports."""
+def recorded(setting: Setting, robot: Robot, take: int = 0) -> Samples:
+    """What the robot's driver reports. ``take``: another one has the same robot, and motion and noise of its own."""
     rng = np.random.default_rng(setting.seed)
     model = built(robot, lambda spec: _as_it_is(spec, setting, rng))
+    if take:
+        rng = np.random.default_rng((setting.seed, take))
     data = mujoco.MjData(model)
     dofs = [model.joint(name).dofadr[0] for name in setting.joints]
     wanted = MOTIONS[setting.motion](setting, rng) + np.array(setting.home)
@@ -181,6 +183,17 @@ def _sines(setting: Setting, rng: np.random.Generator) -> Array:
     return np.asarray(path)
 
 
+def _circles(setting: Setting, rng: np.random.Generator) -> Array:
+    """Each joint and the next one draw a circle in their plane, which drifts; the pace changes slowly."""
+    count = len(setting.joints)
+    time = np.arange(round(setting.seconds / STEP_S))[:, None] * STEP_S
+    pace = rng.uniform(0.15, 0.35)
+    angle = 2.0 * np.pi * (pace * time + 0.3 * pace / 0.06 / np.pi * np.sin(np.pi * 0.06 * time))
+    turned = angle + np.pi / 2.0 * np.arange(count) + rng.uniform(0.0, 0.5, count)
+    drift = 0.15 * np.sin(2.0 * np.pi * rng.uniform(0.02, 0.05, count) * time + rng.uniform(0.0, 2.0 * np.pi, count))
+    return np.asarray(rng.uniform(0.15, 0.4, count) * np.sin(turned) + drift)
+
+
 def _twice(setting: Setting, rng: np.random.Generator) -> Array:
     """The same sines twice, faded in and out, at rest for two seconds before, between and after."""
     rest = round(2.0 / STEP_S)
@@ -219,7 +232,7 @@ def _moves(setting: Setting, rng: np.random.Generator, moving: Callable[[int], A
     return np.concatenate(parts)[:length]
 
 
-MOTIONS = {'sines': _sines, 'twice': _twice, 'points': _points, 'in turn': _in_turn}
+MOTIONS = {'sines': _sines, 'circles': _circles, 'twice': _twice, 'points': _points, 'in turn': _in_turn}
 
 
 def cases(robots: Path) -> Iterator[Case]:

@@ -1,4 +1,4 @@
-"""The coupled columns C = [psi | offset | effects]: everything of the output that is linear in theta."""
+"""The coupled columns C = [psi | friction | offset | effects]: everything of the output that is linear in theta."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
+from semiparam_ros.core.robot.joint_friction import KINDS, fill_friction, friction_columns, friction_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import base_scale
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample, Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -97,17 +99,33 @@ class Absent:
 
 
 class CoupledColumns:
-    """Assembles C for a rigid body and its declared effects; a wrench always has a constant offset."""
+    """Assembles C for a rigid body and its declared effects; a wrench always has a constant offset.
 
-    def __init__(self, body: RigidBody, effects: Sequence[ColumnBlock] = ()) -> None:
+    :param joint_friction: with joint efforts, friction and offset of every output (``robot.joint_friction``).
+    :param physical: the prior of theta is as wide as the robot is large, about its description; False: gamma^2 I about
+        zero, as in the paper.
+    """
+
+    def __init__(self, body: RigidBody, effects: Sequence[ColumnBlock] = (), joint_friction: bool = False,
+                 physical: bool = False) -> None:
         """Raises SemiparamError when an effect cannot be declared on this robot."""
-        self.body, self.effects = body, tuple(effects)
+        self.body, self.effects, self.physical = body, tuple(effects), physical
         for effect in self.effects:
             effect.check(body)
         self._effect_scales = [effect.prior_scale(body) for effect in self.effects]
-        self.has_offset = body.outputs == 'wrench'
-        self._offset = np.eye(body.n_outputs)[:, :body.n_outputs * self.has_offset]
-        self._without_effects = np.hstack([np.zeros((body.n_outputs, body.n_parameters)), self._offset])
+        self.has_friction = joint_friction and body.outputs == 'effort'
+        self.has_offset = body.outputs == 'wrench' or self.has_friction
+        n = body.n_outputs
+        self._offset = np.eye(n)[:, :n * self.has_offset]
+        self._without_effects = np.hstack([np.zeros((n, body.n_parameters + self._n_friction)), self._offset])
+
+    def without_effects(self) -> CoupledColumns:
+        """The same without any effect."""
+        return CoupledColumns(self.body, (), self.has_friction, self.physical)
+
+    @property
+    def _n_friction(self) -> int:
+        return KINDS * self.body.n_outputs * self.has_friction
 
     @property
     def n_columns(self) -> int:
@@ -121,22 +139,25 @@ class CoupledColumns:
 
     @property
     def n_own(self) -> int:
-        """Columns of the rigid body and the offset, before those of the effects."""
-        return self.body.n_parameters + self._offset.shape[1]
+        """Columns of the rigid body, friction and the offset, before those of the effects."""
+        return self.body.n_parameters + self._n_friction + self._offset.shape[1]
 
     @property
     def blocks(self) -> dict[str, slice]:
-        """Where the rigid body and the offset stand in theta, and each effect under its place in the list."""
-        sizes = {'rigid_body': self.body.n_parameters, 'offset': self._offset.shape[1]}
+        """Where the rigid body, friction and the offset stand in theta, each effect under its place in the list."""
+        sizes = {'rigid_body': self.body.n_parameters, 'friction': self._n_friction,
+                 'offset': self._offset.shape[1]}
         sizes |= {str(index): len(scale) for index, scale in enumerate(self._effect_scales)}
         ends = np.cumsum(list(sizes.values())).tolist()
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
     @property
     def prior_scale(self) -> Array:
-        """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters, wide for an offset."""
-        return np.concatenate([np.ones(self.body.n_parameters), np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE),
-                               *self._effect_scales])
+        """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless ``physical``, wide for the
+        offset of a wrench, of the joint's size for friction and offset of an effort."""
+        rigid = base_scale(self.body) if self.physical else np.ones(self.body.n_parameters)
+        joints = friction_scale(self.body) if self.has_friction else np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE)
+        return np.concatenate([rigid, np.tile(joints, 1 + KINDS * self.has_friction), *self._effect_scales])
 
     @property
     def prior_mean(self) -> Array:
@@ -151,10 +172,20 @@ class CoupledColumns:
         """(n_effects,) prior mean of the effects' coefficients."""
         return np.concatenate([np.zeros(0), *(effect.prior_mean(self.body) for effect in self.effects)])
 
+    @property
+    def expected(self) -> Array:
+        """(p,) prior mean of the model after the initial window: of the effects as declared, and of inertial parameters
+        those of the robot description where the prior is physical."""
+        mean = self.prior_mean
+        mean[:self.n_own] *= self.physical
+        return mean
+
     def one(self, sample: Sample, origin: int, memory: Memories = None) -> tuple[Array, Memories]:
         """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]: where time starts."""
         if not self.effects:
             columns = self._without_effects.copy()
+            if self.has_friction:
+                fill_friction(self.body, sample.velocity, columns)
             return self.body.regressor(sample.position, sample.velocity, sample.acceleration, out=columns), None
         columns, memory = self.batch(Samples(np.array([sample.stamp]), sample.position[None], sample.velocity[None],
                                              sample.acceleration[None], sample.outputs[None], origin,
@@ -171,7 +202,7 @@ class CoupledColumns:
     def of_corrected(self, body: RigidBody, inputs: Samples,
                      past: Sequence[Memory] = ()) -> tuple[Array, list[Memory]]:
         """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of them."""
-        parts, added = [self.rigid(body, inputs), self.offset(len(inputs))], []
+        parts, added = [self.rigid(body, inputs), self.friction(inputs), self.offset(len(inputs))], []
         for index, memory in enumerate(past or [None] * len(self.effects)):
             columns, remembered = self._of_effect(index, body, inputs, memory)
             parts.append(columns)
@@ -182,8 +213,14 @@ class CoupledColumns:
         """(N, n, n_parameters) those of the rigid body, as the effects shape them; to read alone."""
         return self._shaped(body, body.regressors(inputs))
 
+    def friction(self, inputs: Samples) -> Array:
+        """(N, n, f) those of the joints' friction; f = 0 where there is none."""
+        if self.has_friction:
+            return friction_columns(self.body, inputs.velocity)
+        return np.zeros((len(inputs), self.body.n_outputs, 0))
+
     def offset(self, count: int) -> Array:
-        """(count, n, 6) those of a wrench's offset, (count, n, 0) of efforts; to read alone."""
+        """(count, n, n) those of the offset, (count, n, 0) of efforts without joint friction; to read alone."""
         return np.broadcast_to(self._offset, (count, *self._offset.shape))
 
     def of_effect(self, index: int, body: RigidBody, inputs: Samples) -> Array:
@@ -220,12 +257,13 @@ class CoupledColumns:
                        np.array([acceleration] * 2), np.full((2, self.body.n_outputs), np.nan), origin,
                        temperature=np.array([temperature] * 2))
         acting = [effect.desired() for effect in self.effects]
-        shown = CoupledColumns(self.body, acting).batch(rows)[0][-1]
+        shown = CoupledColumns(self.body, acting, self.has_friction).batch(rows)[0][-1]
         needed = shown.copy()
         if any(effect.of_sensor for effect in self.effects):
             own = [Absent(effect) if effect.of_sensor else effect for effect in acting]
-            needed = CoupledColumns(self.body, own).batch(rows)[0][-1]
-        needed[:, self.blocks['offset']] = 0.0
+            needed = CoupledColumns(self.body, own, self.has_friction).batch(rows)[0][-1]
+        if self.body.outputs == 'wrench':  # that of an effort is needed to hold the joint
+            needed[:, self.blocks['offset']] = 0.0
         return shown, needed
 
     def corrected(self, samples: Samples, past: Sequence[Memory] = ()) -> tuple[RigidBody, Samples, list[Memory]]:

@@ -36,7 +36,7 @@ from semiparam_ros.core.single_estimator import (
     SingleEstimator,
 )
 from semiparam_ros.core.types import Array, Stamps
-from semiparam_ros.core.variants import AVERAGED, MEMBERS, single
+from semiparam_ros.core.variants import AVERAGED, MEMBERS, has_both, single
 from semiparam_ros.errors import SemiparamError
 
 EVIDENCE_MEMORY = 500.0
@@ -60,12 +60,16 @@ class Member(NamedTuple):
         return self.variant if self.has_effects else f'{self.variant} without effects'
 
 
-def members_of(variant: str, effects: bool, ready: bool) -> tuple[Member, ...]:
+def members_of(options: ModelOptions, effects: bool, ready: bool) -> tuple[Member, ...]:
     """What is averaged, the first one first; before the initial window is over, rigid bodies alone.
 
     :param effects: whether any are declared. :param ready: whether the initial window is over.
     """
-    names = MEMBERS if variant == AVERAGED and ready else (single(variant),)
+    names: tuple[str, ...] = (single(options.variant),)
+    if ready and options.variant == AVERAGED:
+        names = MEMBERS
+    elif ready and options.physical and has_both(options.variant):
+        names = (options.variant, 'P')
     return tuple(Member(name, has_effects) for has_effects in (True, False)[:1 + effects] for name in names)
 
 
@@ -126,7 +130,7 @@ class Estimator(SingleEstimator):
                  origin: int | None = None, window: int = 0) -> None:
         """Raises SemiparamError when the options or the effects do not fit the robot."""
         super().__init__(body, options, effects, origin, window)
-        self._without_effects = CoupledColumns(body)
+        self._without_effects = self.columns.without_effects()
         self._stand_beside(self.options.others)
 
     def predict(self, sample: Sample) -> Prediction:
@@ -148,7 +152,7 @@ class Estimator(SingleEstimator):
     def finish_window(self, draft: bool = False, learn: bool = True) -> None:
         """End the initial window now: estimate hyperparameters from it, learn it, and let the variant take over; where
         several are averaged each has its own. See :meth:`SingleEstimator.finish_window`."""
-        members = members_of(self.options.variant, bool(self.columns.effects), ready=True)
+        members = members_of(self.options, bool(self.columns.effects), ready=True)
         if len(members) == 1:
             return super().finish_window(draft, learn)
         plain = self._window_without_effects()
@@ -259,7 +263,7 @@ class Estimator(SingleEstimator):
     @property
     def members(self) -> tuple[Member, ...]:
         """What is averaged."""
-        return members_of(self.options.variant, bool(self.columns.effects), self.ready)
+        return members_of(self.options, bool(self.columns.effects), self.ready)
 
     def _effects_of(self, member: Member) -> Sequence[ColumnBlock]:
         return self.columns.effects if member.has_effects else ()

@@ -40,6 +40,11 @@ as few as the initial window asks for."""
 EFFECT_GAMMA = 1.0
 """Standard deviation of effects over their prior scale, in the variants that have no gamma."""
 
+PRIORS = ('physical', 'paper')
+"""``physical``: theta is near the robot description, as far as the robot is large; features explain no more than the
+rigid body leaves, and may not be there at all. ``paper``: theta has one variance about zero, and nothing else is held.
+"""
+
 OFF_SHARE = 0.1
 """Where nothing moves and all outputs are below this share of what is predicted, the motors are off behind brakes."""
 
@@ -143,8 +148,17 @@ class ModelOptions:
     hyperparameters: Hyperparameters | None = None
     input_mean: tuple[float, ...] = ()
     input_scale: tuple[float, ...] = ()
+    joint_friction: bool = True
+    """Whether friction and offset of every joint are part of the rigid body's model, with joint efforts."""
+    priors: str = 'physical'
+    """What is held of the model before anything is measured: see :data:`PRIORS`."""
     others: tuple[Hyperparameters, ...] = ()
     """With given hyperparameters: those of the variants averaged with the first one; none: they have the same."""
+
+    @property
+    def physical(self) -> bool:
+        """Whether the priors are."""
+        return self.priors == 'physical'
 
     @property
     def most_features(self) -> int:
@@ -245,7 +259,7 @@ class SingleEstimator:
         """Raises SemiparamError when the options or the effects do not fit the robot."""
         self.options = options or ModelOptions()
         self.variant = variant_named(self.options.variant)
-        self.columns = CoupledColumns(body, effects)
+        self.columns = CoupledColumns(body, effects, self.options.joint_friction, self.options.physical)
         self.body = body
         self.window = self.new_window()
         self.motion: Motion | None = None
@@ -333,7 +347,7 @@ class SingleEstimator:
         of_sensor = (shown - needed)[:, model.covered] @ model.theta
         if self.wandering is not None:
             outputs = outputs + self.offset
-            of_sensor = of_sensor + self.offset * self.columns.has_offset
+            of_sensor = of_sensor + self.offset * (self.body.outputs == 'wrench')
         covariance = prior.covariance * np.multiply.outer(self.calibration.factor, self.calibration.factor)
         ratio = float((prior.std / model.noise_std).max()) ** 2 - 1.0
         return DesiredOutputs(outputs, outputs - of_sensor, covariance, ratio)
@@ -579,12 +593,11 @@ class SingleEstimator:
     def _estimate(self, window: InitialWindow, scaling: tuple[Array, Array], draft: bool) -> Hyperparameters:
         options, inputs = self.options, (window.inputs - scaling[0]) / scaling[1]
         omega = spectrum(inputs.shape[1], options.most_features, options.features_seed)
-        columns = window.columns
-        known = columns[:, :, self.columns.n_own:] @ self.columns.known
-        return estimate(options.variant, window.outputs - known, columns, inputs, omega,
+        return estimate(options.variant, window.outputs, window.columns, inputs, omega,
                         length_scales=options.length_scales, noise=options.noise,
                         prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects,
-                        fewest=options.features_count == AUTO, draft=draft)
+                        fewest=options.features_count == AUTO, draft=draft, prior_mean=self.columns.expected,
+                        physical=options.physical)
 
     def _given(self, hyperparameters: Hyperparameters) -> Model:
         options, size = self.options, 3 * self.body.n_joints
@@ -613,9 +626,8 @@ class SingleEstimator:
             features = RandomFeatures(3 * self.body.n_joints, count, self.options.features_seed, hyperparameters.tau,
                                       *self.input_scaling)
         hyperparameters = replace(hyperparameters, features=count)  # given ones do not know it, and are handed on
-        mean = np.concatenate([np.zeros(self.columns.n_own), self.columns.known])
         given = self.options.forgetting
-        return Model(self.variant, hyperparameters, features, self.columns.prior_scale, mean,
+        return Model(self.variant, hyperparameters, features, self.columns.prior_scale, self.columns.expected,
                      forgetting=given if isinstance(given, float) else 1.0, n_effects=self.columns.n_effects)
 
     def _provisional(self) -> Model:

@@ -42,6 +42,12 @@ def single(name: str) -> str:
     return MEMBERS[0] if name == AVERAGED else name
 
 
+def has_both(name: str) -> bool:
+    """Whether it has a rigid body and features."""
+    variant = VARIANTS[single(name)]
+    return variant.features and variant.pi != 'absent'
+
+
 def variant_named(name: str) -> Variant:
     """The variant of that name, or a SemiparamError that lists them."""
     if name not in CHOICES:

@@ -37,16 +37,16 @@ def fitted_settings(settings: Settings, samples: Samples, robot_description: str
     """
     estimation = estimation or Estimation()
     body = build_rigid_body(settings, robot_description)
-    columns = CoupledColumns(body, declared_effects(settings))
+    options = model_options(replace(settings, hyperparameters_sigma=()))
+    columns = CoupledColumns(body, declared_effects(settings), options.joint_friction, options.physical)
     coupled, _ = columns.batch(samples)
     mean, scale = input_scaling(samples.inputs)
-    options = model_options(replace(settings, hyperparameters_sigma=()))
     omega = spectrum(len(mean), options.most_features, options.features_seed)
     found = estimate(
         options.variant, samples.outputs, np.asarray(coupled), (samples.inputs - mean) / scale, omega,
         length_scales=options.length_scales, noise=options.noise, drifting=estimation.drifting,
         method=estimation.method, prior_scale=columns.prior_scale, starts=estimation.starts, jobs=estimation.jobs,
         grid=estimation.grid, progress=progress, n_effects=columns.n_effects,
-        fewest=options.features_count == AUTO)
+        fewest=options.features_count == AUTO, prior_mean=columns.expected, physical=options.physical)
     values = hyperparameter_values(found, tuple(mean.tolist()), tuple(scale.tolist()))
     return settings.changed(values), found

@@ -12,6 +12,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.input_range import widen
 from semiparam_ros.core.robot.frames import load_transform, loaded_links
+from semiparam_ros.core.robot.joint_friction import NAMES, UNITS
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.single_estimator import Model
@@ -21,7 +22,6 @@ TINY = 1e-300
 MOVED_ENOUGH = 0.05
 """[rad, m] A joint whose range is smaller tells next to nothing of what depends on its position."""
 
-OUTPUT_AXES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 SMALLEST_MASS = 1e-3
 """[kg] A lighter payload has no centre of mass worth telling."""
 
@@ -141,8 +141,11 @@ def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:
     """(name, unit) of each coupled column."""
     body = columns.body
     labels = [(f'base_parameter_{index}', 'kg, kg m or kg m^2') for index in range(body.n_parameters)]
+    if columns.has_friction:
+        labels += [(f'{name}@{joint}', unit) for name, unit in zip(NAMES, UNITS, strict=True)
+                   for joint in body.output_names]
     if columns.has_offset:
-        labels += [(f'offset_{axis}', unit) for axis, unit in zip(OUTPUT_AXES, body.output_units, strict=True)]
+        labels += [(f'offset_{axis}', unit) for axis, unit in zip(body.output_names, body.output_units, strict=True)]
     for effect in columns.effects:
         labels += _effect_labels(effect, body)
     return labels

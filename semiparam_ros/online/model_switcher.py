@@ -28,10 +28,11 @@ from semiparam_ros.online.renewal import LaterWindow, has_draft
 from semiparam_ros.online.worker import Background, Job
 from semiparam_ros.settings.snapshot import Settings
 
-MODEL_PARAMETERS = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon_length')
+MODEL_PARAMETERS = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise', 'forgetting',
+                    'horizon_length')
 """Fields whose change needs another model."""
 
-HYPERPARAMETERS_DEPEND_ON = ('variant', 'effects', 'effects_reference', 'noise')
+HYPERPARAMETERS_DEPEND_ON = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise')
 
 BESIDE_AT_MOST = 50
 """So many samples are caught up beside the active model, a few between two of its answers; more go to the background

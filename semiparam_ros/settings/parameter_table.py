@@ -201,6 +201,14 @@ class Table:
     effects_reference: tuple[float, ...] = declare(
         'effects_reference', (), 'Base parameters that predict the load on which effects such as load_friction depend; '
         'a diagnosis writes them. Empty: those of the robot description.', live=True)
+    joint_friction: bool = declare(
+        'joint_friction', True, 'With outputs effort, viscous and dry friction and an offset of every output joint are '
+        "part of the rigid body's model. false: the rigid body alone, as in the paper.", live=True)
+    priors: str = declare(
+        'priors', 'physical', 'What is held of the model before anything is measured. physical: the inertias are near '
+        'the robot description, as far as the robot is large; random features explain no more than the rigid body '
+        'leaves, and the rigid body alone is averaged with them. paper: inertias have one variance about zero, and '
+        'nothing else is held.', choices=('physical', 'paper'), live=True)
     learning: bool = declare('learning', True, 'Learn from every sample; false: predict only.', live=True)
     learn_every: int = declare(
         'learn.every', 1, 'Of the samples to learn, after the initial window, each so-many-th is learnt; all are '

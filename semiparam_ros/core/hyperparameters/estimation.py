@@ -54,7 +54,8 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
              length_scales: LengthScales = 'one', noise: Noise = 'one', drifting: bool = True,
              method: str = 'quasi-newton', prior_scale: Array | None = None, starts: int = 4, jobs: int = 1,
              grid: Grid | None = None, progress: Callable[[int, int], None] | None = None,
-             n_effects: int = 0, fewest: bool = False, draft: bool = False) -> Hyperparameters:
+             n_effects: int = 0, fewest: bool = False, draft: bool = False, prior_mean: Array | None = None,
+             physical: bool = False) -> Hyperparameters:
     """Estimate the hyperparameters of a variant, or of the first of those averaged, from its initial window.
 
     :param outputs: Y (t, n). :param coupled: C (t, n, p), offset columns included. NP has the effects' columns alone.
@@ -68,16 +69,23 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
     :param progress: called as progress(done, total) by the VS variants.
     :param n_effects: of the coupled columns, the last so many are effects', which every variant learns online.
     :param draft: by a search of a fraction of a second, of the evidence for the VS variants too.
+    :param prior_mean: (p,) of theta, where the variant learns it; zeros if left out.
+    :param physical: ``prior_scale`` is in the units of theta, so gamma is 1; and features explain no more than the
+        coupled columns leave (``Window.physical``). False: the paper's.
     :raises SemiparamError: unknown variant, too few samples, a constant or non-finite channel.
     """
     variant_named(variant)
     check_window(outputs, coupled, inputs)
-    coupled = without_rounding(coupled, coupled.shape[2] - n_effects)
+    own = coupled.shape[2] - n_effects
+    coupled = without_rounding(coupled, own)
+    if prior_mean is not None:
+        outputs = outputs - coupled[:, :, :own] @ prior_mean[:own] * (variant_named(variant).pi == 'learnt')
+        outputs = outputs - coupled[:, :, own:] @ prior_mean[own:]
     kind, _, selection = single(variant).partition('-')
     scale = np.ones(coupled.shape[2]) if prior_scale is None else np.asarray(prior_scale, dtype=float)
     groups = input_groups('kind' if selection == 'VS' and length_scales == 'input' else length_scales,
                           inputs.shape[1])
-    window = Window(outputs, coupled, inputs, spectrum, groups, scale, n_effects=n_effects)
+    window = Window(outputs, coupled, inputs, spectrum, groups, scale, n_effects=n_effects, physical=physical)
     if selection == 'VS' and not draft:
         found = _by_validation(kind, window, noise, grid, progress, fewest)
         by_input = tuple(np.array(found.tau)[groups].tolist())
@@ -112,7 +120,7 @@ def _by_validation(kind: str, window: Window, noise: Noise, grid: Grid | None,
 def _window_of_kind(kind: str, window: Window, pi: Array | None) -> Window:
     """The window with only the terms that the class has (the table in core.variants)."""
     own = _n_own(window)
-    inputs, spectrum, groups = window.inputs, window.spectrum, window.groups
+    spectrum, groups = window.spectrum, window.groups
     outputs, coupled, scale = window.outputs, window.coupled, window.prior_scale
     if kind == 'P':
         spectrum, groups = spectrum[:0], np.zeros(len(groups), dtype=np.int64)
@@ -120,8 +128,8 @@ def _window_of_kind(kind: str, window: Window, pi: Array | None) -> Window:
         outputs = outputs - coupled[:, :, :own] @ pi
     if kind in ('NP', 'SP2'):
         coupled, scale = coupled[:, :, own:], scale[own:]
-    return Window(outputs, coupled, inputs, spectrum, groups, scale, profiled=kind in ('NP', 'SP', 'SP2'),
-                  n_effects=window.n_effects)
+    return replace(window, outputs=outputs, coupled=coupled, spectrum=spectrum, groups=groups, prior_scale=scale,
+                   profiled=kind in ('NP', 'SP', 'SP2'))
 
 
 def _n_own(window: Window) -> int:

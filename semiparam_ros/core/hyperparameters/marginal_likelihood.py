@@ -56,6 +56,8 @@ class Window:
     :param profiled: theta is a hyperparameter maximised in closed form (SP), not a Gaussian variable (P, SPK).
     :param n_effects: of the columns, the last so many stay Gaussian beside a profiled mean, with ``prior_scale`` for
         standard deviations whatever gamma: what the window does not excite keeps its prior.
+    :param physical: ``prior_scale`` is in the units of theta, gamma is 1. And a window of one smooth motion cannot tell
+        a rigid body from a smooth function: so the features explain no more than the coupled columns leave.
     """
 
     outputs: Array
@@ -67,6 +69,7 @@ class Window:
     profiled: bool = False
     step: int = 1
     n_effects: int = 0
+    physical: bool = False
 
     @property
     def n_profiled(self) -> int:

@@ -150,7 +150,9 @@ def first_guess(window: Window, noise: str, drifting: bool = False) -> Point:
     output_scale = np.ones_like(scale) if noise == 'one' else normalised(scale)
     left = float(np.sqrt(np.mean((residuals / output_scale) ** 2)))
     spread = theta / window.prior_scale
-    gamma = max(float(np.sqrt(np.mean(spread**2))), 1e-3) if len(theta) else 1.0
+    gamma = 1.0
+    if len(theta) and not window.physical:
+        gamma = max(float(np.sqrt(np.mean(spread**2))), 1e-3)
     groups = int(window.groups.max()) + 1
     return Point(gamma, left, np.full(groups, 2.0), left, output_scale, FIRST_KAPPA * drifting, FIRST_MEMORY)
 
@@ -179,7 +181,7 @@ def _grid(window: Window, guess: Point) -> Iterator[Point]:
 def _coordinates(window: Window, guess: Point, noise: str) -> Coordinates:
     nonparametric, n = bool(len(window.spectrum)), window.outputs.shape[1]
     several, drifting = noise == 'output' and n > 1, guess.kappa > 0.0
-    free = [_has_prior(window), nonparametric, *[nonparametric] * len(guess.tau), True, drifting, drifting,
+    free = [_has_prior(window) and not window.physical, nonparametric, *[nonparametric] * len(guess.tau), True, drifting, drifting,
             *[several] * n]
     return Coordinates(np.array(free), logarithms(guess), len(guess.tau), drifting)
 
@@ -189,7 +191,8 @@ def _bounds(window: Window, guess: Point) -> Array:
     size = float(np.sqrt(np.mean((window.outputs / guess.output_scale) ** 2)))
     low = [1e-4 * guess.gamma, 1e-3 * guess.rho, *[0.1] * len(guess.tau), 1e-4 * guess.sigma, *LEAST_DRIFT,
            *(1e-4 * guess.output_scale)]
-    high = [1e4 * guess.gamma, 1e3 * size, *[300.0] * len(guess.tau), 10.0 * size, *MOST_DRIFT,
+    largest = guess.rho if window.physical else 1e3 * size
+    high = [1e4 * guess.gamma, largest, *[300.0] * len(guess.tau), 10.0 * size, *MOST_DRIFT,
             *(1e4 * guess.output_scale)]
     return np.asarray(np.log(np.column_stack([low, high])))
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
+from semiparam_ros.core.types import Array
 
 LEAST_MASS, LEAST_LENGTH = 0.5, 0.1
 """[kg], [m] of a robot whose description holds no inertias, or whose joints all meet in one point."""
@@ -71,3 +72,27 @@ def _of(product: str, size: Size) -> float:
     for name, power in _PART.findall(product):
         value *= basis.get(name, 1.0) ** int(power or 1)
     return value
+
+
+LEAST_MASS_SHARE, LEAST_LENGTH_SHARE = 0.05, 0.1
+"""Of the whole arm's mass and length, what a body has at least: a description may know nothing of a body."""
+
+
+def inertial_scale(body: RigidBody) -> Array:
+    """(10 n_bodies,) how far the inertial parameters may be from the description's: as far as they are large.
+
+    Of mass m, first moment m l and inertia m l^2, with l the larger of the body's centre's distance from its joint and
+    its radius of gyration. Descriptions err by tens of per cent, and a body may carry another as heavy as itself.
+    """
+    whole = size_of(body)
+    bodies = body.inertial_parameters.reshape(-1, 10)
+    mass = np.maximum(bodies[:, 0], LEAST_MASS_SHARE * whole.mass)
+    centre = np.linalg.norm(bodies[:, 1:4], axis=1) / mass
+    gyration = np.sqrt(np.maximum(bodies[:, [4, 6, 9]].max(axis=1), 0.0) / mass)
+    length = np.maximum(np.maximum(centre, gyration), LEAST_LENGTH_SHARE * whole.length)
+    return np.concatenate([np.array([m, *[m * l] * 3, *[m * l * l] * 6]) for m, l in zip(mass, length, strict=True)])
+
+
+def base_scale(body: RigidBody) -> Array:
+    """(p,) the same of the base parameters."""
+    return np.asarray(np.sqrt((body.basis ** 2).T @ inertial_scale(body) ** 2))

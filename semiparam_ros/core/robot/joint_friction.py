@@ -1,0 +1,65 @@
+"""Friction and offset of the joints whose efforts are the outputs: what every identification of an arm holds.
+
+Of output k, with the velocity v of its joint,
+
+    y_k = ... + b_k v + sum_s c_ks tanh(v / v_s) + o_k
+
+viscous friction b [N m s/rad], dry friction as the sum of the c [N m], an offset o [N m]. The speed within which dry
+friction turns over differs between robots by a factor of ten. Two speeds v_s span it: the shares of the two columns,
+which are linear, say where between them it lies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, PART, STRIDED, VECTOR, compiled
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import plausible, size_beyond
+from semiparam_ros.core.types import Array, Indices
+
+TURN_SPEEDS = np.array([0.005, 0.03])
+"""[rad/s, m/s] v_s. Measured arms turn over within 0.3 to 3 % of their top speed."""
+SHARE_OF_LIMIT = 0.2
+"""Of the largest effort that a joint may give, what its friction may be."""
+KINDS = 1 + len(TURN_SPEEDS)
+"""Columns of friction of each output; those of one kind stand together."""
+NAMES = ('viscous', *(f'dry_{speed:g}' for speed in TURN_SPEEDS))
+UNITS = ('N m s/rad', *('N m' for _ in TURN_SPEEDS))
+
+
+def fill_friction(body: RigidBody, velocity: Array, columns: Array) -> None:
+    """Friction of one sample, with velocities (n_joints,), into its (n, KINDS n) part of the columns, zero elsewhere.
+
+    The part is the one after the rigid body's columns.
+    """
+    if AVAILABLE:
+        _fill(velocity, body.output_index, TURN_SPEEDS, columns[:, body.n_parameters:])
+        return
+    columns[:, body.n_parameters:body.n_parameters + KINDS * body.n_outputs] = friction_columns(body, velocity[None])[0]
+
+
+def friction_columns(body: RigidBody, velocity: Array) -> Array:
+    """(N, n, KINDS n) columns of velocities (N, n_joints)."""
+    own = velocity[:, body.output_index]
+    kinds = [own, *(np.tanh(own / speed) for speed in TURN_SPEEDS)]
+    return np.concatenate([each[:, :, None] * np.eye(body.n_outputs) for each in kinds], axis=2)
+
+
+def friction_scale(body: RigidBody) -> Array:
+    """(n,) [N m] what friction and offset of each output may be: a share of the torque that holds what the joint
+    carries, or of the largest effort that the robot description permits, whichever is larger."""
+    carried = np.array([plausible('N m', size_beyond(body, joint)) for joint in body.output_names])
+    limits = np.where(np.isfinite(body.effort_limits), body.effort_limits, 0.0)
+    return np.asarray(np.maximum(carried, SHARE_OF_LIMIT * limits))
+
+
+@compiled(STRIDED, INTEGERS, VECTOR, PART)
+def _fill(velocity: Array, index: Indices, speeds: Array, columns: Array) -> None:
+    """See :func:`fill_friction`."""
+    n = len(index)
+    for k in range(n):
+        v = velocity[index[k]]
+        columns[k, k] = v
+        for s in range(len(speeds)):
+            columns[k, (1 + s) * n + k] = np.tanh(v / speeds[s])
