@@ -215,6 +215,12 @@ class Estimator(SingleEstimator):
             other.clear_horizons()
         self._horizons.clear()
 
+    def forget_offset(self) -> None:
+        """See :meth:`SingleEstimator.forget_offset`."""
+        super().forget_offset()
+        for other in self._others:
+            other.forget_offset()
+
     def state(self) -> EstimatorState:
         """See :meth:`SingleEstimator.state`; with the hyperparameters of the other members."""
         if not self._others:

@@ -78,6 +78,11 @@ class WanderingOffset(FilterBank):
         self._values[:] *= DECAY
         self._mix()
 
+    def forget(self) -> None:
+        """Nobody knows how long ago the last sample was: the offsets are those of no moment; their paces stay."""
+        self._values[:] = 0.0
+        self._mix()
+
     def _mix(self) -> None:
         weights = np.exp(self._log_weights)
         self.parts[:] = weights / weights.sum(axis=0) * self._values
