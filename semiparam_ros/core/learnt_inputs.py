@@ -1,0 +1,85 @@
+"""Which inputs x = [q, dq, ddq] a model has learnt, taken together: how unlike them a state is.
+
+Each joint within its range does not make a posture that was met: joints that moved together say little of how the
+robot is when they do not. So the distance of a state from the mean, in the covariance of what was learnt (Mahalanobis
+1936), is compared with the largest of the inputs learnt themselves; 1 is as far as these went.
+
+Every so-many-th input is kept. Where there is no more room, every other one is dropped, and half as many are kept from
+then on: they are spread over all that was learnt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from semiparam_ros.core.random_features import input_scaling
+from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.errors import SemiparamError
+
+ROOM = 512
+LEAST_VARIANCE = 0.01
+"""Of an input's own variance, what is added in every direction: noise of the inputs."""
+RENEWED_EVERY = 64
+"""Mean and covariance are those of so many more inputs kept, so that they are seldom taken anew."""
+
+
+class LearntInputs:
+    """The inputs that are kept, (k, m)."""
+
+    def __init__(self, n_inputs: int) -> None:
+        self._kept = np.zeros((ROOM, n_inputs))
+        self._count, self._stride, self._passed = 0, 1, 0
+        self._metric: tuple[tuple[int, int], Array, Array, Array, float] | None = None
+
+    def add(self, x: Array) -> None:
+        """One more was learnt, (m,)."""
+        self._passed += 1
+        if self._passed % self._stride:
+            return
+        if self._count == ROOM:
+            self._kept[:ROOM // 2] = self._kept[1::2]
+            self._count, self._stride = ROOM // 2, 2 * self._stride
+            if self._passed % self._stride:
+                return
+        self._kept[self._count] = x
+        self._count += 1
+
+    def distance(self, x: Array) -> float:
+        """Distance of a state (m,) from what was learnt over the largest in it; infinite before anything was."""
+        if not self._count:
+            return np.inf
+        used = self._count - (self._count % RENEWED_EVERY if self._count > RENEWED_EVERY else 0)
+        if self._metric is None or self._metric[0] != (used, self._stride):
+            self._metric = self._measured(used)
+        _, mean, scale, factor, largest = self._metric
+        return float(np.sqrt(_squares((x - mean)[None] / scale, factor)[0]) / largest)
+
+    def _measured(self, used: int) -> tuple[tuple[int, int], Array, Array, Array, float]:
+        kept = self._kept[:used]
+        mean, scale = input_scaling(kept)
+        z = (kept - mean) / scale
+        factor, _ = cho_factor(z.T @ z / len(z) + LEAST_VARIANCE * np.eye(z.shape[1]), lower=True)
+        return (used, self._stride), mean, scale, factor, max(float(np.sqrt(_squares(z, factor).max())), 1.0)
+
+    def state(self) -> dict[str, Array | Stamps]:
+        """Copies; :meth:`restore` takes them back bit for bit."""
+        return {'kept': self._kept[:self._count].copy(), 'counts': np.array([self._stride, self._passed])}
+
+    def restore(self, state: Mapping[str, Array | Stamps]) -> None:
+        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it cannot be one."""
+        kept = np.array(state.get('kept', np.nan), dtype=float)
+        stride, passed = np.asarray(state.get('counts', (0, 0))).tolist()
+        if kept.ndim != 2 or kept.shape[1] != self._kept.shape[1] or len(kept) > ROOM or not (
+                np.isfinite(kept).all() and stride >= 1 and passed >= len(kept)):
+            raise SemiparamError(f'the saved inputs have shape {kept.shape}; expected at most {ROOM} finite rows of '
+                                 f'{self._kept.shape[1]}.')
+        self._kept[:len(kept)], self._count = kept, len(kept)
+        self._stride, self._passed, self._metric = int(stride), int(passed), None
+
+
+def _squares(z: Array, factor: Array) -> Array:
+    """(N,) squared distances of scaled inputs (N, m) from their mean."""
+    return np.asarray(np.einsum('ij,ji->i', z, cho_solve((factor, True), z.T)))
