@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -20,7 +22,7 @@ from semiparam_ros.core.motion import Motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.single_estimator import EstimatorState, MemberState
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.renewal import Renewal
@@ -39,6 +41,9 @@ MEMBER_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
 
 FIXED = ('outputs', 'temperatures', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')
 """Parameters that cannot change while a node runs, and so must agree."""
+
+ASIDE = 'aside'
+"""What is moved aside has this in its name, and the time."""
 
 MAY_BE_UNKNOWN = ('meta', 'history.temperature', 'temperature')
 """Arrays that are texts, or hold NaN for what is not known."""
@@ -65,6 +70,12 @@ class Snapshot(NamedTuple):
     learnt: Arrays
     batch: SampleBatch
 
+    @property
+    def configuration(self) -> Configuration:
+        """What it was learnt with."""
+        meta = json.loads(str(self.learnt['meta']))
+        return Configuration(meta['version'], meta['joints'], meta['settings'], np.asarray(self.learnt['probe']))
+
     def arrays(self) -> Arrays:
         """All of it, by the names of the file."""
         return {**self.learnt, **_named('history', arrays_of(self.batch))}
@@ -82,9 +93,45 @@ def folder_of(settings: Settings) -> Path:
         raise SemiparamError(f'state_folder is {named}: {error}') from error
 
 
-def save(path: Path, state: SavedState) -> None:
+class Configuration(NamedTuple):
+    """What a state was learnt with."""
+
+    version: object
+    joints: Sequence[str]
+    settings: Mapping[str, Any]  # ADOPTED and FIXED, as JSON has them
+    probe: Array
+
+    def difference(self, ours: Configuration, names: Sequence[str] = FIXED) -> str:
+        """What a node of another configuration has to say of this one, its file being the subject; '' for the same.
+
+        :param names: the settings that are compared.
+        """
+        if self.version != ours.version:
+            return f'is of version {self.version}; this node reads version {ours.version}.'
+        if list(self.joints) != list(ours.joints):
+            return f'is of another robot: it has {_other_joints(self.joints, ours.joints)}.'
+        differ = [name for name in names if self.settings.get(name) != ours.settings[name]]
+        if differ:
+            more = f' {listed(differ[1:], 5)} differ{"s" * (len(differ) == 2)} too.' if differ[1:] else ''
+            return (f'was learnt with {differ[0]} {shown(self.settings.get(differ[0]))}; this node has '
+                    f'{shown(ours.settings[differ[0]])}.{more}')
+        if self.probe.shape != ours.probe.shape or not np.allclose(self.probe, ours.probe, rtol=1e-9, atol=1e-9):
+            return 'is of another robot: its description, outputs, sensor frame or wrench convention differs.'
+        return ''
+
+
+def _other_joints(theirs: Sequence[str], ours: Sequence[str]) -> str:
+    beside, lacking = ([name for name in these if name not in those]
+                       for these, those in ((theirs, ours), (ours, theirs)))
+    parts = [f'the joints {listed(beside, 3)}, which this node has not'] if beside else []
+    if lacking:
+        parts.append(f'lacks {listed(lacking, 3)}' if beside else f'not the joints {listed(lacking, 3)}')
+    return f'{", and ".join(parts)}' if parts else 'the same joints in another order'
+
+
+def save(path: Path, state: SavedState) -> str:
     """Write the whole file or nothing. Raises SemiparamError when it cannot be written; see :func:`write`."""
-    write(path, snapshot(state))
+    return write(path, snapshot(state))
 
 
 def snapshot(state: SavedState) -> Snapshot:
@@ -115,8 +162,10 @@ def snapshot(state: SavedState) -> Snapshot:
     return Snapshot(arrays, state.batch)
 
 
-def write(path: Path, state: Snapshot, before_it_replaces: Callable[[], None] = lambda: None) -> None:
+def write(path: Path, state: Snapshot, before_it_replaces: Callable[[], None] = lambda: None) -> str:
     """Write a :func:`snapshot`, and make its folder if it is missing.
+
+    A state of another configuration that has the name is moved aside; a sentence says so, '' without one.
 
     :param before_it_replaces: called when the disk has it all, before it takes the name.
 
@@ -130,29 +179,48 @@ def write(path: Path, state: Snapshot, before_it_replaces: Callable[[], None] = 
     except OSError as error:
         raise SemiparamError(f'cannot write {path}: there is no folder {path.parent} and none can be made: '
                              f'{error.strerror}.') from error
-    require_replaceable(path)
+    theirs = replaceable(path)
+    difference = '' if theirs is None else theirs.difference(state.configuration)
     remove_leftovers(path)
+    moved = ''
     with replacing(path, durable=True) as stream:
         _write_archive(stream, arrays)
         stream.flush()
         os.fsync(stream.fileno())
+        if difference:
+            moved = move_aside(path, difference)
         before_it_replaces()
+    return moved
 
 
-def require_replaceable(path: Path) -> None:
-    """Raise SemiparamError when a state must not take the place of what has this name."""
+def replaceable(path: Path) -> Configuration | None:
+    """That of the state which has this name, None where no file has it.
+
+    Raises SemiparamError when a state must not take the place of what has it.
+    """
     if path.is_symlink():
         raise SemiparamError(f'{path} is a link, which is not followed; expected a saved state or no file.')
     if not path.exists():
-        return
+        return None
     try:
-        _require_file(path)
-        with np.load(path, allow_pickle=False) as archive:
-            ours = json.loads(str(archive['meta'])).get('format') == FORMAT
+        return _configuration(path)
     except Exception:  # zipfile, numpy and json each raise their own errors for a foreign file
-        ours = False
-    if not ours:
-        raise SemiparamError(f'{path} is no saved state, so it is not replaced; move it away, or choose another name.')
+        raise SemiparamError(f'{path} is no saved state, so it is not replaced; move it away, or choose another '
+                             'name.') from None
+
+
+def move_aside(path: Path, difference: str) -> str:
+    """Give a state of another configuration a name of its own, which the sentence returned tells.
+
+    Raises SemiparamError when it cannot be renamed: nothing may take its place then.
+    """
+    aside = path.with_name(f'{path.stem}.{ASIDE}-{time.time_ns()}{path.suffix}')
+    try:
+        os.rename(path, aside)
+    except OSError as error:
+        raise SemiparamError(f'{path} {difference} It cannot be moved aside ({error.strerror}), so it is not '
+                             'replaced.') from error
+    return f'{path} {difference} It is moved to {aside}.'
 
 
 def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
@@ -163,7 +231,10 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
     arrays = _read(path)
     try:
         meta = _meta_of(path, arrays)
-        _check_robot(path, arrays, meta, settings, body)
+        theirs = Configuration(meta['version'], meta['joints'], meta['settings'], arrays['probe'])
+        difference = theirs.difference(Configuration(VERSION, body.joints, _as_saved(settings), probe(body)))
+        if difference:
+            raise SemiparamError(f'{path} {difference}')
         settings = settings.changed({name: meta['settings'][name] for name in ADOPTED}, where=str(path))
         _require_finite(str(path), arrays)
         batch = batch_from(_group(arrays, 'history'), body.n_joints, body.n_outputs)
@@ -196,11 +267,27 @@ def probe(body: RigidBody) -> Array:
 
 
 def _meta(state: SavedState) -> dict[str, Any]:
-    values = state.settings.mapping()
     known = known_of(state.estimator)
     return {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
-            'settings': {name: values[name] for name in (*ADOPTED, *FIXED)},
+            'settings': _as_saved(state.settings),
             'known': None if known is None else [asdict(known.hyperparameters), *known[1:4]]}
+
+
+def _as_saved(settings: Settings) -> dict[str, Any]:
+    """The parameters that a state keeps, as they are when read back from JSON."""
+    values = settings.mapping()
+    kept = ((name, values[name]) for name in (*ADOPTED, *FIXED))
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in kept}
+
+
+def _configuration(path: Path) -> Configuration:
+    """That of a file; raises whatever zipfile, numpy and json do for a foreign one."""
+    arrays = _read(path, ('meta', 'probe'))
+    meta = json.loads(str(arrays['meta']))
+    if meta.get('format') != FORMAT:
+        raise ValueError('it is no saved state')
+    return Configuration(meta.get('version'), meta.get('joints', []), meta.get('settings', {}),
+                         arrays.get('probe', np.zeros(0)))
 
 
 def _write_archive(stream: IO[bytes], arrays: Arrays) -> None:
@@ -214,15 +301,47 @@ def _write_archive(stream: IO[bytes], arrays: Arrays) -> None:
                 member.write(values.ravel(order='K').view(np.uint8).data)
 
 
-def _read(path: Path) -> dict[str, Array]:
+def _read(path: Path, names: Sequence[str] | None = None) -> dict[str, Array]:
+    """The arrays of a file, or those with these names where it has them.
+
+    Nothing in it is compressed, and no array is larger than its header says: reading takes no more memory than the file
+    has bytes. Raises SemiparamError.
+    """
     try:
         _require_file(path)
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            _check_sizes(entries, path.stat().st_size)
+            return {name: _read_array(archive, entry) for entry in entries
+                    if (name := entry.filename.removesuffix('.npy')) in (names or (name,))}
     except FileNotFoundError as error:
         raise SemiparamError(f'there is no file {path}; save_state writes it.') from error
     except Exception as error:  # zipfile and numpy have many for what is no archive of theirs
         raise SemiparamError(f'{path} cannot be read ({error}); expected a file that save_state wrote.') from error
+
+
+def _check_sizes(entries: Sequence[zipfile.ZipInfo], file_size: int) -> None:
+    """Raise ValueError for what would take more room than the file, or is there twice."""
+    names = [entry.filename for entry in entries]
+    if len(set(names)) != len(names):
+        raise ValueError('an array is there twice')
+    packed = [entry.filename for entry in entries if entry.compress_type != zipfile.ZIP_STORED]
+    if packed:
+        raise ValueError(f'{listed(packed)} is compressed')
+    if sum(entry.file_size for entry in entries) > file_size:
+        raise ValueError('its arrays are larger than the file')
+
+
+def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
+    with archive.open(entry) as member:
+        if np.lib.format.read_magic(member) != (1, 0):
+            raise ValueError(f'{entry.filename} is no array that numpy writes')
+        shape, by_column, dtype = np.lib.format.read_array_header_1_0(member)
+        size = entry.file_size - member.tell()
+        if dtype.kind not in 'biufU' or math.prod(shape) * dtype.itemsize != size:
+            raise ValueError(f'{entry.filename} has {size} bytes for an array {shape} of {dtype}')
+        values = np.frombuffer(bytearray(member.read()), dtype)
+        return values.reshape(shape, order='F' if by_column else 'C')
 
 
 def _require_file(path: Path) -> None:
@@ -244,22 +363,6 @@ def _meta_of(path: Path, arrays: Mapping[str, Array]) -> dict[str, Any]:
     if meta.get('version') != VERSION:
         raise SemiparamError(f'{path} is of version {meta.get("version")}; this node reads version {VERSION}.')
     return meta
-
-
-def _check_robot(path: Path, arrays: Mapping[str, Array], meta: Mapping[str, Any], settings: Settings,
-                 body: RigidBody) -> None:
-    """A model means nothing on another robot, and nothing with other features."""
-    if list(meta['joints']) != list(body.joints):
-        raise SemiparamError(f'{path} is of another robot, with the joints {", ".join(meta["joints"])}; expected '
-                             f'{", ".join(body.joints)}.')
-    for name in FIXED:
-        given, own = meta['settings'][name], settings.mapping()[name]
-        if given != (list(own) if isinstance(own, tuple) else own):
-            raise SemiparamError(f'{path} was learnt with {name} {shown(given)}; this node has {shown(own)}.')
-    ours = probe(body)
-    if arrays['probe'].shape != ours.shape or not np.allclose(arrays['probe'], ours, rtol=1e-9, atol=1e-9):
-        raise SemiparamError(f'{path} is of another robot: its description, outputs, sensor frame or wrench convention '
-                             'differs.')
 
 
 def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> Estimator:

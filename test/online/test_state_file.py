@@ -324,3 +324,69 @@ def test_files_wait_for_each_other_and_nobody_for_them():
     disk.set()
     thread.wait()
     assert done == [True, ZeroDivisionError] and not thread.busy
+
+
+def features_of(path):
+    with np.load(path) as archive:
+        return json.loads(str(archive['meta']))['settings']['features.count']
+
+
+def test_a_state_of_another_configuration_is_moved_aside_and_found_again(tmp_path):
+    """As after a typo in a launch file, which is mended a moment later."""
+    mistyped = replace(SETTINGS, features_count=30)
+    before, stage = Checkpoints(tmp_path, 'arm'), stage_of(SETTINGS, motion(70))
+    for _ in range(2):
+        before.save(stage.learner.state())
+    checkpoints = Checkpoints(tmp_path, 'arm')
+    assert checkpoints.newest(mistyped, BODY) is None
+    assert checkpoints.remarks == [f'{checkpoints.path} was learnt with features.count 40; this node has 30.']
+    for _ in range(3):
+        checkpoints.save(stage_of(mistyped, motion(3)).learner.state())
+    aside = sorted(name for name in os.listdir(tmp_path) if 'aside' in name)
+    assert [features_of(tmp_path / name) for name in aside] == [40, 40]
+    assert [features_of(path) for path in (checkpoints.path, checkpoints.previous)] == [30, 30]
+    news = ' '.join(checkpoints.news)
+    assert all(name in news for name in aside) and 'features.count 40; this node has 30' in news
+    mended = Checkpoints(tmp_path, 'arm')
+    assert len(mended.newest(SETTINGS, BODY).batch) == 70 and len(mended.remarks) == 1
+    for _ in range(3):
+        mended.save(stage.learner.state())
+    kept = [features_of(path) for path in tmp_path.iterdir()]
+    assert sorted(kept) == [30, 30, 40, 40, 40, 40]
+
+
+def test_what_is_begun_anew_does_not_replace_another_variant(tmp_path):
+    """A state brings its variant along, but a node that did not go on from it has its own."""
+    Checkpoints(tmp_path, 'arm').save(stage_of(SETTINGS, motion(70)).learner.state())
+    other, stage = Checkpoints(tmp_path, 'arm'), stage_of(replace(SETTINGS, variant='P'), motion(3))
+    other.save(stage.learner.state())
+    other.save(stage_of(SETTINGS, motion(3)).learner.state())  # changed while it runs: its own is replaced
+    assert len(os.listdir(tmp_path)) == 3 and "variant 'SPK-ML'; this node has 'P'" in other.news[0]
+
+
+def test_saving_by_hand_moves_another_configuration_aside(tmp_path):
+    path = tmp_path / 's.npz'
+    state_file.save(path, stage_of(SETTINGS, motion(70)).learner.state())
+    assert not state_file.save(path, stage_of(replace(SETTINGS, variant='P'), motion(3)).learner.state())
+    said = state_file.save(path, stage_of(replace(SETTINGS, features_count=30), motion(3)).learner.state())
+    (aside,) = (each for each in tmp_path.iterdir() if each != path)
+    assert features_of(aside) == 40 and str(aside) in said
+
+
+def test_what_differs_is_told_and_nothing_else(tmp_path):
+    joints = tuple(f'joint_{index}' for index in range(7))
+    arrays = state_file.snapshot(stage_of(SETTINGS, motion(3)).learner.state()).arrays()
+    meta = json.loads(str(arrays['meta']))
+    for change, expected in (
+            ({'joints': ['a', *joints]}, 'is of another robot: it has the joints joint_0, joint_1, joint_2 and 4 more, '
+                                         'which this node has not, and lacks b.'),
+            ({'joints': ['b', 'a']}, 'is of another robot: it has the same joints in another order.'),
+            ({'settings': {**meta['settings'], 'features.count': 7, 'outputs': 'effort', 'features.seed': 3,
+                           'initial.samples': 8}},
+             "was learnt with outputs 'effort'; this node has 'wrench'. features.count, features.seed, initial.samples "
+             'differ too.')):
+        path = tmp_path / 's.npz'
+        np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, **change}))})
+        with pytest.raises(SemiparamError) as caught:
+            state_file.load(path, SETTINGS, BODY)
+        assert str(caught.value) == f'{path} {expected}'

@@ -47,7 +47,9 @@ class Autosave:
             return None
         saved = self._loaded(settings, body)
         if saved is None:
-            self._say(f'there is no checkpoint to go on from in {self.checkpoints.path.parent}; learning begins anew.')
+            kept = ' What is there is kept: it is moved aside before a checkpoint is written.'
+            self._say(f'there is no checkpoint to go on from in {self.checkpoints.path.parent}; learning begins anew.'
+                      f'{kept if self.checkpoints.remarks and self._active else ""}')
         else:
             self._say(f'the checkpoint is loaded: {saved.settings.variant} with {len(saved.batch)} samples.')
         return saved
@@ -74,6 +76,11 @@ class Autosave:
                 self.checkpoints.save(state)
         except SemiparamError as error:
             self._refuse(f'there is no checkpoint of the end: {error}')
+        self._tell_news()
+
+    def _tell_news(self) -> None:
+        while self.checkpoints.news:
+            self._say(self.checkpoints.news.pop(0))
 
     def _save(self) -> None:
         """Now, or a little later while the robot is not known or the last one is still being written."""
@@ -88,7 +95,8 @@ class Autosave:
             self._saved(error)
 
     def _saved(self, error: SemiparamError | None) -> None:
-        """Tell of a failure once, and of its end."""
+        """Tell of what was moved aside, of a failure once, and of its end."""
+        self._tell_news()
         sentence = '' if error is None else str(error)
         if sentence and sentence != self._failed:
             self._refuse(sentence)

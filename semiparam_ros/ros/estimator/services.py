@@ -127,8 +127,8 @@ class Services:
         path = self._folder / self._parameters.settings.state_file
         state = state_file.snapshot(self._learner().state())
 
-        def written(_: None) -> str:
-            return f'{path} is written.'
+        def written(moved: str) -> str:
+            return f'{path} is written.{moved and f" The one before: {moved}"}'
 
         self._aside('~/save_state', partial(state_file.write, path, state), written, reply)
 
