@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from copy import deepcopy
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeAlias, cast
 
@@ -18,11 +21,13 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.motion import Motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.single_estimator import EstimatorState, MemberState
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
+from semiparam_ros.online.learning import Learning, observe
 from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.parameter_table import shown
@@ -39,6 +44,23 @@ MEMBER_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
 
 FIXED = ('outputs', 'temperatures', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')
 """Parameters that cannot change while a node runs, and so must agree."""
+
+ASIDE = 'aside'
+"""What is moved aside has this in its name, and the time."""
+
+TYPES = {'stamps': '<i8', 'origins': '<i8', 'places': '<i8', 'waiting': '<i8', 'renewed': '<i8', 'filled': '<i8',
+         'start': '<i8', 'counts': '<i8', 'origin': '<i8', 'learnt': '|i1', 'is_news': '|b1'}
+"""Of arrays by the last part of their names; all others hold real numbers."""
+MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'temperature', 'window'), 1e18
+"""What is measured stays within 1e9, its derivatives within that by a nanosecond."""
+STAMPS = ('stamps', 'origins', 'origin')
+RANGES = {'shares': (0.0, 1.0), 'log_weights': (-math.inf, 0.0), 'inflation': (1e-100, math.inf),
+          'learnt': (0, max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
+          **dict.fromkeys(('waiting', 'filled', 'start', 'memory', 'compared', 'renewed', 'still'), (0.0, math.inf))}
+"""Of arrays by the last part of their names, where only some values make sense."""
+
+TRIED, TRIED_EVERY_NS = 5, 10**7
+"""So many of the samples kept are answered and learnt by a copy before a state counts as good."""
 
 MAY_BE_UNKNOWN = ('meta', 'history.temperature', 'temperature')
 """Arrays that are texts, or hold NaN for what is not known."""
@@ -65,6 +87,12 @@ class Snapshot(NamedTuple):
     learnt: Arrays
     batch: SampleBatch
 
+    @property
+    def configuration(self) -> Configuration:
+        """What it was learnt with."""
+        meta = json.loads(str(self.learnt['meta']))
+        return Configuration(meta['version'], meta['joints'], meta['settings'], np.asarray(self.learnt['probe']))
+
     def arrays(self) -> Arrays:
         """All of it, by the names of the file."""
         return {**self.learnt, **_named('history', arrays_of(self.batch))}
@@ -82,9 +110,45 @@ def folder_of(settings: Settings) -> Path:
         raise SemiparamError(f'state_folder is {named}: {error}') from error
 
 
-def save(path: Path, state: SavedState) -> None:
+class Configuration(NamedTuple):
+    """What a state was learnt with."""
+
+    version: object
+    joints: Sequence[str]
+    settings: Mapping[str, Any]  # ADOPTED and FIXED, as JSON has them
+    probe: Array
+
+    def difference(self, ours: Configuration, names: Sequence[str] = FIXED) -> str:
+        """What a node of another configuration has to say of this one, its file being the subject; '' for the same.
+
+        :param names: the settings that are compared.
+        """
+        if self.version != ours.version:
+            return f'is of version {self.version}; this node reads version {ours.version}.'
+        if list(self.joints) != list(ours.joints):
+            return f'is of another robot: it has {_other_joints(self.joints, ours.joints)}.'
+        differ = [name for name in names if self.settings.get(name) != ours.settings[name]]
+        if differ:
+            more = f' {listed(differ[1:], 5)} differ{"s" * (len(differ) == 2)} too.' if differ[1:] else ''
+            return (f'was learnt with {differ[0]} {shown(self.settings.get(differ[0]))}; this node has '
+                    f'{shown(ours.settings[differ[0]])}.{more}')
+        if self.probe.shape != ours.probe.shape or not np.allclose(self.probe, ours.probe, rtol=1e-9, atol=1e-9):
+            return 'is of another robot: its description, outputs, sensor frame or wrench convention differs.'
+        return ''
+
+
+def _other_joints(theirs: Sequence[str], ours: Sequence[str]) -> str:
+    beside, lacking = ([name for name in these if name not in those]
+                       for these, those in ((theirs, ours), (ours, theirs)))
+    parts = [f'the joints {listed(beside, 3)}, which this node has not'] if beside else []
+    if lacking:
+        parts.append(f'lacks {listed(lacking, 3)}' if beside else f'not the joints {listed(lacking, 3)}')
+    return f'{", and ".join(parts)}' if parts else 'the same joints in another order'
+
+
+def save(path: Path, state: SavedState) -> str:
     """Write the whole file or nothing. Raises SemiparamError when it cannot be written; see :func:`write`."""
-    write(path, snapshot(state))
+    return write(path, snapshot(state))
 
 
 def snapshot(state: SavedState) -> Snapshot:
@@ -115,8 +179,10 @@ def snapshot(state: SavedState) -> Snapshot:
     return Snapshot(arrays, state.batch)
 
 
-def write(path: Path, state: Snapshot, before_it_replaces: Callable[[], None] = lambda: None) -> None:
+def write(path: Path, state: Snapshot, before_it_replaces: Callable[[], None] = lambda: None) -> str:
     """Write a :func:`snapshot`, and make its folder if it is missing.
+
+    A state of another configuration that has the name is moved aside; a sentence says so, '' without one.
 
     :param before_it_replaces: called when the disk has it all, before it takes the name.
 
@@ -130,29 +196,48 @@ def write(path: Path, state: Snapshot, before_it_replaces: Callable[[], None] = 
     except OSError as error:
         raise SemiparamError(f'cannot write {path}: there is no folder {path.parent} and none can be made: '
                              f'{error.strerror}.') from error
-    require_replaceable(path)
+    theirs = replaceable(path)
+    difference = '' if theirs is None else theirs.difference(state.configuration)
     remove_leftovers(path)
+    moved = ''
     with replacing(path, durable=True) as stream:
         _write_archive(stream, arrays)
         stream.flush()
         os.fsync(stream.fileno())
+        if difference:
+            moved = move_aside(path, difference)
         before_it_replaces()
+    return moved
 
 
-def require_replaceable(path: Path) -> None:
-    """Raise SemiparamError when a state must not take the place of what has this name."""
+def replaceable(path: Path) -> Configuration | None:
+    """That of the state which has this name, None where no file has it.
+
+    Raises SemiparamError when a state must not take the place of what has it.
+    """
     if path.is_symlink():
         raise SemiparamError(f'{path} is a link, which is not followed; expected a saved state or no file.')
     if not path.exists():
-        return
+        return None
     try:
-        _require_file(path)
-        with np.load(path, allow_pickle=False) as archive:
-            ours = json.loads(str(archive['meta'])).get('format') == FORMAT
+        return _configuration(path)
     except Exception:  # zipfile, numpy and json each raise their own errors for a foreign file
-        ours = False
-    if not ours:
-        raise SemiparamError(f'{path} is no saved state, so it is not replaced; move it away, or choose another name.')
+        raise SemiparamError(f'{path} is no saved state, so it is not replaced; move it away, or choose another '
+                             'name.') from None
+
+
+def move_aside(path: Path, difference: str) -> str:
+    """Give a state of another configuration a name of its own, which the sentence returned tells.
+
+    Raises SemiparamError when it cannot be renamed: nothing may take its place then.
+    """
+    aside = path.with_name(f'{path.stem}.{ASIDE}-{time.time_ns()}{path.suffix}')
+    try:
+        os.rename(path, aside)
+    except OSError as error:
+        raise SemiparamError(f'{path} {difference} It cannot be moved aside ({error.strerror}), so it is not '
+                             'replaced.') from error
+    return f'{path} {difference} It is moved to {aside}.'
 
 
 def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
@@ -163,21 +248,31 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
     arrays = _read(path)
     try:
         meta = _meta_of(path, arrays)
-        _check_robot(path, arrays, meta, settings, body)
+        theirs = Configuration(meta['version'], meta['joints'], meta['settings'], arrays['probe'])
+        difference = theirs.difference(Configuration(VERSION, body.joints, _as_saved(settings), probe(body)))
+        if difference:
+            raise SemiparamError(f'{path} {difference}')
         settings = settings.changed({name: meta['settings'][name] for name in ADOPTED}, where=str(path))
         _require_finite(str(path), arrays)
         batch = batch_from(_group(arrays, 'history'), body.n_joints, body.n_outputs)
         bias = arrays['bias']
         if bias.shape != (body.n_outputs,):
             raise SemiparamError(f"{path} holds a 'bias' of shape {bias.shape}; expected ({body.n_outputs},).")
-        gate = _from_json(meta['gate'], _group(arrays, 'gate'))
-        ContactGate.of(body).restore(gate)  # which checks it
-        renewal = _from_json(meta['renewal'], _group(arrays, 'renewal'))
-        Renewal(settings.initial_samples, body.n_outputs).restore(renewal)
-        return SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate, renewal)
-    except SemiparamError:
-        raise
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+        _check_types(arrays)
+        _check_stamps(meta)
+        gate, renewal = ContactGate.of(body), Renewal(settings.initial_samples, body.n_outputs)
+        for name, part in (('gate', gate), ('renewal', renewal)):
+            memory = _from_json(meta[name], _group(arrays, name))
+            _check_kinds(name, memory, part.state())
+            part.restore(memory)
+        saved = SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate.state(),
+                           renewal.state())
+        _check_nothing_else(arrays, meta, saved)
+        _try(saved, gate)
+        return saved
+    except SemiparamError as error:
+        raise error if str(error).startswith(str(path)) else SemiparamError(f'{path} is damaged: {error}') from error
+    except Exception as error:  # whatever wrong values bring about
         raise SemiparamError(f'{path} is damaged ({error}); expected a file that save_state wrote.') from error
 
 
@@ -196,11 +291,27 @@ def probe(body: RigidBody) -> Array:
 
 
 def _meta(state: SavedState) -> dict[str, Any]:
-    values = state.settings.mapping()
     known = known_of(state.estimator)
     return {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
-            'settings': {name: values[name] for name in (*ADOPTED, *FIXED)},
+            'settings': _as_saved(state.settings),
             'known': None if known is None else [asdict(known.hyperparameters), *known[1:4]]}
+
+
+def _as_saved(settings: Settings) -> dict[str, Any]:
+    """The parameters that a state keeps, as they are when read back from JSON."""
+    values = settings.mapping()
+    kept = ((name, values[name]) for name in (*ADOPTED, *FIXED))
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in kept}
+
+
+def _configuration(path: Path) -> Configuration:
+    """That of a file; raises whatever zipfile, numpy and json do for a foreign one."""
+    arrays = _read(path, ('meta', 'probe'))
+    meta = json.loads(str(arrays['meta']))
+    if meta.get('format') != FORMAT:
+        raise ValueError('it is no saved state')
+    return Configuration(meta.get('version'), meta.get('joints', []), meta.get('settings', {}),
+                         arrays.get('probe', np.zeros(0)))
 
 
 def _write_archive(stream: IO[bytes], arrays: Arrays) -> None:
@@ -214,15 +325,47 @@ def _write_archive(stream: IO[bytes], arrays: Arrays) -> None:
                 member.write(values.ravel(order='K').view(np.uint8).data)
 
 
-def _read(path: Path) -> dict[str, Array]:
+def _read(path: Path, names: Sequence[str] | None = None) -> dict[str, Array]:
+    """The arrays of a file, or those with these names where it has them.
+
+    Nothing in it is compressed, and no array is larger than its header says: reading takes no more memory than the file
+    has bytes. Raises SemiparamError.
+    """
     try:
         _require_file(path)
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            _check_sizes(entries, path.stat().st_size)
+            return {name: _read_array(archive, entry) for entry in entries
+                    if (name := entry.filename.removesuffix('.npy')) in (names or (name,))}
     except FileNotFoundError as error:
         raise SemiparamError(f'there is no file {path}; save_state writes it.') from error
     except Exception as error:  # zipfile and numpy have many for what is no archive of theirs
         raise SemiparamError(f'{path} cannot be read ({error}); expected a file that save_state wrote.') from error
+
+
+def _check_sizes(entries: Sequence[zipfile.ZipInfo], file_size: int) -> None:
+    """Raise ValueError for what would take more room than the file, or is there twice."""
+    names = [entry.filename for entry in entries]
+    if len(set(names)) != len(names):
+        raise ValueError('an array is there twice')
+    packed = [entry.filename for entry in entries if entry.compress_type != zipfile.ZIP_STORED]
+    if packed:
+        raise ValueError(f'{listed(packed)} is compressed')
+    if sum(entry.file_size for entry in entries) > file_size:
+        raise ValueError('its arrays are larger than the file')
+
+
+def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
+    with archive.open(entry) as member:
+        if np.lib.format.read_magic(member) != (1, 0):
+            raise ValueError(f'{entry.filename} is no array that numpy writes')
+        shape, by_column, dtype = np.lib.format.read_array_header_1_0(member)
+        size = entry.file_size - member.tell()
+        if dtype.kind not in 'biufU' or math.prod(shape) * dtype.itemsize != size:
+            raise ValueError(f'{entry.filename} has {size} bytes for an array {shape} of {dtype}')
+        values = np.frombuffer(bytearray(member.read()), dtype)
+        return values.reshape(shape, order='F' if by_column else 'C')
 
 
 def _require_file(path: Path) -> None:
@@ -246,32 +389,19 @@ def _meta_of(path: Path, arrays: Mapping[str, Array]) -> dict[str, Any]:
     return meta
 
 
-def _check_robot(path: Path, arrays: Mapping[str, Array], meta: Mapping[str, Any], settings: Settings,
-                 body: RigidBody) -> None:
-    """A model means nothing on another robot, and nothing with other features."""
-    if list(meta['joints']) != list(body.joints):
-        raise SemiparamError(f'{path} is of another robot, with the joints {", ".join(meta["joints"])}; expected '
-                             f'{", ".join(body.joints)}.')
-    for name in FIXED:
-        given, own = meta['settings'][name], settings.mapping()[name]
-        if given != (list(own) if isinstance(own, tuple) else own):
-            raise SemiparamError(f'{path} was learnt with {name} {shown(given)}; this node has {shown(own)}.')
-    ours = probe(body)
-    if arrays['probe'].shape != ours.shape or not np.allclose(arrays['probe'], ours, rtol=1e-9, atol=1e-9):
-        raise SemiparamError(f'{path} is of another robot: its description, outputs, sensor frame or wrench convention '
-                             'differs.')
-
-
 def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> Estimator:
     """The estimator as it was."""
     known = None
     if meta['known'] is not None:
         hyperparameters, mean, scale, window = meta['known']
-        known = Known(_hyperparameters(hyperparameters), tuple(mean), tuple(scale), int(window))
+        known = Known(_hyperparameters(hyperparameters, _group(arrays, 'recursion')), tuple(mean), tuple(scale),
+                      _count(window))
     estimator = new_estimator(settings, body, known)
+    if arrays['inputs_learnt'].shape not in (estimator.inputs_learnt.shape, (2, 3 * body.n_joints)):
+        raise ValueError(f"'inputs_learnt' has shape {arrays['inputs_learnt'].shape}")
     estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
                                      _group(arrays, 'calibration'), _group(arrays, 'wandering'),
-                                     int(meta['window_left']), _counts(meta['passed_over']),
+                                     _count(meta['window_left']), _counts(meta['passed_over']),
                                      _group(arrays, 'window'), meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
                                      arrays['inputs_learnt'], _temperature(arrays),
@@ -289,7 +419,19 @@ def _temperature(arrays: Mapping[str, Array]) -> Array:
     return found
 
 
-def _hyperparameters(values: Mapping[str, Any]) -> Hyperparameters:
+def _hyperparameters(values: Mapping[str, Any], recursion: Mapping[str, Array]) -> Hyperparameters:
+    """Raises ValueError for what are none of a model with this recursion: none may make it larger than the file."""
+    for name, value in values.items():
+        numbers = value if isinstance(value, list) else [value]
+        if name == 'features':
+            right = value in (0, recursion['array'].shape[1])
+        elif name == 'pi' and value is None:
+            right = True
+        else:
+            right = all(type(number) is float and abs(number) <= MOST_MEASURED for number in numbers)
+            right = right and (name == 'pi' or min(numbers, default=0.0) >= 0.0)
+        if not right:
+            raise ValueError(f"the hyperparameter '{name}' is {shown(value)}")
     tuples = {name: None if values[name] is None else tuple(values[name]) for name in ('tau', 'output_scale', 'pi')}
     return Hyperparameters(**{**values, **tuples})
 
@@ -300,13 +442,21 @@ def _member_arrays(member: MemberState) -> Arrays:
 
 def _member(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> MemberState:
     groups = {group: _group(arrays, group) for group in MEMBER_ARRAYS}
-    return MemberState(_hyperparameters(meta['hyperparameters']), window_left=int(meta['window_left']),
+    hyperparameters = _hyperparameters(meta['hyperparameters'], groups['recursion'])
+    return MemberState(hyperparameters, window_left=_count(meta['window_left']),
                        passed_over=_counts(meta['passed_over']), **groups)
 
 
 def _counts(values: Sequence[int]) -> tuple[int, int]:
-    since, total = map(int, values)
+    since, total = map(_count, values)
     return since, total
+
+
+def _count(value: object) -> int:
+    """How many samples; raises ValueError for what is no such number."""
+    if not (type(value) is int and 0 <= value < 2**62):
+        raise ValueError(f'a number of samples is {shown(value)}')
+    return value
 
 
 def _stacked(motion: Motion | None) -> Arrays:
@@ -358,6 +508,88 @@ def _from_json(value: object, arrays: Mapping[str, Array]) -> Memory:
 def _named(group: str, arrays: Mapping[str, Array | Stamps | Mask | Codes]) -> Arrays:
     """With the group's name before each; :func:`_group` takes it off."""
     return {f'{group}.{name}': values for name, values in arrays.items()}
+
+
+def _check_types(arrays: Mapping[str, Array]) -> None:
+    """Raise ValueError for an array of another type than its name has, or of values that it cannot have."""
+    for name, values in arrays.items():
+        last = name.rpartition('.')[2]
+        wanted = TYPES.get(last, '<f8')
+        if name == 'meta' or last.isdigit():
+            continue
+        if values.dtype.str != wanted:
+            raise ValueError(f"'{name}' is of type {values.dtype}; expected {np.dtype(wanted)}")
+        low, high = RANGES.get(last, (-math.inf, math.inf))
+        if ((values < low) | (values > high)).any():
+            raise ValueError(f"'{name}' holds values outside of {low:g} to {high:g}")
+        if name.partition('.')[0] in MEASURED and values.dtype.kind == 'f' and (np.abs(values) > MOST_MEASURED).any():
+            raise ValueError(f"'{name}' holds values beyond {MOST_MEASURED:g}")
+
+
+def _check_stamps(meta: Mapping[str, Any]) -> None:
+    """Raise ValueError where time begins, or ended, at no time that a message can have."""
+    for name in ('origin', 'newest'):
+        stamp = meta[name]
+        if stamp is not None and not (type(stamp) is int and abs(stamp) < 2**62):
+            raise ValueError(f"'{name}' is {shown(stamp)}; expected a stamp in ns")
+
+
+def _check_kinds(where: str, given: Memory, own: Memory, rows_of: int = 2) -> None:
+    """Raise ValueError where what is remembered is of another kind than what its owner remembers at another time.
+
+    :param rows_of: arrays of so many axes or more may have another number of rows.
+    """
+    if isinstance(own, np.ndarray):
+        grows = own.ndim >= rows_of
+        if not isinstance(given, np.ndarray) or (given.dtype, given.ndim) != (own.dtype, own.ndim) or (
+                given.shape[grows:] != own.shape[grows:]):
+            raise ValueError(f"'{where}' is no array of {own.dtype} like {own.shape}")
+    elif isinstance(own, dict):
+        if not isinstance(given, dict) or given.keys() != own.keys():
+            raise ValueError(f"'{where}' has other entries")
+        for name, part in own.items():
+            _check_kinds(f'{where}.{name}', given[name], part, rows_of)
+    elif isinstance(own, tuple | list) and isinstance(given, tuple | list) and len(given) == len(own):
+        for index, part in enumerate(own):
+            _check_kinds(f'{where}.{index}', given[index], part, rows_of)
+
+
+def _check_nothing_else(arrays: Mapping[str, Array], meta: Mapping[str, Any], saved: SavedState) -> None:
+    """Raise ValueError unless a state that is saved again is the same file: then all of it was understood."""
+    again = snapshot(saved).arrays()
+    for name in sorted(again.keys() ^ arrays.keys()):
+        raise ValueError(f"'{name}' is {'missing' if name in again else 'not of such a state'}")
+    for name, values in again.items():
+        same = values.dtype == arrays[name].dtype and np.array_equal(values, arrays[name], values.dtype.kind == 'f')
+        if not same and name != 'meta':
+            raise ValueError(f"'{name}' is {arrays[name].dtype} {arrays[name].shape}; expected what makes sense as "
+                             f'{values.dtype} {values.shape}')
+    written = json.loads(str(again['meta']))
+    if written['known']:  # what the window alone used is not kept by a model that is given its hyperparameters
+        written['known'][0] |= {name: float(meta['known'][0][name]) for name in ('drift_share', 'drift_memory')}
+    for name, value in written.items():
+        if json.dumps(value) != json.dumps(meta.get(name)):  # so that neither 1 and 1.0 nor 1 and true are the same
+            raise ValueError(f"'{name}' is {shown(meta.get(name))}; expected what makes sense as {shown(value)}")
+
+
+def _try(saved: SavedState, gate: ContactGate) -> None:
+    """Let copies answer and learn some of the samples kept, as if they came next; raises whatever goes wrong."""
+    estimator, gate, body = deepcopy(saved.estimator), deepcopy(gate), saved.estimator.body
+    judging = replace(saved.settings, gate_enabled=True)
+    zeros = np.zeros(body.n_joints)
+    latest = [sample for sample, _ in saved.batch.part(max(len(saved.batch) - TRIED, 0)).pairs()]
+    latest = latest or [Sample(0, zeros, zeros, zeros, np.zeros(body.n_outputs))]
+    newest = saved.estimator.state().newest or 0
+    with np.errstate(all='ignore'):
+        for number, sample in enumerate(latest, start=1):
+            prediction = estimator.predict(sample._replace(stamp=newest + number * TRIED_EVERY_NS))
+            if not (np.isfinite([prediction.mean, prediction.std]).all() and (prediction.std > 0.0).all()):
+                raise ValueError('its model predicts values that are not finite')
+            gate.judge(prediction, judging)
+            observe(estimator, prediction, Learning.YES, finish=False)
+    _require_finite('what its model learns', snapshot(saved._replace(estimator=estimator, gate=gate.state())).learnt)
+    before, after = (cast('Memory', each.state().memory) for each in (saved.estimator, estimator))
+    _check_kinds('memory', before, after, rows_of=1)
 
 
 def _group(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:

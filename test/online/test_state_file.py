@@ -4,7 +4,10 @@ import json
 import math
 import os
 import pickle
+import subprocess
+import sys
 import threading
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +18,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file
 from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.file_thread import FileThread
+from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.settings.build import build_rigid_body
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, InlineBackground, motion
@@ -232,7 +236,8 @@ def test_nothing_but_a_state_is_replaced(tmp_path, spoil):
 
 
 def contents(folder):
-    return {path.name: path.read_bytes() if path.is_file() else path.lstat().st_mode for path in folder.iterdir()}
+    return {path.name: path.read_bytes() if path.is_file() else path.lstat().st_mode for path in folder.iterdir()
+            if path.suffix != '.lock'}
 
 
 def test_a_model_that_is_not_finite_is_not_saved(tmp_path):
@@ -287,7 +292,7 @@ def test_two_generations_of_checkpoints(tmp_path):
     for sample in motion(3):
         stage.offer([sample])
         checkpoints.save(stage.learner.state())
-    assert sorted(os.listdir(tmp_path)) == ['estimator.checkpoint.npz', 'estimator.checkpoint.previous.npz']
+    assert sorted(contents(tmp_path)) == ['estimator.checkpoint.npz', 'estimator.checkpoint.previous.npz']
     assert len(checkpoints.newest(SETTINGS, BODY).batch) == 3
     checkpoints.path.write_bytes(checkpoints.path.read_bytes()[:5000])
     assert len(checkpoints.newest(SETTINGS, BODY).batch) == 2
@@ -324,3 +329,180 @@ def test_files_wait_for_each_other_and_nobody_for_them():
     disk.set()
     thread.wait()
     assert done == [True, ZeroDivisionError] and not thread.busy
+
+
+def features_of(path):
+    with np.load(path) as archive:
+        return json.loads(str(archive['meta']))['settings']['features.count']
+
+
+def test_a_state_of_another_configuration_is_moved_aside_and_found_again(tmp_path):
+    """As after a typo in a launch file, which is mended a moment later."""
+    mistyped = replace(SETTINGS, features_count=30)
+    before, stage = Checkpoints(tmp_path, 'arm'), stage_of(SETTINGS, motion(70))
+    for _ in range(2):
+        before.save(stage.learner.state())
+    checkpoints = Checkpoints(tmp_path, 'arm')
+    assert checkpoints.newest(mistyped, BODY) is None
+    assert checkpoints.remarks == [f'{checkpoints.path} was learnt with features.count 40; this node has 30.']
+    for _ in range(3):
+        checkpoints.save(stage_of(mistyped, motion(3)).learner.state())
+    aside = sorted(name for name in os.listdir(tmp_path) if 'aside' in name)
+    assert [features_of(tmp_path / name) for name in aside] == [40, 40]
+    assert [features_of(path) for path in (checkpoints.path, checkpoints.previous)] == [30, 30]
+    news = ' '.join(checkpoints.news)
+    assert all(name in news for name in aside) and 'features.count 40; this node has 30' in news
+    mended = Checkpoints(tmp_path, 'arm')
+    assert len(mended.newest(SETTINGS, BODY).batch) == 70 and len(mended.remarks) == 1
+    for _ in range(3):
+        mended.save(stage.learner.state())
+    kept = [features_of(path) for path in tmp_path.glob('*.npz')]
+    assert sorted(kept) == [30, 30, 40, 40, 40, 40]
+
+
+def test_what_is_begun_anew_does_not_replace_another_variant(tmp_path):
+    """A state brings its variant along, but a node that did not go on from it has its own."""
+    Checkpoints(tmp_path, 'arm').save(stage_of(SETTINGS, motion(70)).learner.state())
+    other, stage = Checkpoints(tmp_path, 'arm'), stage_of(replace(SETTINGS, variant='P'), motion(3))
+    other.save(stage.learner.state())
+    other.save(stage_of(SETTINGS, motion(3)).learner.state())  # changed while it runs: its own is replaced
+    assert len(contents(tmp_path)) == 3 and "variant 'SPK-ML'; this node has 'P'" in other.news[0]
+
+
+def test_saving_by_hand_moves_another_configuration_aside(tmp_path):
+    path = tmp_path / 's.npz'
+    state_file.save(path, stage_of(SETTINGS, motion(70)).learner.state())
+    assert not state_file.save(path, stage_of(replace(SETTINGS, variant='P'), motion(3)).learner.state())
+    said = state_file.save(path, stage_of(replace(SETTINGS, features_count=30), motion(3)).learner.state())
+    (aside,) = (each for each in tmp_path.iterdir() if each != path)
+    assert features_of(aside) == 40 and str(aside) in said
+
+
+def test_what_differs_is_told_and_nothing_else(tmp_path):
+    joints = tuple(f'joint_{index}' for index in range(7))
+    arrays = state_file.snapshot(stage_of(SETTINGS, motion(3)).learner.state()).arrays()
+    meta = json.loads(str(arrays['meta']))
+    for change, expected in (
+            ({'joints': ['a', *joints]}, 'is of another robot: it has the joints joint_0, joint_1, joint_2 and 4 more, '
+                                         'which this node has not, and lacks b.'),
+            ({'joints': ['b', 'a']}, 'is of another robot: it has the same joints in another order.'),
+            ({'settings': {**meta['settings'], 'features.count': 7, 'outputs': 'effort', 'features.seed': 3,
+                           'initial.samples': 8}},
+             "was learnt with outputs 'effort'; this node has 'wrench'. features.count, features.seed, initial.samples "
+             'differ too.')):
+        path = tmp_path / 's.npz'
+        np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, **change}))})
+        with pytest.raises(SemiparamError) as caught:
+            state_file.load(path, SETTINGS, BODY)
+        assert str(caught.value) == f'{path} {expected}'
+
+
+def test_sizes_are_checked_before_anything_is_unpacked(tmp_path):
+    path, arrays = tmp_path / 's.npz', state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays()
+    np.savez_compressed(path, **{**arrays, 'recursion.array': np.zeros((30_000, 1000))})
+    assert path.stat().st_size < 10**6
+    with pytest.raises(SemiparamError, match=r'cannot be read \(.* is compressed\)'):
+        state_file.load(path, SETTINGS, BODY)
+    np.savez(path, **arrays)
+    longer = path.read_bytes().replace(b"'shape': (178, 40)", b"'shape': (178,999)").replace(
+        b"'shape': (142, 40)", b"'shape': (142,999)")
+    path.write_bytes(longer)
+    with pytest.raises(SemiparamError, match=r'bytes for an array \(1.., ?999\)'):
+        state_file.load(path, SETTINGS, BODY)
+
+
+WRONG_ARRAYS = {
+    'float32': lambda values: values.astype(np.float32),
+    'int32': lambda values: values.astype(np.int32),
+    'float64': lambda values: values.astype(np.float64),
+    'bool': lambda values: values.astype(bool),
+    'text': lambda values: values.astype('U9'),
+    'flat': lambda values: values[None],
+    'empty': lambda values: values[:0] if values.ndim else np.zeros(0),
+    'longer': lambda values: np.concatenate([values, values]) if values.ndim else np.array([values, values]),
+    'wider': lambda values: np.concatenate([values, values], axis=-1) if values.ndim else values[None, None],
+    'minus one': lambda values: np.full_like(values, -1),
+    'large': lambda values: np.full_like(values, 127 if values.dtype == np.int8 else 2**62),
+    'huge': lambda values: np.full_like(values, 1e300 if values.dtype.kind == 'f' else 100),
+    'infinite': lambda values: np.full_like(values, np.inf) if values.dtype.kind == 'f' else np.full_like(values, -100),
+}
+SPOILT = {
+    'averaged': replace(SETTINGS, variant='auto', effects=('sensor_drift',)),
+    'effort': replace(EFFORT, effects=('backlash@b{"gap": 0.2}', 'coulomb_friction@a{"presliding": 0.05}')),
+}
+
+
+@pytest.mark.parametrize('settings', SPOILT.values(), ids=SPOILT)
+def test_what_is_loaded_can_answer_and_learn(tmp_path, settings):
+    """Right checksums, wrong values: each array and each entry of the JSON text, one after the other."""
+    body = build_rigid_body(settings)
+    samples, path = motion(80, body=body), tmp_path / 's.npz'
+    stage = stage_of(settings, samples[:70])
+    arrays = state_file.snapshot(stage.learner.state()).arrays()
+    meta = json.loads(str(arrays['meta']))
+    spoilt = [(f'{name}: {how}', arrays | {name: wrong(values)}) for name, values in arrays.items() if name != 'meta'
+              for how, wrong in WRONG_ARRAYS.items() if not same(values, wrong(values))]
+    spoilt += [(f'{name}x: added', {**arrays, f'{name}x': values}) for name, values in arrays.items()]
+    spoilt += [(f'{name}: missing', {other: arrays[other] for other in arrays if other != name}) for name in arrays]
+    spoilt += [(f'meta {where}', arrays | {'meta': np.array(json.dumps(wrong))}) for where, wrong in misquoted(meta)]
+    accepted = []
+    for what, these in spoilt[::int(os.environ.get('SPOILT_STEP', 13))]:
+        np.savez(path, **these)
+        try:
+            saved = state_file.load(path, settings, body)
+        except SemiparamError as error:
+            assert str(error).startswith(str(path)) and 'Traceback' not in str(error)
+            continue
+        stage.learner.restore(saved)
+        stage.offer(samples[70:])
+        assert not stage.failures, (what, stage.failures)
+        accepted.append(what)
+    wrong_kinds = {'float32', 'float64', 'int32', 'bool', 'text', 'flat', 'added', 'missing'}
+    assert not [what for what in accepted if what.split(': ')[-1] in wrong_kinds]
+
+
+def misquoted(value, where=''):
+    """The JSON value with one entry wrong, for each entry; and where it is."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            yield from ((place, {**value, name: wrong}) for place, wrong in misquoted(part, f'{where}/{name}'))
+    elif isinstance(value, list) and len(value) < 40:
+        for index, part in enumerate(value[:3]):
+            yield from ((place, [*value[:index], wrong, *value[index + 1:]])
+                        for place, wrong in misquoted(part, f'{where}/{index}'))
+    for wrong in (None, True, -1, 3, 10**30, 2.5, math.nan, 'x', [], {}, {'list': 3}):
+        if type(wrong) is not type(value) or wrong != value:
+            yield f'{where}: {wrong}', wrong
+
+
+def test_another_process_of_the_same_name_does_not_write(tmp_path):
+    stage, path = stage_of(SETTINGS, motion(70)), tmp_path / 's.npz'
+    checkpoints = Checkpoints(tmp_path, '/left/arm')
+    with other_process(tmp_path, 'left.arm') as other:
+        for lock in (checkpoints.lock, FolderLock(tmp_path, '/left/arm')):
+            with pytest.raises(SemiparamError, match=rf'process {other.pid}, another node of the name /left/arm'):
+                lock.take()
+        with pytest.raises(SemiparamError, match='another node of the name'):
+            checkpoints.save(stage.learner.state())
+        assert not checkpoints.path.exists()
+        FolderLock(tmp_path, '/right/arm').take()
+        state_file.save(checkpoints.path, stage.learner.state())
+    checkpoints.save(stage.learner.state())  # the other one is gone, and what it wrote is not lost
+    assert sum('aside' in name for name in os.listdir(tmp_path)) == 1
+    assert 'written by another node' in checkpoints.news[0]
+    FolderLock(path / 'no folder', 'arm').take()
+    (tmp_path / 'file').touch()
+    FolderLock(tmp_path / 'file', 'arm').take()  # writing tells what is wrong there
+
+
+@contextmanager
+def other_process(folder, name):
+    """One that has the lock, however it ends."""
+    code = (f'from pathlib import Path; from semiparam_ros.online.folder_lock import FolderLock; '
+            f'FolderLock(Path({str(folder)!r}), {name.replace(".", "/")!r}).take(); print(flush=True); input()')
+    with subprocess.Popen([sys.executable, '-c', code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        try:
+            yield process
+        finally:
+            process.kill()
