@@ -200,11 +200,15 @@ class RosProcess:
         finally:
             executor.shutdown()
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def stop_spinning(self) -> None:
+        """No callback is served any more; what arrives stays with the subscriptions."""
         self._closing = True
         if self._thread is not None:
             self._thread.join()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.stop_spinning()
         if self._node is not None:
             self._node.destroy_node()
         try_shutdown()
