@@ -30,6 +30,7 @@ CHECKPOINTS = 'checkpoints'
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENCE_S = 1.0
+LATE_S = 1.0
 TEMPERATURE_SILENCE_S = 60.0
 IMPLAUSIBLE = 3.0
 """Root mean square of standardised innovations above which the model does not describe the robot."""
@@ -185,13 +186,42 @@ class InputReport:
         return ''
 
 
-def timing_report(inputs: Inputs) -> Report:
-    """From the arrival of the message that completes a sample to its answer."""
-    latency = inputs.stopwatch.quantiles_ms()
-    if latency is None:
-        return Report(OK, 'no answer yet.', {})
-    names = ('latency median [ms]', 'latency p99 [ms]', 'latency max [ms]')
-    return Report(OK, 'answering.', {name: round(value, 3) for name, value in zip(names, latency, strict=True)})
+class TimingReport:
+    """From the arrival of the message that completes a sample to its answer; what waits, and what was given up.
+
+    :param say: receives a sentence when answers begin to be late, and when they are in time again.
+    """
+
+    def __init__(self, inputs: Inputs, say: Callable[[str], None]) -> None:
+        self._inputs, self._say = inputs, say
+        self._lost, self._is_late = 0, False
+
+    def make(self) -> Report:
+        """Now."""
+        turns, latency = self._inputs.turns, self._inputs.stopwatch.quantiles_ms()
+        new, self._lost = turns.lost - self._lost, turns.lost
+        values: dict[str, object] = {'messages waiting': len(turns), 'messages lost': turns.lost}
+        if latency is not None:
+            names = ('latency median [ms]', 'latency p99 [ms]', 'latency max [ms]')
+            values |= {name: round(value, 3) for name, value in zip(names, latency, strict=True)}
+        late = turns.late_s
+        self._tell(late)
+        if new:
+            return Report(ERROR, f'{new} messages lost: they come faster than they are answered, and {len(turns)} wait '
+                                 'already.', values)
+        if late > LATE_S:
+            return Report(WARN, f'answers are {late:.1f} s late: messages come faster than they are answered, and '
+                                f'{len(turns)} wait.', values)
+        return Report(OK, 'answering.' if latency is not None else 'no answer yet.', values)
+
+    def _tell(self, late: float) -> None:
+        """Once when it begins, and once when all that waited is answered."""
+        if late > LATE_S and not self._is_late:
+            self._is_late = True
+            self._say(f'messages come faster than they are answered: answers are {late:.1f} s late.')
+        elif self._is_late and not len(self._inputs.turns):
+            self._is_late = False
+            self._say('answers are in time again.')
 
 
 def learning_report(learner: Learner, news: str) -> Report:
@@ -206,7 +236,7 @@ def learning_report(learner: Learner, news: str) -> Report:
         'samples passed over': learner.estimator.passed_over,
         'samples of motion in the initial window': '' if learner.estimator.ready else len(learner.estimator.window),
         'samples from each window to its takeover': ','.join(map(str, learner.takeovers)),
-        'samples lost': learner.lost, 'samples not learnt for contact': learner.gate.refused,
+        'samples not answered': learner.lost, 'samples not learnt for contact': learner.gate.refused,
         'in contact': learner.gate.closed, 'contacts': learner.gate.contacts,
         'contacts taken for a change of the robot': learner.gate.changes,
         'contact felt in': ', '.join(learner.body.output_names[index] for index in learner.gate.touched()),
@@ -230,7 +260,7 @@ def stage_of(learner: Learner | None) -> str:
 def _learning_state(learner: Learner) -> tuple[bytes, str]:
     successor, estimator = learner.switcher.successor, learner.estimator
     if learner.lost:
-        return ERROR, f'{learner.lost} samples lost: the machine is too slow for their rate.'
+        return ERROR, f'{learner.lost} samples not answered: the model failed on them, see the status errors.'
     if not learner.settings.learning:
         return WARN, 'paused: predicting without learning.'
     if learner.gate.closed:
@@ -331,7 +361,7 @@ class Reports:
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
         turns = {'inputs': InputReport(inputs, rejections).make,
-                 'timing': lambda: timing_report(inputs), 'learning': self._learning,
+                 'timing': TimingReport(inputs, self.say).make, 'learning': self._learning,
                  'model': self._model, 'parameters': self._parameters,
                  'feedforward': lambda: feedforward_report(feedforward),
                  'errors': lambda: errors_report(errors)}
