@@ -32,8 +32,8 @@ ONE_KEY_S = 0.5
 SPIN_S = 0.2
 CALL_S = 10.0
 DELIVER_S = 3.5
-"""At the end, how long subscribers may take to receive the last messages: Fast DDS sends again after 3 s, or after 0.2 s
-with our profile, what was missed."""
+"""At the end, how long subscribers may take to receive the last messages: Fast DDS sends again after 3 s, or with our
+profile after 0.2 s, what was missed."""
 
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 """What Fast DDS reads in ROS 2 Jazzy, and in later ones."""
