@@ -5,7 +5,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
-from semiparam_ros.ros.estimator.diagnostics import Tally, model_report, stage_of
+from semiparam_ros.ros.estimator.diagnostics import OK, REPORTS, WARN, Tally, model_report, stage_of
 from semiparam_ros.ros.estimator.publishers import HorizonMessage
 from support.learner_stage import Stage
 from support.node_helpers import SETTINGS, motion
@@ -89,3 +89,16 @@ def test_the_health_of_a_model_tells_how_far_declared_effects_are_believed():
         told.append(model_report(stage.learner, Tally(stage.learner.body.joints)).values)
     assert 'probability of the declared effects fx' not in told[0]
     assert told[1]['probability of the declared effects fx'] == '0.500'
+
+
+def test_the_health_of_a_model_does_not_change_every_second():
+    stage = Stage(SETTINGS)
+    stage.offer(motion(80))
+    stage.background.run()
+    stage.offer(motion(100)[80:])
+    tally, levels = Tally(stage.learner.body.joints), []
+    for innovation in (1.0, 4.0, 1.0, 5.0, *[1.0] * REPORTS):
+        for answer in stage.answers:
+            tally.add(answer._replace(innovation=innovation))
+        levels.append(model_report(stage.learner, tally).level)
+    assert levels == [OK] + [WARN] * (REPORTS + 2) + [OK]

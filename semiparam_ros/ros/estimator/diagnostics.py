@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from typing import NamedTuple
@@ -34,6 +34,8 @@ LATE_S = 1.0
 TEMPERATURE_SILENCE_S = 60.0
 IMPLAUSIBLE = 3.0
 """Root mean square of standardised innovations above which the model does not describe the robot."""
+REPORTS = 10
+"""So many reports, one a second, are looked at together: from second to second that figure goes up and down."""
 
 PERIOD_S = 1.0
 
@@ -106,6 +108,7 @@ class Tally:
         self.errors: HorizonErrors | None = None
         self.answers = 0
         self._squares = 0.0
+        self._innovations: deque[float] = deque(maxlen=REPORTS)
 
     def add(self, answer: Answer) -> None:
         """One answer has gone out."""
@@ -119,7 +122,13 @@ class Tally:
         """Root mean square of the standardised innovations since the last call."""
         result = (self._squares / self.answers) ** 0.5 if self.answers else None
         self.answers, self._squares = 0, 0.0
+        self._innovations.append(result or 0.0)
         return result
+
+    @property
+    def worst(self) -> float:
+        """The largest of the latest innovations told."""
+        return max(self._innovations, default=0.0)
 
 
 class InputReport:
@@ -307,9 +316,9 @@ def model_report(learner: Learner, tally: Tally) -> Report:
         values |= {'condition number': f'{condition.number:.3g}',
                    'undetermined directions': f'{condition.undetermined} of {condition.columns}'}
     values |= {f'excitation {index}': sentence for index, sentence in enumerate(sentences)}
-    if innovation is not None and innovation > IMPLAUSIBLE:
-        return Report(WARN, f'the outputs lie {innovation:.1f} predicted standard deviations off: the robot has '
-                            'changed, or is touched.', values)
+    if tally.worst > IMPLAUSIBLE:
+        return Report(WARN, f'the outputs lay {tally.worst:.1f} predicted standard deviations off within the last '
+                            f'{REPORTS} s: the robot has changed, or is touched.', values)
     if sentences:
         return Report(WARN, f'{sentences[0]}.', values)
     return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction yet.', values)
