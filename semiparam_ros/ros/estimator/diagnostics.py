@@ -242,7 +242,8 @@ def learning_report(learner: Learner, news: str) -> Report:
         'shadow variants': ', '.join(name for name, shadow in learner.switcher.shadows.items()
                                      if shadow.state is State.LIVE),
         'samples answered': learner.answered, 'samples learnt': learner.learnt,
-        'samples passed over': learner.estimator.passed_over,
+        'samples passed over': learner.passed_over,
+        'samples not learnt': learner.answered - learner.learnt - learner.passed_over,
         'samples of motion in the initial window': '' if learner.estimator.ready else len(learner.estimator.window),
         'samples from each window to its takeover': ','.join(map(str, learner.takeovers)),
         'samples not answered': learner.lost, 'samples not learnt for contact': learner.gate.refused,
@@ -330,7 +331,9 @@ def feedforward_report(feedforward: Feedforward) -> Report:
     values = {'answered': counts.answered, 'answered by the robot description': counts.described,
               'cut to the effort limits': counts.limited, 'outside of what was learnt': counts.doubtful,
               'withheld': counts.withheld, 'last mark': feedforward.last}
-    return Report(OK, f'{counts.answered} desired states answered, {counts.withheld} withheld.', values)
+    if feedforward.withheld:
+        return Report(WARN, f'{counts.withheld} trajectories withheld: {feedforward.withheld}', values)
+    return Report(OK, f'{counts.answered} desired states answered, {counts.withheld} trajectories withheld.', values)
 
 
 def errors_report(errors: InternalErrors) -> Report:
