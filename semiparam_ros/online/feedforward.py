@@ -13,8 +13,12 @@ LARGEST_VARIANCE_RATIO = 1.0
 """Where the model's own variance exceeds that of the noise so many times, it has not learnt enough about the state."""
 
 
+class WithheldError(SemiparamError):
+    """There is no model yet to answer desired states."""
+
+
 class Counts(NamedTuple):
-    """Of desired states."""
+    """Of desired states; ``withheld`` of trajectories."""
 
     answered: int
     described: int
@@ -30,6 +34,8 @@ class Feedforward:
         self._counts = [0] * len(Counts._fields)
         self.last = ''
         """What was last to be said of an answer."""
+        self.withheld = ''
+        """Why the latest trajectory was withheld; '' when it was answered."""
 
     def counts(self) -> Counts:
         """Since the start."""
@@ -38,13 +44,15 @@ class Feedforward:
     def answer(self, learner: Learner, position: Array, velocity: Array, acceleration: Array) -> Desired:
         """One desired state (n_joints,) each.
 
-        Raises SemiparamError when it is withheld, for there is no model yet, and for values that are not finite.
+        Raises WithheldError when there is no model yet, and SemiparamError for values that are not finite.
         """
         row, ready = (position, velocity, acceleration), learner.estimator.ready
         if not ready and learner.settings.feedforward_before_ready == 'withhold':
             self._count(withheld=1)
-            raise SemiparamError('feedforward is withheld until the initial window is over; with '
-                                 'feedforward.before_ready description the robot description answers meanwhile.')
+            self.withheld = ('feedforward is withheld until the initial window is over; with '
+                             'feedforward.before_ready description the robot description answers meanwhile.')
+            raise WithheldError(self.withheld)
+        self.withheld = ''
         found = desired(learner.estimator, *row) if ready else described(learner.estimator, *row)
         doubtful = ready and is_doubtful(found)
         self._count(answered=1, described=found.described, limited=bool(found.limited.any()), doubtful=doubtful)

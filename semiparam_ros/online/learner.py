@@ -91,6 +91,8 @@ class Learner:
         self.gate = ContactGate.of(body)
         self.tare = Tare(body.n_outputs)
         self.learnt = self.answered = self.lost = 0
+        self.passed_over = 0
+        """Of the samples answered, by the model then in force (``learn.every``, ``learn.least_gain``)."""
         self._background, self._listener, self._checkpoint = background, listener, checkpoint
         self._failures = 0
         self.switcher = ModelSwitcher(body, background, self)
@@ -179,7 +181,7 @@ class Learner:
 
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Whether the active model has taken it in; it is broken where it has not."""
-        returns = self.estimator.returns
+        returns, passed_over = self.estimator.returns, self.estimator.passed_over
         try:
             errors = observe(self.estimator, prediction, learning, finish=False)
         except SemiparamError:
@@ -188,6 +190,9 @@ class Learner:
             self._listener.failed('learning', error)
             self._fall_back(error)
             return False
+        passed = self.estimator.passed_over - passed_over
+        self.passed_over += passed
+        self.learnt -= passed
         if self.estimator.returns > returns:
             self._listener.told('the robot is again as it was before its last change: what was learnt then goes on.')
         if errors is not None:

@@ -136,7 +136,8 @@ class StandbyModel:
             self._log.append(*first)
             self._waiting.popleft()
         self._in_background = True
-        self._job = self._background.submit(function, *arguments, done=self._done)
+        self._job = self._background.submit(function, *arguments, done=self._done,
+                                            urgent=self._switcher.is_awaited(self))
 
     def _done(self, estimator: Estimator | None, error: BaseException | None) -> None:
         self._in_background, self._job = False, None
@@ -204,6 +205,10 @@ class ModelSwitcher:
     def models(self) -> list[StandbyModel]:
         """Shadows, draft and successor."""
         return [*self.shadows.values(), *(model for model in (self.draft, self.successor) if model)]
+
+    def is_awaited(self, model: StandbyModel) -> bool:
+        """Whether it is to take over: shadows wait for it."""
+        return model is self.successor or model is self.draft
 
     def offer(self, sample: Sample, learnt: int) -> None:
         """Let all of them see a sample."""

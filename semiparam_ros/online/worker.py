@@ -50,6 +50,8 @@ MOST_DEATHS = 2
 
 STILL_S = 30.0
 """So long a process may sleep over a job without using the processor; then it is taken for dead, and killed."""
+GIVE_UP_S = 0.05
+"""How soon a process hears that nobody wants the result of its job any more."""
 LOOKS = 30
 """So many looks at it in that time."""
 
@@ -80,8 +82,12 @@ class Job(Protocol):
 class Background(Protocol):
     """Runs functions elsewhere and hands their results back to the caller's own thread, in order."""
 
-    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
-        """Run ``function(*arguments)``, then ``done(result, None)`` or ``done(None, error)``."""
+    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result],
+               urgent: bool = False) -> Job:
+        """Run ``function(*arguments)``, then ``done(result, None)`` or ``done(None, error)``.
+
+        :param urgent: before those that are not; one of them that runs is interrupted, and begun anew later.
+        """
 
     def later(self, function: Callable[[], None]) -> None:
         """Run ``function`` in the caller's thread as soon as what already waits there is done."""
@@ -133,9 +139,12 @@ class ProcessBackground:
         self._thread = threading.Thread(target=self._serve, name='background', daemon=True)
         self._thread.start()
 
-    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result]) -> Job:
+    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result],
+               urgent: bool = False) -> Job:
         """See :class:`Background`."""
-        job = _ProcessJob(function, arguments, done, self._give_up)
+        job = _ProcessJob(function, arguments, done, urgent)
+        if urgent and self._running is not None and not self._running.urgent:
+            self._running.interrupted = True
         # Those that were cancelled hold a history each, and may lie behind a job of many seconds.
         self._queue = deque(waiting for waiting in (*self._queue, job) if not waiting.cancelled)
         self._start_next()
@@ -154,19 +163,14 @@ class ProcessBackground:
             self._process.kill()  # a stopped one would not hear anything less
         self._thread.join()
 
-    def _give_up(self, job: _ProcessJob) -> None:
-        """Those behind a job that was cancelled need not wait for its end."""
-        if job is self._running and self._process is not None and self._process.pid is not None:
-            with suppress(OSError):
-                os.kill(self._process.pid, signal.SIGUSR1)
-
     def _hear(self, sentence: str) -> None:
         if not self._closed:
             self._told(sentence)
 
     def _start_next(self) -> None:
         while self._running is None and self._queue and not self._closed:
-            job = self._queue.popleft()
+            job = next((job for job in self._queue if job.urgent and not job.cancelled), self._queue[0])
+            self._queue.remove(job)
             if not job.cancelled:
                 self._running = job
                 self._handed.put(job)
@@ -178,6 +182,9 @@ class ProcessBackground:
         try:
             if outcome is None:
                 self._died(job)
+            elif outcome.given_up and not job.cancelled:
+                job.interrupted = False
+                self._queue.appendleft(job)
             elif not job.cancelled:
                 error = outcome.error
                 if isinstance(error, MemoryError):
@@ -225,6 +232,9 @@ class ProcessBackground:
         try:
             transport.send(line, (job.function, job.arguments))
             while True:
+                while not line.poll(GIVE_UP_S):
+                    if job.cancelled or job.interrupted:  # again and again: a process that has not begun does not hear
+                        os.kill(process.pid or 0, signal.SIGUSR1)
                 answer = transport.receive(line)
                 if isinstance(answer, _Outcome):
                     return answer
@@ -264,18 +274,18 @@ def _spawned_worker() -> Worker:
     return Worker(process, ours)
 
 
-@dataclass
+@dataclass(eq=False)
 class _ProcessJob:
     function: Callable[..., object]
     arguments: tuple[object, ...]
     done: Done[Any]
-    give_up: Callable[[_ProcessJob], None] = lambda job: None
+    urgent: bool = False
     deaths: int = 0
     cancelled: bool = False
+    interrupted: bool = False
 
     def cancel(self) -> None:
         self.cancelled = True
-        self.give_up(self)
 
 
 def _activity(process: BaseProcess) -> tuple[str, int]:
@@ -290,6 +300,7 @@ class _Outcome(NamedTuple):
     result: object = None
     error: Exception | None = None
     traceback: str = ''
+    given_up: bool = False
 
 
 def tell(sentence: str) -> None:
@@ -357,7 +368,7 @@ def _run(job: object) -> _Outcome:
         finally:
             _working = False
     except _GivenUp:
-        return _Outcome()
+        return _Outcome(given_up=True)
 
 
 def _give_up(*_: object) -> None:

@@ -296,7 +296,7 @@ class Table:
 
     # Node
     queue_depth: int = declare(
-        'queue_depth', 0, 'Messages kept for each input topic while the node is busy; 0 keeps all.', minimum=0,
+        'queue_depth', 0, 'Messages kept for each input topic while the node is busy; 0 keeps 20000.', minimum=0,
         maximum=100000)
     reliability: str = declare(
         'reliability', 'auto', 'Reliability asked of the input topics; auto: reliable, until a publisher offers only '

@@ -674,6 +674,9 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies(tmp
         time.sleep(0.01)
     pointless.cancel()
     assert run(os.getpid) == (process, None)
+    # One that is cancelled before the process has begun with it is given up all the same, and what waits comes next.
+    background.submit(work_for_ever, tmp_path / 'again', done=lambda result, error: results.append('never')).cancel()
+    assert run(os.getpid) == (process, None)
     assert 'died 2 times' in str(run(os._exit, 1)[1])
     assert run(max, 4, 5) == (5, None)
     background.close()
@@ -695,6 +698,39 @@ def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(t
     runs = {'killed': 2, 'second': 1, 'stopped': 2, 'killed while it sends': 2, 'third': 1}
     assert results == [(name, None) for name in runs]
     assert {path.name: len(path.read_text()) for path in tmp_path.iterdir()} == runs
+
+
+def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
+    tasks = queue.Queue()
+    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
+
+    def submit(function, *arguments, urgent=False):
+        background.submit(function, *arguments, done=lambda result, error: results.append(result), urgent=urgent)
+
+    submit(wait_until_there, tmp_path / 'begun', tmp_path / 'go on')
+    submit(max, 1, 2)
+    while not (tmp_path / 'begun').exists():
+        time.sleep(0.01)
+    (tmp_path / 'begun').unlink()
+    submit(max, 3, 4, urgent=True)
+    submit(max, 5, 6, urgent=True)
+    while len(results) < 2:
+        tasks.get(timeout=60)()
+    while not (tmp_path / 'begun').exists():
+        time.sleep(0.01)
+    (tmp_path / 'go on').touch()
+    while len(results) < 4:
+        tasks.get(timeout=60)()
+    background.close()
+    assert results == [4, 6, 'done', 2]
+
+
+def wait_until_there(begun, there):
+    """In the background process."""
+    begun.touch()
+    while not there.exists():
+        time.sleep(0.01)
+    return 'done'
 
 
 def work_for_ever(path):

@@ -1,5 +1,7 @@
 """What is called in the executor's thread."""
 
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -7,6 +9,7 @@ import rclpy
 from rclpy.node import Node
 
 from semiparam_ros.ros.context import RosProcess, call_in_executor
+from support.replay_peers import EVERYTHING, Peer
 
 
 def thread_name() -> str:
@@ -29,3 +32,31 @@ def test_a_function_runs_in_the_executors_thread_and_what_it_raises_comes_back(r
         assert call_in_executor(node, thread_name) == 'executor'
         assert ros.error is None
     assert not rclpy.ok()
+
+
+ACKNOWLEDGED = """
+import rclpy
+from rclpy.duration import Duration
+from std_msgs.msg import Bool
+from semiparam_ros.ros.context import RosProcess
+from support.replay_peers import EVERYTHING
+with RosProcess([], lambda: None) as ros:
+    node = rclpy.create_node('ends')
+    ros.spin(node)
+    publisher = node.create_publisher(Bool, 'last', EVERYTHING)
+    print('ready', flush=True)
+    input()
+    publisher.publish(Bool())
+    assert publisher.wait_for_all_acked(Duration(seconds=2.5))
+"""
+
+
+def test_that_a_message_has_arrived_is_known_before_the_middleware_would_ask_by_itself(ros_domain, repository):
+    """Fast DDS asks after 3 s: every end of a node would take as long."""
+    with Peer() as peer, subprocess.Popen([sys.executable, '-c', ACKNOWLEDGED], stdin=subprocess.PIPE, text=True,
+                                          stdout=subprocess.PIPE, cwd=repository / 'test') as process:
+        peer.listen('/last', 'std_msgs/msg/Bool', EVERYTHING)
+        assert process.stdout.readline() == 'ready\n'
+        peer.meet('/ends')
+        process.communicate('\n', timeout=60.0)
+        assert process.returncode == 0

@@ -164,12 +164,13 @@ def test_a_number_of_features_chosen_by_itself_and_samples_passed_over_are_told(
     with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
         client.connect()
         client.offer('joint_states', 'joint_accelerations', 'wrench')
-        client.play(samples, JOINTS)
-        _, _, values = client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.')
+        client.play(client.play_window(samples, JOINTS, settings.initial_samples), JOINTS)
+        _, _, values = client.wait_report('learning', lambda level, message, values: message == 'learning with SPK-ML.'
+                                          and values['samples answered'] == '160')
         assert client.get('features.count')[0].string_value == 'auto'
         assert values['random features'] == str(estimator.features_count)
-        client.wait_report('learning', lambda level, message, values: values['samples passed over'] == str(
-            estimator.passed_over))
+        assert values['samples passed over'] == str(estimator.passed_over)
+        assert values['samples learnt'] == str(160 - estimator.passed_over) and values['samples not learnt'] == '0'
         code = node.stop()
     assert code == 0 and 50 <= estimator.features_count <= 500 and estimator.passed_over > 50
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -62,21 +63,27 @@ def answer(client, message):
 
 def test_whatever_its_stamp_a_desired_state_is_one_of_now(start_node):
     """Torques of 3e50 N m came of a stamp of zero and a delay of 4.7 ms."""
-    _, client = start_node(replace(SETTINGS, variant='P', acceleration_source='measured', effects=EFFECTS))
+    node, client = start_node(replace(SETTINGS, variant='P', acceleration_source='measured', effects=EFFECTS))
     listen(client, 'wrench')
     client.listen(JointState, 'feedforward_status')
     client.listen(WrenchStamped, 'feedforward_std')
     client.listen(JointTrajectory, 'feedforward_trajectory_std')
     client.offer('joint_states', 'joint_accelerations', 'wrench', 'desired_trajectory')
-    client.outputs['desired_trajectory'].publish(wish())
-    client.wait_report('inputs', lambda level, message, values: 'feedforward is withheld' in values['last refusal'])
+    for _ in range(3):
+        client.outputs['desired_trajectory'].publish(wish())
+    level, message, _ = client.wait_report('feedforward', lambda level, message, values: values['withheld'] == '3')
+    assert level == DiagnosticStatus.WARN and message.startswith('3 trajectories withheld: feedforward is withheld')
+    _, _, inputs = client.wait_report('inputs', lambda *_: True)
+    assert not inputs['last refusal'] and 'refused: desired_trajectory' not in inputs, 'the message is not at fault'
+    assert node.output.count('feedforward is withheld') == 1, 'a controller sends many a second'
     assert not client.heard['feedforward'] and not client.heard['feedforward_trajectory']
     assert client.set(feedforward__before_ready='description')[0].successful
     described = BODY.regressor(*map(np.array, ROW)) @ BODY.base_parameters
     np.testing.assert_allclose(answer(client, wish())[0], described, atol=1e-12)
     client.wait(lambda: client.heard['feedforward_status'], 'its marks')
     assert dict(zip(STATUS, client.heard['feedforward_status'][0].position, strict=True))['described'] == 1.0
-    client.wait_report('feedforward', lambda level, message, values: values['withheld'] == '1')
+    client.wait_report('feedforward', lambda level, message, values: values['withheld'] == '3'
+                       and level == DiagnosticStatus.OK)
     samples = samples_of_this_year(150)
     client.play(samples, JOINTS)
     await_the_model(client)

@@ -5,7 +5,15 @@ import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
-from semiparam_ros.ros.estimator.diagnostics import Tally, learning_report, model_report, stage_of
+from semiparam_ros.ros.estimator.diagnostics import (
+    OK,
+    REPORTS,
+    WARN,
+    Tally,
+    learning_report,
+    model_report,
+    stage_of,
+)
 from semiparam_ros.ros.estimator.publishers import HorizonMessage
 from support.learner_stage import Stage
 from support.node_helpers import SETTINGS, motion
@@ -96,4 +104,17 @@ def test_lost_samples_are_not_said_to_have_a_cause_that_is_not_known():
     stage.learner.lost = 2
     level, message, _ = learning_report(stage.learner, '')
     assert level == b'\2'
-    assert message == '2 samples lost: the model could not answer them; the status errors tells why.'
+    assert message == '2 samples not answered: the model failed on them, see the status errors.'
+
+
+def test_the_health_of_a_model_does_not_change_every_second():
+    stage = Stage(SETTINGS)
+    stage.offer(motion(80))
+    stage.background.run()
+    stage.offer(motion(100)[80:])
+    tally, levels = Tally(stage.learner.body.joints), []
+    for innovation in (1.0, 4.0, 1.0, 5.0, *[1.0] * REPORTS):
+        for answer in stage.answers:
+            tally.add(answer._replace(innovation=innovation))
+        levels.append(model_report(stage.learner, tally).level)
+    assert levels == [OK] + [WARN] * (REPORTS + 2) + [OK]

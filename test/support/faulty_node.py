@@ -30,5 +30,5 @@ if __name__ == '__main__':
     Learner.check = fails_where(Learner.check, lambda settings: settings.forgetting == 0.9)
     Learner.change = fails_where(Learner.change, lambda settings: settings.forgetting == 0.8)
     Outputs.publish = fails_where(Outputs.publish, lambda answer: answer.prediction.sample.stamp == UNLUCKY_STAMP_NS)
-    diagnostics.timing_report = broken
+    diagnostics.TimingReport.make = broken
     sys.exit(main(sys.argv[1:]))

@@ -74,7 +74,7 @@ class DelayedJob:
 class InlineBackground:
     """A background without a process: everything happens at once."""
 
-    def submit(self, function, *arguments, done):
+    def submit(self, function, *arguments, done, urgent=False):
         try:
             result, error = function(*arguments), None
         except Exception as caught:
@@ -93,7 +93,7 @@ class DelayedBackground:
         self.jobs = deque()
         self.tasks = deque()
 
-    def submit(self, function, *arguments, done):
+    def submit(self, function, *arguments, done, urgent=False):
         self.jobs.append(DelayedJob(pickle.dumps((function, arguments)), done))
         return self.jobs[-1]
 

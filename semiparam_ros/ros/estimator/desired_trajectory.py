@@ -24,7 +24,7 @@ from semiparam_ros.bags.alignment import LARGEST
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
-from semiparam_ros.online.feedforward import STATUS, Feedforward, status
+from semiparam_ros.online.feedforward import STATUS, Feedforward, WithheldError, status
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.worker import Later
 from semiparam_ros.ros.cdr import ENCAPSULATION, Layout, joint_state_layout
@@ -181,7 +181,7 @@ class DesiredTrajectory:
         self._work: deque[Iterator[None]] = deque()
         kind = WrenchStamped if outputs == 'wrench' else JointState
         self.feedforward = Feedforward()
-        self._warn = node.get_logger().warning
+        self._warn, self._told = node.get_logger().warning, ''
         self._points = node.create_publisher(kind, '~/feedforward', MOST_POINTS)
         self._std = node.create_publisher(kind, '~/feedforward_std', MOST_POINTS)
         self._status = node.create_publisher(JointState, '~/feedforward_status', MOST_POINTS)
@@ -214,11 +214,21 @@ class DesiredTrajectory:
                     break
             else:
                 self._work.popleft()
+            self._tell_withheld()
+        except WithheldError:  # no fault of the message's
+            self._work.popleft()
+            self._tell_withheld()
         except Exception as error:
             self._work.popleft()
             self._failed(TOPIC, error)
         if self._work:
             self._later(self._go_on)
+
+    def _tell_withheld(self) -> None:
+        """Once when it begins, and once when trajectories are answered again: a controller sends many a second."""
+        if self.feedforward.withheld != self._told:
+            self._told = self.feedforward.withheld
+            self._warn(self._told or 'desired trajectories are answered.')
 
     def _answered(self, trajectory: TrajectoryReader, order: Sequence[int]) -> Iterator[None]:
         """Step by step: every point is checked before the first one is answered."""

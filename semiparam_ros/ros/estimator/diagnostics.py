@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from typing import NamedTuple
@@ -30,9 +30,12 @@ CHECKPOINTS = 'checkpoints'
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENCE_S = 1.0
+LATE_S = 1.0
 TEMPERATURE_SILENCE_S = 60.0
 IMPLAUSIBLE = 3.0
 """Root mean square of standardised innovations above which the model does not describe the robot."""
+REPORTS = 10
+"""So many reports, one a second, are looked at together: from second to second that figure goes up and down."""
 
 PERIOD_S = 1.0
 
@@ -105,6 +108,7 @@ class Tally:
         self.errors: HorizonErrors | None = None
         self.answers = 0
         self._squares = 0.0
+        self._innovations: deque[float] = deque(maxlen=REPORTS)
 
     def add(self, answer: Answer) -> None:
         """One answer has gone out."""
@@ -118,7 +122,13 @@ class Tally:
         """Root mean square of the standardised innovations since the last call."""
         result = (self._squares / self.answers) ** 0.5 if self.answers else None
         self.answers, self._squares = 0, 0.0
+        self._innovations.append(result or 0.0)
         return result
+
+    @property
+    def worst(self) -> float:
+        """The largest of the latest innovations told."""
+        return max(self._innovations, default=0.0)
 
 
 class InputReport:
@@ -185,13 +195,42 @@ class InputReport:
         return ''
 
 
-def timing_report(inputs: Inputs) -> Report:
-    """From the arrival of the message that completes a sample to its answer."""
-    latency = inputs.stopwatch.quantiles_ms()
-    if latency is None:
-        return Report(OK, 'no answer yet.', {})
-    names = ('latency median [ms]', 'latency p99 [ms]', 'latency max [ms]')
-    return Report(OK, 'answering.', {name: round(value, 3) for name, value in zip(names, latency, strict=True)})
+class TimingReport:
+    """From the arrival of the message that completes a sample to its answer; what waits, and what was given up.
+
+    :param say: receives a sentence when answers begin to be late, and when they are in time again.
+    """
+
+    def __init__(self, inputs: Inputs, say: Callable[[str], None]) -> None:
+        self._inputs, self._say = inputs, say
+        self._lost, self._is_late = 0, False
+
+    def make(self) -> Report:
+        """Now."""
+        turns, latency = self._inputs.turns, self._inputs.stopwatch.quantiles_ms()
+        new, self._lost = turns.lost - self._lost, turns.lost
+        values: dict[str, object] = {'messages waiting': len(turns), 'messages lost': turns.lost}
+        if latency is not None:
+            names = ('latency median [ms]', 'latency p99 [ms]', 'latency max [ms]')
+            values |= {name: round(value, 3) for name, value in zip(names, latency, strict=True)}
+        late = turns.late_s
+        self._tell(late)
+        if new:
+            return Report(ERROR, f'{new} messages lost: they come faster than they are answered, and {len(turns)} wait '
+                                 'already.', values)
+        if late > LATE_S:
+            return Report(WARN, f'answers are {late:.1f} s late: messages come faster than they are answered, and '
+                                f'{len(turns)} wait.', values)
+        return Report(OK, 'answering.' if latency is not None else 'no answer yet.', values)
+
+    def _tell(self, late: float) -> None:
+        """Once when it begins, and once when all that waited is answered."""
+        if late > LATE_S and not self._is_late:
+            self._is_late = True
+            self._say(f'messages come faster than they are answered: answers are {late:.1f} s late.')
+        elif self._is_late and not len(self._inputs.turns):
+            self._is_late = False
+            self._say('answers are in time again.')
 
 
 def learning_report(learner: Learner, news: str) -> Report:
@@ -203,10 +242,11 @@ def learning_report(learner: Learner, news: str) -> Report:
         'shadow variants': ', '.join(name for name, shadow in learner.switcher.shadows.items()
                                      if shadow.state is State.LIVE),
         'samples answered': learner.answered, 'samples learnt': learner.learnt,
-        'samples passed over': learner.estimator.passed_over,
+        'samples passed over': learner.passed_over,
+        'samples not learnt': learner.answered - learner.learnt - learner.passed_over,
         'samples of motion in the initial window': '' if learner.estimator.ready else len(learner.estimator.window),
         'samples from each window to its takeover': ','.join(map(str, learner.takeovers)),
-        'samples lost': learner.lost, 'samples not learnt for contact': learner.gate.refused,
+        'samples not answered': learner.lost, 'samples not learnt for contact': learner.gate.refused,
         'in contact': learner.gate.closed, 'contacts': learner.gate.contacts,
         'contacts taken for a change of the robot': learner.gate.changes,
         'contact felt in': ', '.join(learner.body.output_names[index] for index in learner.gate.touched()),
@@ -230,7 +270,7 @@ def stage_of(learner: Learner | None) -> str:
 def _learning_state(learner: Learner) -> tuple[bytes, str]:
     successor, estimator = learner.switcher.successor, learner.estimator
     if learner.lost:
-        return ERROR, f'{learner.lost} samples lost: the model could not answer them; the status errors tells why.'
+        return ERROR, f'{learner.lost} samples not answered: the model failed on them, see the status errors.'
     if not learner.settings.learning:
         return WARN, 'paused: predicting without learning.'
     if learner.gate.closed:
@@ -277,9 +317,9 @@ def model_report(learner: Learner, tally: Tally) -> Report:
         values |= {'condition number': f'{condition.number:.3g}',
                    'undetermined directions': f'{condition.undetermined} of {condition.columns}'}
     values |= {f'excitation {index}': sentence for index, sentence in enumerate(sentences)}
-    if innovation is not None and innovation > IMPLAUSIBLE:
-        return Report(WARN, f'the outputs lie {innovation:.1f} predicted standard deviations off: the robot has '
-                            'changed, or is touched.', values)
+    if tally.worst > IMPLAUSIBLE:
+        return Report(WARN, f'the outputs lay {tally.worst:.1f} predicted standard deviations off within the last '
+                            f'{REPORTS} s: the robot has changed, or is touched.', values)
     if sentences:
         return Report(WARN, f'{sentences[0]}.', values)
     return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction yet.', values)
@@ -291,7 +331,9 @@ def feedforward_report(feedforward: Feedforward) -> Report:
     values = {'answered': counts.answered, 'answered by the robot description': counts.described,
               'cut to the effort limits': counts.limited, 'outside of what was learnt': counts.doubtful,
               'withheld': counts.withheld, 'last mark': feedforward.last}
-    return Report(OK, f'{counts.answered} desired states answered, {counts.withheld} withheld.', values)
+    if feedforward.withheld:
+        return Report(WARN, f'{counts.withheld} trajectories withheld: {feedforward.withheld}', values)
+    return Report(OK, f'{counts.answered} desired states answered, {counts.withheld} trajectories withheld.', values)
 
 
 def errors_report(errors: InternalErrors, twins: str = '') -> Report:
@@ -339,7 +381,7 @@ class Reports:
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
         turns = {'inputs': InputReport(inputs, rejections).make,
-                 'timing': lambda: timing_report(inputs), 'learning': self._learning,
+                 'timing': TimingReport(inputs, self.say).make, 'learning': self._learning,
                  'model': self._model, 'parameters': self._parameters,
                  'feedforward': lambda: feedforward_report(feedforward), 'checkpoints': checkpoints,
                  'errors': self._errors_report}

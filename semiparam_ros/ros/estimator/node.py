@@ -65,7 +65,7 @@ class EstimatorNode(Node):
         guarded = partial(later, self._guarded, 'the background')
         self._background = ProcessBackground(guarded, first=worker)
         self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
-        self._inputs = Inputs(self, settings, self)
+        self._inputs = Inputs(self, settings, self, later)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,

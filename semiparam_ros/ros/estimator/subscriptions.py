@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
@@ -25,14 +25,20 @@ from semiparam_ros.bags.readings import Kind, Reading
 from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.worker import Later
 from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout_of
 from semiparam_ros.settings.snapshot import Settings
 
 NEEDED = 5
+TURN_S = 0.002
+"""How long messages that wait are worked on before anything else has its turn."""
+MOST_WAITING = 20_000
+"""Messages of a topic that may wait where ``queue_depth`` keeps all: a recording of minutes played at once."""
 
 ROBOT_DESCRIPTION = 'robot_description'
 JOINT_STATES, WRENCH, ACCELERATIONS = 'joint_states', 'wrench', 'joint_accelerations'
 TEMPERATURE = 'temperature'
+CLOCK = 'clock'
 
 
 class Stopwatch:
@@ -45,9 +51,9 @@ class Stopwatch:
         self._count = 0
         self._start = 0.0
 
-    def start(self) -> None:
-        """A message has come in."""
-        self._start = time.perf_counter()
+    def start(self, arrived: float) -> None:
+        """A message is worked on that came in at a time of ``perf_counter``."""
+        self._start = arrived
 
     def stop(self) -> None:
         """An answer has gone out."""
@@ -61,6 +67,73 @@ class Stopwatch:
             return None
         median, late, last = np.quantile(spans, (0.5, 0.99, 1.0)) * 1e3
         return float(median), float(late), float(last)
+
+
+class Waiting(NamedTuple):
+    """A message that nobody has looked at yet, and when it came by ``perf_counter``; None: the clock jumped."""
+
+    topic: str
+    reading: Reading | None
+    arrived: float
+
+
+class Turns:
+    """Messages in the order in which they came, worked on a few at a time.
+
+    Between two turns the executor serves what has come meanwhile: services, reports, the end. Where it worked on each
+    message as it came, all of these would wait behind all messages, for ever where those come faster than they are
+    answered.
+
+    :param later: see :data:`~semiparam_ros.online.worker.Later`. :param work: must not raise.
+    :param most: messages of a topic that may wait; the oldest are lost to newer ones.
+    """
+
+    def __init__(self, later: Later, work: Callable[[Waiting], None], most: int) -> None:
+        self._later, self._work, self._most = later, work, most
+        self._waiting: deque[Waiting] = deque()
+        self._counts: Counter[str] = Counter()
+        self._given_up: Counter[str] = Counter()
+        self._asked = False
+        self.lost = 0
+
+    def __len__(self) -> int:
+        return self._counts.total()
+
+    @property
+    def late_s(self) -> float:
+        """How long the oldest has waited [s]."""
+        return time.perf_counter() - self._waiting[0].arrived if self._waiting else 0.0
+
+    def add(self, topic: str, reading: Reading | None) -> None:
+        """One has come."""
+        self._waiting.append(Waiting(topic, reading, time.perf_counter()))
+        self._counts[topic] += 1
+        if self._counts[topic] > self._most:
+            self._counts[topic] -= 1
+            self._given_up[topic] += 1
+            self.lost += 1
+            self._drop()
+        if not self._asked:
+            self._asked = True
+            self._later(self._take_turn)
+
+    def _drop(self) -> None:
+        """Those given up, which are the oldest of their topics, as far as they are in front."""
+        while self._waiting and self._given_up[self._waiting[0].topic]:
+            self._given_up[self._waiting.popleft().topic] -= 1
+
+    def _take_turn(self) -> None:
+        end = time.perf_counter() + TURN_S
+        while self._waiting:
+            message = self._waiting.popleft()
+            self._counts[message.topic] -= 1
+            self._work(message)
+            self._drop()
+            if time.perf_counter() > end:
+                break
+        self._asked = bool(self._waiting)
+        if self._asked:
+            self._later(self._take_turn)
 
 
 class Held(NamedTuple):
@@ -133,10 +206,14 @@ class InputsListener(Protocol):
 
 
 class Inputs:
-    """Subscriptions, and the stream they feed once the robot's joints are known; until then messages are kept."""
+    """Subscriptions, and the stream they feed once the robot's joints are known; until then messages are kept.
 
-    def __init__(self, node: Node, settings: Settings, listener: InputsListener) -> None:
+    :param later: see :data:`~semiparam_ros.online.worker.Later`.
+    """
+
+    def __init__(self, node: Node, settings: Settings, listener: InputsListener, later: Later) -> None:
         self._node, self._settings, self._listener = node, settings, listener
+        self.turns = Turns(later, self._take, settings.queue_depth or MOST_WAITING)
         self.counts: Counter[str] = Counter()
         self.stopwatch = Stopwatch()
         self.arrived: dict[str, float] = {}
@@ -171,10 +248,13 @@ class Inputs:
         self._joints = joints
         early, self._early = self._early, []
         for topic, reading in early:
-            self._receive(topic, reading)
+            self._receive(topic, reading, time.perf_counter())
 
     def clock_jumped(self) -> None:
-        """Forget what waits for its counterpart."""
+        """Forget what waits for its counterpart, once all is worked on that came before."""
+        self.turns.add(CLOCK, None)
+
+    def _jump(self) -> None:
         self._watch.clear()
         if self.stream is not None:
             self.stream.reset()
@@ -211,7 +291,7 @@ class Inputs:
 
         def receive(raw: bytes) -> None:
             try:
-                self._receive(topic, read(raw))
+                self.turns.add(topic, read(raw))
             except Exception as error:
                 self._listener.message_failed(topic, error)
 
@@ -246,8 +326,17 @@ class Inputs:
         if text:
             self._listener.described(text)
 
-    def _receive(self, topic: str, reading: Reading) -> None:
-        self.stopwatch.start()
+    def _take(self, message: Waiting) -> None:
+        try:
+            if message.reading is None:
+                self._jump()
+            else:
+                self._receive(message.topic, message.reading, message.arrived)
+        except Exception as error:
+            self._listener.message_failed(message.topic, error)
+
+    def _receive(self, topic: str, reading: Reading, arrived: float) -> None:
+        self.stopwatch.start(arrived)
         if self.stream is None and not self._can_open(topic):
             self.arrived[topic] = time.monotonic()
             self._keep(topic, reading)
@@ -271,7 +360,7 @@ class Inputs:
                                     CAPACITY)
         early, self._early = self._early, []
         for kept, reading in early:
-            self._receive(kept, reading)
+            self._receive(kept, reading, time.perf_counter())
         return True
 
     def _feed(self, topic: str, reading: Reading) -> bool:
@@ -302,7 +391,7 @@ class Inputs:
         held = self._watch.refused(topic, reading)
         if not held:
             return
-        self.clock_jumped()
+        self._jump()
         assert self.stream is not None
         self.stream.faults['backward_stamp'] -= len(held)
         for again in held:

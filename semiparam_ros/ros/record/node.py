@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import partial
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from semiparam_ros.bags.writer import BagWriter
@@ -77,6 +77,22 @@ class RecordNode(Node):
         self._arrived.append((topic, raw, stamp))
         if topic not in STEADY and topic not in self._latched:
             self.last_message = time.monotonic()
+
+    def repeated(self) -> set[str]:
+        """Topics with a reliable publisher, who sends again what did not arrive."""
+        return {topic for topic, subscription in self._inputs.items()
+                if subscription.qos_profile.reliability == ReliabilityPolicy.RELIABLE and self.count_publishers(topic)}
+
+    def take_late(self) -> list[tuple[str, int]]:
+        """Take what has arrived since the executor stopped: topic, and when each message was published [ns]."""
+        taken = []
+        for topic, subscription in self._inputs.items():
+            with subscription.handle:
+                while (message := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    raw, info = message
+                    self._receive(topic, raw)
+                    taken.append((topic, int(info['source_timestamp'])))
+        return taken
 
     def write_arrived(self) -> None:
         """Write what has arrived so far; raises SemiparamError when the disk refuses it."""

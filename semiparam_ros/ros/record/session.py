@@ -16,7 +16,7 @@ from rich.status import Status
 
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.context import RosProcess, call_in_executor
+from semiparam_ros.ros.context import DELIVER_S, RosProcess, call_in_executor
 from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
 from semiparam_ros.ros.record import topics
 from semiparam_ros.ros.record.node import RecordNode
@@ -27,7 +27,7 @@ LINE_S = 10.0
 LOOK_S = 0.2
 FLUSH_S = 2.0
 POLL_S = 0.05
-QUIET_S, QUIET_AT_MOST_S = 0.5, 2.0
+QUIET_S = 0.5
 
 
 class Recording(Protocol):
@@ -130,7 +130,8 @@ class RecordSession:
                 self._find(node)
                 self._wait_for_the_end(node, writer)
             except Stopped:
-                self._let_the_last_arrive(node)
+                pass
+            self._let_the_last_arrive(ros, node)
             node.write_arrived()
             _check(ros, node, writer)
             writer.close()
@@ -186,11 +187,29 @@ class RecordSession:
         late = limits.duration_s is not None and now - self._began > limits.duration_s
         return node.complete or idle or late
 
-    def _let_the_last_arrive(self, node: RecordNode) -> None:
-        """What was published before the signal may still be on its way, however long nothing came before."""
-        signalled = time.monotonic()
-        wait_until(lambda: time.monotonic() - max(node.last_message, signalled) > QUIET_S, QUIET_AT_MOST_S,
-                   threading.Event())
+    def _let_the_last_arrive(self, ros: RosProcess, node: RecordNode) -> None:
+        """What was published before the end may still be on its way: DDS sends again after 3 s what a busy recorder
+        missed, in parts where that was much.
+
+        A topic comes in order, so nothing of it is missing once a message arrives that was published after the end.
+        """
+        end, last, told = time.time_ns(), time.monotonic(), False
+        ros.stop_spinning()
+        later: set[str] = set()
+        while not node.complete:
+            for topic, published in node.take_late():
+                if published <= end:
+                    last = time.monotonic()
+                elif node.count_publishers(topic) == 1:
+                    later.add(topic)
+            waited, missing = time.monotonic() - last, node.repeated() - later
+            if waited > (DELIVER_S if missing else QUIET_S):
+                return
+            if waited > QUIET_S and not told:
+                told = True
+                self._say(f'what was published so far on {", ".join(sorted(missing))} may still arrive, for '
+                          f'{DELIVER_S:g} s.')
+            time.sleep(POLL_S)
 
     def _say(self, sentence: str) -> None:
         self._console.print(sentence, soft_wrap=True)
