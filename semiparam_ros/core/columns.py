@@ -153,8 +153,8 @@ class CoupledColumns:
 
     @property
     def prior_scale(self) -> Array:
-        """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless ``physical``, wide for the
-        offset of a wrench, of the joint's size for friction and offset of an effort."""
+        """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless ``physical``, wide for
+        the offset of a wrench, of the joint's size for friction and offset of an effort."""
         rigid = base_scale(self.body) if self.physical else np.ones(self.body.n_parameters)
         joints = friction_scale(self.body) if self.has_friction else np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE)
         return np.concatenate([rigid, np.tile(joints, 1 + KINDS * self.has_friction), *self._effect_scales])

@@ -18,7 +18,8 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
+from semiparam_ros.core.carry_over import CarryOver
+from semiparam_ros.core.columns import ColumnBlock
 from semiparam_ros.core.compiled import AVAILABLE, MATRIX, compiled
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonErrors
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
@@ -45,6 +46,11 @@ _KEEP = 1.0 - 1.0 / EVIDENCE_MEMORY
 DEGREES = 5.0
 LEAST_LOG_WEIGHT = -6.0
 """The best has 0: who was poor for long still weighs enough to take over within a few samples of a change."""
+
+
+ELSEWHERE = 2.0
+"""Errors on another motion are up to so many times those on a block of the same motion that was left out: on thirteen
+pairs of recordings of measured and simulated arms then at most 1 % are beyond three standard deviations."""
 
 
 class Member(NamedTuple):
@@ -154,6 +160,7 @@ class Estimator(SingleEstimator):
         several are averaged each has its own. See :meth:`SingleEstimator.finish_window`."""
         members = members_of(self.options, bool(self.columns.effects), ready=True)
         if len(members) == 1:
+            self._carried = CarryOver(1, self.body.n_outputs)
             return super().finish_window(draft, learn)
         plain = self._window_without_effects()
         others = []
@@ -195,6 +202,7 @@ class Estimator(SingleEstimator):
     def follow_change(self) -> None:
         """See :meth:`SingleEstimator.follow_change`."""
         super().follow_change()
+        self._carried.interrupt()
         for other in self._others:
             other.follow_change()
 
@@ -207,6 +215,11 @@ class Estimator(SingleEstimator):
             if other.returns > returns:
                 self.returns += 1
                 self.clear_horizons()
+
+    def clear_pending(self) -> None:
+        """See :meth:`SingleEstimator.clear_pending`."""
+        super().clear_pending()
+        self._carried.interrupt()
 
     def clear_horizons(self) -> None:
         """See :meth:`SingleEstimator.clear_horizons`."""
@@ -223,14 +236,15 @@ class Estimator(SingleEstimator):
 
     def state(self) -> EstimatorState:
         """See :meth:`SingleEstimator.state`; with the hyperparameters of the other members."""
+        carried = self._carried.state()
         if not self._others:
-            return super().state()
+            return super().state()._replace(carried=carried)
         others = []
         for other in self._others:
             learnt = other.state()
             others.append(MemberState(other.model.hyperparameters, learnt.recursion, learnt.horizon,
                                       learnt.calibration, learnt.wandering, learnt.window_left, learnt.passed_over))
-        return super().state()._replace(others=tuple(others),
+        return super().state()._replace(carried=carried, others=tuple(others),
                                         average={**self._weights.state(), **self._horizons.state()})
 
     def restore(self, state: EstimatorState) -> None:
@@ -239,8 +253,11 @@ class Estimator(SingleEstimator):
             raise SemiparamError(f'the saved average has {len(state.others)} models beside {self.members[0].name}; '
                                  f'expected {len(self._others)}.')
         super().restore(state)
-        if not self._others:
-            return
+        if self._others:
+            self._restore_others(state)
+        self._carried.restore(state.carried)
+
+    def _restore_others(self, state: EstimatorState) -> None:
         self._stand_beside([other.hyperparameters for other in state.others])
         for other, saved in zip(self._others, state.others, strict=True):
             other._restore_learnt(saved)
@@ -294,6 +311,7 @@ class Estimator(SingleEstimator):
         n_members, n_outputs = len(self.members), self.body.n_outputs
         self._weights = MemberWeights(n_members, n_outputs)
         self._horizons = AveragedHorizons(self.options.horizon, n_outputs, n_members)
+        self._carried = CarryOver(n_members, n_outputs)
 
     def _take_in(self, prediction: Prediction, learn: bool, errors: Array | None = None) -> HorizonErrors | None:
         if not self._others:
@@ -319,21 +337,37 @@ class Estimator(SingleEstimator):
         return own._replace(mean=mean, std=std, model_mean=model_mean, model_std=np.sqrt(covariance.diagonal()),
                             prior=prior, members=members)
 
+    def _charge_left_out(self, prediction: Prediction) -> None:
+        if not (self.ready and prediction.motion.is_news):
+            return
+        models, stamp = (self, *self._others), prediction.sample.stamp
+        if self._carried.is_due:
+            said = prediction.members or (prediction,)
+            self._carried.charge(prediction.sample.outputs,
+                                 [its.columns[:, each.model.covered] for each, its in zip(models, said, strict=True)],
+                                 [its.prior.features[0] for its in said])
+        if self._carried.wants_coefficients(stamp):
+            self._carried.begin_block(stamp, [each.coefficients() for each in models])
+
     def _desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
-        own = super()._desired(x, shown, needed)
-        if not self._others:
-            return own
+        """Each model with the errors to expect of it on motion that it has not learnt, and weighed by them."""
         plain = shown, needed
         if self.columns.effects:
             position, velocity, acceleration = x.reshape(3, -1)
             plain = self._without_effects.desired(position, velocity, acceleration, now=0, origin=0)
-        found = [own, *(other._desired(x, *((shown, needed) if other.columns.effects else plain))
-                        for other in self._others)]
-        weights, covariances = self._weights.weights, np.array([each.covariance for each in found])
-        shown, covariance = pool_together(weights, np.array([each.shown for each in found]), covariances)
+        models = (self, *self._others)
+        found = [SingleEstimator._desired(each, x, *((shown, needed) if each.columns.effects else plain))
+                 for each in models]
+        noise = np.array([each.model.noise_std for each in models])
+        beyond = ELSEWHERE**2 * self._carried.expected(noise)**2 - noise**2
+        covariances = np.array([each.covariance for each in found])
+        covariances += beyond[:, :, None] * np.eye(len(noise[0]))
+        weights, means = self._carried.weights, np.array([each.shown for each in found])
+        mean, covariance = pool_together(weights, means, covariances)
         shares = pool_weights(weights, np.sqrt(covariances.diagonal(axis1=1, axis2=2)))
-        return DesiredOutputs(shown, (shares * np.array([each.needed for each in found])).sum(axis=0), covariance,
-                              float(weights.mean(axis=1) @ [each.variance_ratio for each in found]))
+        return DesiredOutputs(mean, (shares * np.array([each.needed for each in found])).sum(axis=0), covariance,
+                              float(shares.mean(axis=1) @ [each.variance_ratio for each in found]),
+                              self.kept.distance(x))
 
 
 @compiled(MATRIX, MATRIX, MATRIX, MATRIX)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from semiparam_ros.core.band_calibration import BandCalibration, calibrate
+from semiparam_ros.core.carry_over import Coefficients
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories
 from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
 from semiparam_ros.core.finite import require_finite
@@ -21,6 +22,7 @@ from semiparam_ros.core.hyperparameters.feature_count import MOST
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
 from semiparam_ros.core.initial_window import InitialWindow, Remembered
 from semiparam_ros.core.input_range import beyond, widened
+from semiparam_ros.core.learnt_inputs import LearntInputs
 from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn
@@ -203,6 +205,8 @@ class DesiredOutputs(NamedTuple):
     needed: Array  # by the arm: without the sensor's offset and effects
     covariance: Array  # (n, n) of what is shown, noise included
     variance_ratio: float  # largest variance of the model itself over that of the noise, over the outputs
+    distance: float = 0.0
+    """From the inputs learnt, over the largest of these: see :mod:`semiparam_ros.core.learnt_inputs`."""
 
 
 class MemberState(NamedTuple):
@@ -233,6 +237,10 @@ class EstimatorState(NamedTuple):
     inputs_learnt: Array
     temperature: Array  # [deg C] of the last sample
     motion: Motion | None
+    kept: Mapping[str, Array | Stamps]
+    """Of the inputs learnt."""
+    carried: Mapping[str, Array | Stamps]
+    """Errors of left-out blocks."""
     others: tuple[MemberState, ...] = ()  # the variants averaged with it
     average: Mapping[str, Array | Stamps] | None = None  # their weights, and the horizons of the average
 
@@ -269,6 +277,7 @@ class SingleEstimator:
         self._temperature = NO_TEMPERATURE
         """Of the newest sample: a desired state is as warm."""
         self._memory: Memories = None
+        self.kept = LearntInputs(3 * body.n_joints)
         self.inputs_learnt: Array = np.zeros((0, 3 * body.n_joints))
         """See :mod:`semiparam_ros.core.input_range`."""
         given = self.options.hyperparameters
@@ -341,16 +350,17 @@ class SingleEstimator:
         return found
 
     def _desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
+        """Without the wandering offset, which is that of the last moments' motion."""
         model = self.model
         prior = model.predict(x, shown)
-        outputs = prior.mean
         of_sensor = (shown - needed)[:, model.covered] @ model.theta
-        if self.wandering is not None:
-            outputs = outputs + self.offset
-            of_sensor = of_sensor + self.offset * (self.body.outputs == 'wrench')
-        covariance = prior.covariance * np.multiply.outer(self.calibration.factor, self.calibration.factor)
         ratio = float((prior.std / model.noise_std).max()) ** 2 - 1.0
-        return DesiredOutputs(outputs, outputs - of_sensor, covariance, ratio)
+        return DesiredOutputs(prior.mean, prior.mean - of_sensor, prior.covariance, ratio)
+
+    def coefficients(self) -> Coefficients:
+        """Of the model as it stands."""
+        alpha = self.model.recursion.weights() if self.model.features else np.zeros((self.body.n_outputs, 0))
+        return Coefficients(self.model.theta.copy(), alpha)
 
     def observe(self, prediction: Prediction, learn: bool = True, finish: bool = True) -> HorizonErrors | None:
         """Charge a predicted sample to the horizon index, and learn it; the horizon it completed.
@@ -370,12 +380,18 @@ class SingleEstimator:
         if learn and (prediction.beyond or not len(self.inputs_learnt)):
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
         complete = self._take_in(prediction, learn)
+        if learn:
+            self.kept.add(sample.inputs)
+            self._charge_left_out(prediction)
         self._compare(prediction)
         if learn and not self.ready and not self.window.full:
             self.window.append(sample, prediction.columns)
         if finish and self.window_full:
             self.finish_window()
         return complete
+
+    def _charge_left_out(self, prediction: Prediction) -> None:
+        """Charge a sample that is learnt to the coefficients of a while ago."""
 
     def follow_change(self) -> None:
         """The robot has changed: see :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
@@ -536,7 +552,7 @@ class SingleEstimator:
         return EstimatorState(self.model.recursion.state(), self.horizon.state(), self.calibration.state(), wandering,
                               self._window_left, (self._since_learnt, self.passed_over), self.window.state(),
                               self.origin, self._newest, self._memory, self.inputs_learnt, self._temperature,
-                              self.motion)
+                              self.motion, self.kept.state(), {})
 
     def restore(self, state: EstimatorState) -> None:
         """Return to a saved :meth:`state` of an estimator with the same options, effects and hyperparameters.
@@ -549,6 +565,7 @@ class SingleEstimator:
         self._memory, self.motion = state.memory, state.motion
         self.origin, self._newest = state.origin, state.newest
         self.inputs_learnt, self._temperature = state.inputs_learnt, state.temperature
+        self.kept.restore(state.kept)
 
     def _restore_learnt(self, state: EstimatorState | MemberState) -> None:
         self.model.recursion.restore(state.recursion)

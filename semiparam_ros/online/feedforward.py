@@ -9,6 +9,8 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.learner import Learner
 
+LARGEST_DISTANCE = 1.0
+"""A state further from what was learnt, taken together, than any input learnt itself is unlike all of them."""
 LARGEST_VARIANCE_RATIO = 1.0
 """Where the model's own variance exceeds that of the noise so many times, it has not learnt enough about the state."""
 
@@ -79,16 +81,20 @@ class Feedforward:
 
 def is_doubtful(found: Desired) -> bool:
     """Whether the model has learnt too little about the state to be followed without a check."""
-    return bool(found.outside) or found.variance_ratio > LARGEST_VARIANCE_RATIO
+    return found.distance > LARGEST_DISTANCE or found.variance_ratio > LARGEST_VARIANCE_RATIO
 
 
-STATUS = ('valid', 'described', 'limited', 'outside', 'variance_ratio')
+FARTHEST = 1e9
+"""Stands for an infinite distance."""
+STATUS = ('valid', 'described', 'limited', 'outside', 'variance_ratio', 'distance')
 """Names of :func:`status`."""
 
 
 def status(found: Desired) -> list[float]:
     """Numbers that mark an answer: valid (1: by the model, within what it learnt, not cut), by the description (1),
-    how many efforts were cut, how many inputs lie outside of those learnt, model's over noise's variance."""
+    how many efforts were cut, how many inputs lie outside of those learnt, model's over noise's variance, and the distance
+    from the inputs learnt, taken together, over the largest of these."""
     cut = float(found.limited.sum())
     valid = not (found.described or cut or is_doubtful(found))
-    return [float(valid), float(found.described), cut, float(len(found.outside)), found.variance_ratio]
+    return [float(valid), float(found.described), cut, float(len(found.outside)), found.variance_ratio,
+            min(found.distance, FARTHEST)]

@@ -33,10 +33,11 @@ from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 18
+FORMAT, VERSION = 'semiparam_ros state', 19
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
-ADOPTED = ('variant', 'effects', 'effects_reference', 'noise', 'forgetting', 'horizon.length')
+ADOPTED = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise', 'forgetting',
+           'horizon.length')
 """Parameters that the file brings along."""
 
 MEMBER_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
@@ -51,7 +52,7 @@ ASIDE = 'aside'
 TYPES = {'stamps': '<i8', 'origins': '<i8', 'places': '<i8', 'waiting': '<i8', 'renewed': '<i8', 'filled': '<i8',
          'start': '<i8', 'counts': '<i8', 'origin': '<i8', 'learnt': '|i1', 'is_news': '|b1'}
 """Of arrays by the last part of their names; all others hold real numbers."""
-MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'temperature', 'window'), 1e18
+MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'kept', 'temperature', 'window'), 1e18
 """What is measured stays within 1e9, its derivatives within that by a nanosecond."""
 STAMPS = ('stamps', 'origins', 'origin')
 RANGES = {'shares': (0.0, 1.0), 'log_weights': (-math.inf, 0.0), 'inflation': (1e-100, math.inf),
@@ -170,7 +171,8 @@ def snapshot(state: SavedState) -> Snapshot:
         'average': learnt.average or {}, **{f'other{index}': arrays for index, arrays in enumerate(others)},
         'recursion': learnt.recursion, 'horizon': learnt.horizon,
         'calibration': learnt.calibration, 'wandering': learnt.wandering,
-        'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window, 'motion': _stacked(learnt.motion)}
+        'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window,
+        'motion': _stacked(learnt.motion), 'kept': learnt.kept, 'carried': learnt.carried}
     arrays: Arrays = {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
                       'inputs_learnt': learnt.inputs_learnt, 'temperature': learnt.temperature,
                       'probe': probe(state.estimator.body)}
@@ -406,6 +408,7 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
                                      arrays['inputs_learnt'], _temperature(arrays),
                                      _unstacked(_group(arrays, 'motion'), body),
+                                     _group(arrays, 'kept'), _group(arrays, 'carried'),
                                      tuple(_member(_group(arrays, f'other{index}'), other)
                                            for index, other in enumerate(meta.get('others', []))),
                                      _group(arrays, 'average') if 'others' in meta else None))

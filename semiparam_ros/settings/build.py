@@ -44,7 +44,8 @@ def model_options(settings: Table) -> ModelOptions:
         variant=settings.variant, features_count=settings.features_count, features_seed=settings.features_seed,
         length_scales=cast('LengthScales', settings.features_length_scales), noise=cast('Noise', settings.noise),
         initial_samples=settings.initial_samples, horizon=settings.horizon_length, forgetting=settings.forgetting,
-        joint_friction=settings.joint_friction, priors=settings.priors, learn_every=settings.learn_every, learn_least_gain=settings.learn_least_gain,
+        joint_friction=settings.joint_friction, priors=settings.priors,
+        learn_every=settings.learn_every, learn_least_gain=settings.learn_least_gain,
         hyperparameters=given_hyperparameters(settings), input_mean=settings.hyperparameters_input_mean,
         input_scale=settings.hyperparameters_input_scale)
 

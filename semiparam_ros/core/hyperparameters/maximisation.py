@@ -181,8 +181,8 @@ def _grid(window: Window, guess: Point) -> Iterator[Point]:
 def _coordinates(window: Window, guess: Point, noise: str) -> Coordinates:
     nonparametric, n = bool(len(window.spectrum)), window.outputs.shape[1]
     several, drifting = noise == 'output' and n > 1, guess.kappa > 0.0
-    free = [_has_prior(window) and not window.physical, nonparametric, *[nonparametric] * len(guess.tau), True, drifting, drifting,
-            *[several] * n]
+    free = [_has_prior(window) and not window.physical, nonparametric, *[nonparametric] * len(guess.tau), True,
+            drifting, drifting, *[several] * n]
     return Coordinates(np.array(free), logarithms(guess), len(guess.tau), drifting)
 
 

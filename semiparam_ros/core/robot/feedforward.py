@@ -45,6 +45,7 @@ class Desired(NamedTuple):
     limited: Array  # like efforts, where one was cut
     outside: tuple[str, ...]  # inputs outside of those learnt
     variance_ratio: float  # see DesiredOutputs
+    distance: float  # from the inputs learnt, see DesiredOutputs
     described: bool  # by the robot description alone
 
 
@@ -94,7 +95,8 @@ def _answer(estimator: Estimator, row: tuple[Array, Array, Array], found: Desire
         require_finite('efforts of a desired state', np.concatenate([wanted, wanted_std]))
     efforts = wanted.clip(-body.effort_limits, body.effort_limits)
     outputs = efforts if body.outputs == 'effort' else found.shown
-    return Desired(outputs, std, efforts, wanted_std, efforts != wanted, outside, found.variance_ratio, described)
+    return Desired(outputs, std, efforts, wanted_std, efforts != wanted, outside, found.variance_ratio,
+                   found.distance, described)
 
 
 def joint_torques(body: RigidBody, position: Array, velocity: Array, acceleration: Array,

@@ -90,7 +90,8 @@ def inertial_scale(body: RigidBody) -> Array:
     centre = np.linalg.norm(bodies[:, 1:4], axis=1) / mass
     gyration = np.sqrt(np.maximum(bodies[:, [4, 6, 9]].max(axis=1), 0.0) / mass)
     length = np.maximum(np.maximum(centre, gyration), LEAST_LENGTH_SHARE * whole.length)
-    return np.concatenate([np.array([m, *[m * l] * 3, *[m * l * l] * 6]) for m, l in zip(mass, length, strict=True)])
+    sizes = np.column_stack([mass, mass * length, mass * length**2])
+    return np.repeat(sizes, (1, 3, 6), axis=1).ravel()
 
 
 def base_scale(body: RigidBody) -> Array:
