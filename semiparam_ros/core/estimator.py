@@ -1,7 +1,8 @@
 """The online model of a robot: a single one, or several that learn side by side, averaged by their running evidence.
 
-``variant: auto`` averages variants. Declared effects, too, are believed only as far as what comes speaks for them: each
-variant with them stands beside the same variant without any (a spike and slab prior; Mitchell and Beauchamp 1988).
+``variant: auto`` averages variants. What is part of a model is believed only as far as what comes speaks for it (a
+spike and slab prior; Mitchell and Beauchamp 1988): random features stand beside the rigid body alone, and the variant
+with the declared effects beside the same variant without any.
 
 Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members by itself: w_mk follows the
 log density that member m gave to what was measured, forgotten slowly, with Student's t for the densities, so that a
@@ -76,7 +77,7 @@ def members_of(options: ModelOptions, effects: bool, ready: bool) -> tuple[Membe
         names = MEMBERS
     elif ready and options.physical and has_both(options.variant):
         names = (options.variant, 'P')
-    return tuple(Member(name, has_effects) for has_effects in (True, False)[:1 + effects] for name in names)
+    return (*(Member(name) for name in names), *[Member(names[0], has_effects=False)][:effects])
 
 
 class MemberWeights:
@@ -122,8 +123,7 @@ class Estimator(SingleEstimator):
     The first ``initial_samples`` of motion are answered by the rigid body alone, which starts from the robot
     description's inertias. They then give the hyperparameters, are learnt by the chosen variant, and it takes over.
 
-    Of ``variant: auto`` several learn, and with effects each stands beside the same variant without them: this is the
-    first of these models, its answers are averaged with those of the others, and what is asked of a single model (its
+    Several learn beside each other (see :func:`members_of`): this is the first of these models, its answers are averaged with those of the others, and what is asked of a single model (its
     coefficients, its hyperparameters) is its own.
 
     :param origin: stamp [ns] from which the time of effects counts, such as the start of a recording; that of the first

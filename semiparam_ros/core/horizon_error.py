@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, STACK, VECTOR, compiled
 from semiparam_ros.core.opinion_pool import pool_weights
 from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.types import Array, Stamps
@@ -243,6 +243,8 @@ def advance(rows: Array, start: int, filled: int, decay: Array, features: Array,
             squared[k] += error * error
             if len(errors):
                 errors[model, k] = error
+        if not size:
+            continue
         weight = 0.0
         for d in range(size):
             weight += gain[d] * features[0, d]
@@ -275,6 +277,14 @@ class AveragedHorizons(HorizonIndex):
                         ) -> HorizonErrors | None:
         """Charge one sample, from the errors (K, T, n) that each model's own index charged it with and the standard
         deviations (K, n) of it, and keep the weights (K, n) as they stand after it; see :meth:`advance`."""
+        if AVAILABLE:
+            self.make_room()
+            eps = np.empty((2, len(outputs)))
+            _advance_average(self._rows, self._start, self._filled, errors, outputs, weights, std, eps)
+            return self.moved_on(stamp, eps)
+        return self.moved_on(stamp, self._advance_average(errors, outputs, weights, std))
+
+    def _advance_average(self, errors: Array, outputs: Array, weights: Array, std: Array) -> Array:
         row = self.make_room()
         self._outputs[row] = outputs
         models, (kept,) = slice(self._start, self._start + self._filled), self._remembered()
@@ -285,7 +295,32 @@ class AveragedHorizons(HorizonIndex):
         self._squared_error[models] += average * average
         eps = self._complete() if self._filled == self.length else self.nothing
         kept[row], self._squared_error[row] = weights, 0.0
-        return self.moved_on(stamp, eps)
+        return eps
+
+
+@compiled(MATRIX, INTEGER, INTEGER, STACK, VECTOR, MATRIX, MATRIX, MATRIX)
+def _advance_average(rows: Array, start: int, filled: int, errors: Array, outputs: Array, weights: Array, std: Array,
+                     eps: Array) -> None:
+    """See :meth:`AveragedHorizons.advance_average`."""
+    members, n = weights.shape
+    length, newest = len(rows) // 2, start - 1
+    for k in range(n):
+        least = std[:, k].min()
+        for model in range(filled):
+            row = rows[start + model]
+            total = average = 0.0
+            for m in range(members):
+                share = row[(2 + m) * n + k] * (least / std[m, k]) ** 2
+                total += share
+                average += share * errors[m, model, k]
+            average /= total
+            row[n + k] += average * average
+    rows[newest, :n] = outputs
+    if filled == length:
+        _complete(rows, newest, length, eps)
+    rows[newest, n:2 * n] = 0.0
+    for m in range(members):
+        rows[newest, (2 + m) * n:(3 + m) * n] = weights[m]
 
 
 def force_and_torque(eps: Array) -> tuple[float, float]:

@@ -337,26 +337,30 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
     s = sigma * sigma
     for i in range(len(f)):
         s += f[i] * f[i]
-    half = np.empty((p, n))  # (E_C R^-1)'
-    covariance[:] = 0.0
+    half = np.empty((n, p))  # E_C R^-1
     for k in range(n):
         regressed[k, p] += known[k]
-        mean[k] = regressed[k, p]
-        covariance[k, k] = s * scale[k] * scale[k]
+        value = regressed[k, p]
         for c in range(p):
-            left = columns[k, c] - regressed[k, c]
-            mean[k] += left * theta[c]
-            half[c, k] = left
+            half[k, c] = columns[k, c] - regressed[k, c]
+            value += half[k, c] * theta[c]
+        mean[k] = value
     for c in range(p):
+        below = information[c]
         for k in range(n):
-            half[c, k] /= information[c, c]
-        for k in range(n):
-            for j in range(n):
-                covariance[k, j] += half[c, k] * half[c, j]
-        for later in range(c + 1, p):
-            for k in range(n):
-                half[later, k] -= information[c, later] * half[c, k]
+            own = half[k]
+            own[c] /= below[c]
+            factor = own[c]
+            if factor != 0.0:
+                for later in range(c + 1, p):
+                    own[later] -= factor * below[later]
     for k in range(n):
+        for j in range(k, n):
+            value = 0.0
+            for c in range(p):
+                value += half[k, c] * half[j, c]
+            covariance[k, j] = covariance[j, k] = value
+        covariance[k, k] += s * scale[k] * scale[k]
         std[k] = np.sqrt(covariance[k, k])
     return s
 
@@ -377,31 +381,40 @@ def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Ar
                   s, inflation, places, placed)
     if size == 1:
         return placed
-    rows = np.empty((size, n))
+    rows, along = np.empty((n, size)), np.empty(size)
     for k in range(n):
         weight = 1.0 / (np.sqrt(s) * scale[k])
         for c in range(size):
-            rows[c, k] = weight * innovations[k, c]
+            rows[k, c] = weight * innovations[k, c]
     for c in range(size):
         below = 0.0
         for k in range(n):
-            below += rows[c, k] * rows[c, k]
+            below += rows[k, c] * rows[k, c]
         if below == 0.0:
             continue
-        corner = information[c, c]
+        pivot = information[c]
+        corner = pivot[c]
         radius = -np.copysign(np.sqrt(corner * corner + below), corner)
         share = (radius - corner) / radius
-        information[c, c] = radius
-        for k in range(n):
-            rows[c, k] /= corner - radius
+        pivot[c] = radius
         for j in range(c + 1, size):
-            along = information[c, j]
-            for k in range(n):
-                along += rows[c, k] * rows[j, k]
-            along *= share
-            information[c, j] -= along
-            for k in range(n):
-                rows[j, k] -= along * rows[c, k]
+            along[j] = pivot[j]
+        for k in range(n):
+            rows[k, c] /= corner - radius
+            row = rows[k]
+            factor = row[c]
+            if factor != 0.0:
+                for j in range(c + 1, size):
+                    along[j] += factor * row[j]
+        for j in range(c + 1, size):
+            along[j] *= share
+            pivot[j] -= along[j]
+        for k in range(n):
+            row = rows[k]
+            factor = row[c]
+            if factor != 0.0:
+                for j in range(c + 1, size):
+                    row[j] -= factor * along[j]
     for c in range(size - 2, -1, -1):
         value = information[c, size - 1]
         for j in range(c + 1, size - 1):

@@ -138,7 +138,7 @@ class ModelOptions:
     """What a user chooses of the model; see docs/parameters.md. ``hyperparameters`` None: from the initial window."""
 
     variant: str = 'SPK-ML'
-    features_count: int | str = 500
+    features_count: int | str = 200
     features_seed: int = 0
     length_scales: LengthScales = 'kind'
     noise: Noise = 'output'

@@ -230,7 +230,7 @@ class Table:
 
     # Random features
     features_count: int | str = declare(
-        'features.count', 500, 'Number D of random features (cosines and sines, hence even). auto: the fewest, up to '
+        'features.count', 200, 'Number D of random features (cosines and sines, hence even). auto: the fewest, up to '
         '500, that explain the initial window as well as 500.', minimum=2, maximum=20000, words=('auto',))
     features_seed: int = declare('features.seed', 0, 'Seed of the random frequencies.', minimum=0, maximum=2**31 - 1)
     features_length_scales: str = declare(
