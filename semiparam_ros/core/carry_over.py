@@ -29,7 +29,7 @@ CHARGED_EVERY = 8
 """Of the samples of a block, one in so many is predicted."""
 FEWEST = 5
 """Samples of a block that counts."""
-LEAST_SQUARE = 1e-24
+LEAST_SQUARE, LARGEST_ERROR = 1e-24, 1e100
 
 
 class Coefficients(NamedTuple):
@@ -78,7 +78,7 @@ class CarryOver:
             error = outputs - c @ theta
             if len(phi):
                 error -= alpha @ phi
-            sums += error * error
+            sums += np.square(np.clip(error, -LARGEST_ERROR, LARGEST_ERROR))
         self._charged += 1
 
     @property
@@ -106,8 +106,11 @@ class CarryOver:
         return {'blocks': self._blocks.copy(), 'sums': self._sums.copy(), **frozen,
                 'counts': np.array([self._finished, self._since, self._charged, self._passed], dtype=np.int64)}
 
-    def restore(self, state: Mapping[str, Array | Stamps]) -> None:
-        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it cannot be one."""
+    def restore(self, state: Mapping[str, Array | Stamps], sizes: Sequence[tuple[int, int]]) -> None:
+        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it cannot be one.
+
+        :param sizes: (p, D) of each model.
+        """
         blocks, sums = (np.array(state.get(name, np.nan), dtype=float) for name in ('blocks', 'sums'))
         if blocks.shape != self._blocks.shape or sums.shape != self._sums.shape or not (
                 np.isfinite(blocks).all() and np.isfinite(sums).all()):
@@ -117,5 +120,12 @@ class CarryOver:
         models = range(len(sums)) if 'theta0' in state else ()
         frozen = tuple(Coefficients(np.array(state[f'theta{index}'], dtype=float),
                                     np.array(state[f'alpha{index}'], dtype=float)) for index in models)
+        found = [(each.theta.shape, each.alpha.shape) for each in frozen]
+        expected = [((p,), (sums.shape[1], count)) for p, count in sizes]
+        if found and found != expected or not all(np.isfinite(values).all() for each in frozen for values in each):
+            raise SemiparamError(f'the saved coefficients of left-out blocks have shapes {found}; expected finite '
+                                 f'values of {expected}.')
+        if min(counts) < 0 or (blocks[:min(counts[0], BLOCKS)] <= 0.0).any():
+            raise SemiparamError('the saved errors of left-out blocks are no squares of so many blocks.')
         self._blocks, self._sums, self._frozen = blocks, sums, frozen
         self._finished, self._since, self._charged, self._passed = map(int, counts)

@@ -255,7 +255,8 @@ class Estimator(SingleEstimator):
         super().restore(state)
         if self._others:
             self._restore_others(state)
-        self._carried.restore(state.carried)
+        models = (self, *self._others)
+        self._carried.restore(state.carried, [(len(each.model.theta), each.features_count) for each in models])
 
     def _restore_others(self, state: EstimatorState) -> None:
         self._stand_beside([other.hyperparameters for other in state.others])
@@ -281,7 +282,9 @@ class Estimator(SingleEstimator):
         """See :attr:`SingleEstimator.effects_probability`."""
         if not self.columns.effects:
             return None
-        return np.asarray(self._weights.weights[[member.has_effects for member in self.members]].sum(axis=0))
+        has = np.array([member.has_effects for member in self.members])
+        having, without = (self._weights.weights[chosen].mean(axis=0) for chosen in (has, ~has))
+        return np.asarray(having / (having + without))  # equal odds before anything is measured, whoever is more
 
     @property
     def members(self) -> tuple[Member, ...]:

@@ -59,7 +59,7 @@ class Feedforward:
         doubtful = ready and is_doubtful(found)
         self._count(answered=1, described=found.described, limited=bool(found.limited.any()), doubtful=doubtful)
         if doubtful:
-            self.last = listed(found.outside) if found.outside else 'the model is uncertain there'
+            self.last = listed(found.outside) if found.outside else 'the state is unlike those learnt'
         if found.limited.any():
             self.last = listed([f'effort of {joint} cut' for joint, cut in
                                 zip(learner.body.effort_joints, found.limited, strict=True) if cut])
