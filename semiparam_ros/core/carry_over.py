@@ -94,7 +94,7 @@ class CarryOver:
 
     @property
     def weights(self) -> Array:
-        """(K, n) w, one in sum over the models; equal before the first block."""
+        """(K, n) w, one in sum over the models, from at least one block."""
         log_weights = -0.5 * np.log(self.squares).sum(axis=0)
         weights = np.exp(log_weights - log_weights.max(axis=0))
         return np.asarray(weights / weights.sum(axis=0))

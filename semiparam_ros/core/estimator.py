@@ -80,6 +80,14 @@ def members_of(options: ModelOptions, effects: bool, ready: bool) -> tuple[Membe
     return (*(Member(name) for name in names), *[Member(names[0], has_effects=False)][:effects])
 
 
+def without_features(hyperparameters: Hyperparameters) -> Hyperparameters:
+    """Those of the rigid body alone, where only those of a variant with features are given: what features would explain
+    is noise to it."""
+    sigma = float(np.hypot(hyperparameters.sigma, hyperparameters.rho))
+    return replace(hyperparameters, gamma=hyperparameters.gamma or 1.0, rho=0.0, tau=(), sigma=sigma, pi=None,
+                   features=0)
+
+
 class MemberWeights:
     """Log weights (K, n) of K members for n outputs; equal at the start."""
 
@@ -282,9 +290,8 @@ class Estimator(SingleEstimator):
         """See :attr:`SingleEstimator.effects_probability`."""
         if not self.columns.effects:
             return None
-        has = np.array([member.has_effects for member in self.members])
-        having, without = (self._weights.weights[chosen].mean(axis=0) for chosen in (has, ~has))
-        return np.asarray(having / (having + without))  # equal odds before anything is measured, whoever is more
+        weights = self._weights.weights[[0, -1]]  # the same variant with them and without
+        return np.asarray(weights[0] / weights.sum(axis=0))
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -304,6 +311,8 @@ class Estimator(SingleEstimator):
         for member, each in zip(members, given, strict=True):
             options = replace(self.options, variant=member.variant, others=())
             if self.ready and each is not None:
+                if not hyperparameters and options.physical and member.variant == 'P' and self.variant.features:
+                    each = without_features(each)
                 options = replace(options, hyperparameters=each, input_mean=mean, input_scale=scale,
                                   features_count=each.features or self.options.features_count)
             others.append(SingleEstimator(self.body, options, self._effects_of(member), window=self.window_samples))
@@ -365,7 +374,8 @@ class Estimator(SingleEstimator):
         beyond = ELSEWHERE**2 * self._carried.expected(noise)**2 - noise**2
         covariances = np.array([each.covariance for each in found])
         covariances += beyond[:, :, None] * np.eye(len(noise[0]))
-        weights, means = self._carried.weights, np.array([each.shown for each in found])
+        weights = self._carried.weights if len(self._carried.squares) else self._weights.weights
+        means = np.array([each.shown for each in found])
         mean, covariance = pool_together(weights, means, covariances)
         shares = pool_weights(weights, np.sqrt(covariances.diagonal(axis1=1, axis2=2)))
         return DesiredOutputs(mean, (shares * np.array([each.needed for each in found])).sum(axis=0), covariance,

@@ -648,8 +648,7 @@ class SingleEstimator:
             count = chosen if isinstance(chosen, int) else hyperparameters.features
             features = RandomFeatures(3 * self.body.n_joints, count, self.options.features_seed, hyperparameters.tau,
                                       *self.input_scaling)
-        gamma = hyperparameters.gamma or float(self.options.physical)  # a variant with fixed pi hands on none
-        hyperparameters = replace(hyperparameters, features=count, gamma=gamma)  # given ones do not know the number
+        hyperparameters = replace(hyperparameters, features=count)  # given ones do not know it, and are handed on
         given = self.options.forgetting
         return Model(self.variant, hyperparameters, features, self.columns.prior_scale, self.columns.expected,
                      forgetting=given if isinstance(given, float) else 1.0, n_effects=self.columns.n_effects)

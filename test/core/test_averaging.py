@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from semiparam_ros.core.estimator import DEGREES, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT, Estimator, MemberWeights
+from semiparam_ros.core.estimator import (
+    DEGREES,
+    ELSEWHERE,
+    EVIDENCE_MEMORY,
+    LEAST_LOG_WEIGHT,
+    Estimator,
+    MemberWeights,
+)
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.single_estimator import ModelOptions, SingleEstimator
@@ -28,8 +35,8 @@ def recording(unmodelled):
     return replace(motion, outputs=outputs + 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape))
 
 
-def begun(variant, samples, effects=(), build=Estimator):
-    options = ModelOptions(variant=variant, features_count=30, initial_samples=WINDOW, horizon=4)
+def begun(variant, samples, effects=(), build=Estimator, **chosen):
+    options = ModelOptions(variant=variant, features_count=30, initial_samples=WINDOW, horizon=4, **chosen)
     model = build(ARM, options, [effect_from_text(text) for text in effects])
     return model, [model.step(sample) for sample in samples]
 
@@ -89,7 +96,8 @@ def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_b
             np.testing.assert_array_equal(one.mean, other.members[index].mean)
             np.testing.assert_array_equal(one.std, other.members[index].std)
     ratio = error(predictions) / samples.outputs.var(axis=0)
-    assert ratio.mean() < 1.02 * (errors / samples.outputs.var(axis=0)).mean(axis=1).min()
+    best = 1.06 if model.columns.effects else 1.02  # 200 samples decide between few
+    assert ratio.mean() < best * (errors / samples.outputs.var(axis=0)).mean(axis=1).min()
     gathering = 2 if model.columns.effects else 0
     assert len(predictions[WINDOW - 1].members) == gathering and len(predictions[WINDOW].members) == len(model.members)
 
@@ -102,10 +110,9 @@ def test_before_the_window_is_over_the_rigid_body_without_effects_stands_beside_
     plain = SingleEstimator(ARM, model.options)
     for sample, prediction in zip(samples[:WINDOW - 1], predictions, strict=False):
         np.testing.assert_array_equal(plain.step(sample).model_mean, prediction.members[1].model_mean)
-    odds = np.array([sum(weights for name, weights in model.weights.items() if ('without' in name) == without)
-                     for without in (False, True)])
-    np.testing.assert_allclose(model.effects_probability, odds[0])
-    np.testing.assert_allclose(odds.sum(axis=0), 1.0)
+    variant = model.members[0].name
+    having, without = model.weights[variant], model.weights[f'{variant} without effects']
+    np.testing.assert_allclose(model.effects_probability, having / (having + without))
 
 
 def test_a_state_goes_on_as_it_was_with_the_hyperparameters_of_every_member(averaged):
@@ -121,7 +128,7 @@ def test_a_state_goes_on_as_it_was_with_the_hyperparameters_of_every_member(aver
         np.testing.assert_array_equal(one.mean, other.mean)
         np.testing.assert_array_equal(one.std, other.std)
         np.testing.assert_array_equal(one.horizon.eps, other.horizon.eps)
-    alone, _ = begun('SPK-ML', samples)
+    alone, _ = begun('NP-ML', samples)
     with pytest.raises(SemiparamError, match='the saved average'):
         model.restore(alone.state())
     with pytest.raises(SemiparamError, match='the saved weights of the models'):
@@ -151,7 +158,8 @@ def test_an_effect_is_believed_within_a_few_samples_of_its_start(variant):
     braked = samples.outputs.copy()
     braked[start:, -1] += 2.0 * size[-1] * samples.velocity[start:, -1]
     samples = replace(samples, outputs=braked)
-    plain, believing = begun(variant, samples)[1], begun(variant, samples, [text])
+    bare = {'joint_friction': False}
+    plain, believing = begun(variant, samples, **bare)[1], begun(variant, samples, [text], **bare)
     left = np.array([[(sample.outputs - each.mean)[-1] / size[-1] for each in pair]
                      for sample, *pair in zip(samples, plain, believing[1], strict=True)])
     probability = believing[0].effects_probability
@@ -161,13 +169,17 @@ def test_an_effect_is_believed_within_a_few_samples_of_its_start(variant):
     np.testing.assert_allclose(left[WINDOW:start, 1], left[WINDOW:start, 0], atol=0.05)
 
 
-def test_a_desired_state_is_answered_as_a_sample_with_these_inputs(averaged):
+def test_a_desired_state_is_between_the_models_and_as_uncertain_as_on_a_block_that_was_left_out(averaged):
     samples, model, _ = averaged
     sample = samples[COUNT // 2]
     predicted, desired = model.predict(sample), model.predict_desired(*sample[1:4])
-    np.testing.assert_allclose(desired.shown, predicted.mean, rtol=1e-9)
-    np.testing.assert_allclose(np.sqrt(np.diag(desired.covariance)), predicted.std, rtol=1e-9)
+    means = np.array([member.model_mean for member in predicted.members])
+    assert (desired.shown >= means.min(axis=0) - 1e-9).all() and (desired.shown <= means.max(axis=0) + 1e-9).all()
+    noise = np.array([each.model.noise_std for each in (model, *model._others)])
+    expected = ELSEWHERE * model._carried.expected(noise)
+    assert (np.sqrt(np.diag(desired.covariance)) >= expected.min(axis=0)).all()
     np.testing.assert_array_equal(desired.shown, desired.needed)
+    assert model.predict_desired(*(30.0 * values for values in sample[1:4])).distance > 3.0 > desired.distance
 
 
 def test_one_sample_that_no_member_can_foresee_decides_nothing(averaged):

@@ -75,7 +75,7 @@ def trained_copy(trained):
 
 def hold_weights(model):
     """Of averaged variants, which follow what is measured also where nothing is learnt."""
-    if model.options.variant == AVERAGED:
+    if model.weights:
         model._weights.learn = lambda *_: None
 
 
@@ -156,7 +156,8 @@ def test_without_learning_the_answers_stay_but_horizons_go_on(trained, recording
     error = sum((p.sample.outputs - p.mean) ** 2 for p in late[1:])
     power = sum(p.sample.outputs**2 for p in late[1:])
     assert late[-1].horizon.origin == late[0].sample.stamp
-    np.testing.assert_allclose(late[-1].horizon.eps, error / power, rtol=1e-9)
+    # Of averaged models the pool counts by what each says of the sample itself, which follows the bands.
+    np.testing.assert_allclose(late[-1].horizon.eps, error / power, rtol=1e-3 if model.weights else 1e-9)
 
 
 @patch('semiparam_ros.core.single_estimator.estimate', estimate)  # another search, see conftest
@@ -552,7 +553,7 @@ def test_impossible_choices_are_refused(arm, variant, changes, options, sentence
 @pytest.mark.parametrize('variant', ['P', 'SPK-ML'])
 def test_each_third_sample_is_learnt_and_all_are_followed(arm, recording, variant):
     samples = list(recording)
-    model, by_hand = (estimator(arm, variant, learn_every=every) for every in (3, 1))
+    model, by_hand = (estimator(arm, variant, learn_every=every, priors='paper') for every in (3, 1))
     for index, sample in enumerate(samples[:WINDOW + 60]):
         predictions = model.step(sample), by_hand.predict(sample)
         by_hand.observe(predictions[1], learn=index < WINDOW or (index - WINDOW) % 3 == 2)
@@ -565,7 +566,7 @@ def test_each_third_sample_is_learnt_and_all_are_followed(arm, recording, varian
 
 def test_what_tells_too_little_is_not_learnt(arm, recording):
     least = 0.3
-    model, learnt = estimator(arm, 'SPK-ML', learn_least_gain=least), []
+    model, learnt = estimator(arm, 'SPK-ML', learn_least_gain=least, priors='paper'), []
     for sample in recording:
         prediction = model.predict(sample)
         noise, ready, passed_over = model.model.noise_std, model.ready, model.passed_over

@@ -74,7 +74,8 @@ def test_every_effect_and_every_state(case, values):
 def test_a_desired_state_is_as_warm_as_the_newest_sample():
     body, number, velocity = BODIES['effort'], 2, np.array([0.1, -0.2, 0.7, 0.3])
     effect = kinds()['temperature_friction'](body.joints[number], options={'reference_c': 30.0})
-    estimator = Estimator(body, ModelOptions(variant='P', initial_samples=1000, forgetting=1.0), [effect])
+    estimator = Estimator(body, ModelOptions(variant='P', initial_samples=1000, forgetting=1.0,
+                                                   joint_friction=False), [effect])
     for sample in smooth_motion(4, 400):
         friction = np.zeros(4)
         warmth = np.full(4, 30.0 + (sample.stamp % 10**9) * 1e-8)

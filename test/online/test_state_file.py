@@ -104,13 +104,13 @@ SCRATCH = {
 
 
 LAYOUT = {
-    18: {
+    19: {
         'meta': 'format gate joints known memory newest origin others passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
                 'newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
-                    'horizon.length initial.samples noise outputs temperatures variant',
+                    'horizon.length initial.samples joint_friction noise outputs priors temperatures variant',
         'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)', 'inputs_learnt': 'f8 (2, 6)', 'temperature': 'f8 (0,)',
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
         'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'i1 (70,)',
@@ -121,17 +121,26 @@ LAYOUT = {
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
         'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
-        'average.log_weights': 'f8 (2, 6)', 'average.shares': 'f8 (2, 6)', 'average.filled': 'i8 ()',
-        'average.start': 'i8 ()', 'average.rows': 'f8 (5, 24)', 'average.origins': 'i8 (5,)',
-        # the same variant without effects
-        'other0.recursion.array': 'f8 (142, 40)', 'other0.recursion.left': 'f8 (8, 40)',
-        'other0.recursion.right': 'f8 (8, 142)', 'other0.recursion.places': 'i8 (102,)',
-        'other0.recursion.waiting': 'i8 ()', 'other0.recursion.inflation': 'f8 ()',
-        'other0.recursion.renewed': 'i8 (3,)', 'other0.recursion.memory': 'f8 ()',
-        'other0.recursion.compared': 'f8 (3,)', 'other0.recursion.information': 'f8 (17, 17)',
-        'other0.recursion.theta': 'f8 (16,)', 'other0.horizon.filled': 'i8 ()', 'other0.horizon.start': 'i8 ()',
-        'other0.horizon.rows': 'f8 (5, 200)', 'other0.horizon.origins': 'i8 (5,)',
-        'other0.calibration.table': 'f8 (11, 6)', 'other0.wandering.table': 'f8 (16, 6)',
+        'average.log_weights': 'f8 (3, 6)', 'average.shares': 'f8 (3, 6)', 'average.filled': 'i8 ()',
+        'average.start': 'i8 ()', 'average.rows': 'f8 (5, 30)', 'average.origins': 'i8 (5,)',
+        # the rigid body alone, and the same variant without effects
+        'other0.recursion.array': 'f8 (138, 0)', 'other0.recursion.left': 'f8 (8, 0)',
+        'other0.recursion.right': 'f8 (8, 138)', 'other0.recursion.places': 'i8 (138,)',
+        'other0.recursion.information': 'f8 (23, 23)', 'other0.recursion.theta': 'f8 (22,)',
+        'other0.horizon.rows': 'f8 (5, 202)',
+        'other1.recursion.array': 'f8 (142, 40)', 'other1.recursion.left': 'f8 (8, 40)',
+        'other1.recursion.right': 'f8 (8, 142)', 'other1.recursion.places': 'i8 (102,)',
+        'other1.recursion.information': 'f8 (17, 17)', 'other1.recursion.theta': 'f8 (16,)',
+        'other1.horizon.rows': 'f8 (5, 200)',
+        **{f'other{index}.{name}': layout for index in (0, 1) for name, layout in (
+            ('recursion.waiting', 'i8 ()'), ('recursion.inflation', 'f8 ()'), ('recursion.renewed', 'i8 (3,)'),
+            ('recursion.memory', 'f8 ()'), ('recursion.compared', 'f8 (3,)'), ('horizon.filled', 'i8 ()'),
+            ('horizon.start', 'i8 ()'), ('horizon.origins', 'i8 (5,)'), ('calibration.table', 'f8 (11, 6)'),
+            ('wandering.table', 'f8 (16, 6)'))},
+        'kept.kept': 'f8 (70, 6)', 'kept.counts': 'i8 (2,)',
+        'carried.blocks': 'f8 (32, 3, 6)', 'carried.sums': 'f8 (3, 6)', 'carried.counts': 'i8 (4,)',
+        'carried.theta0': 'f8 (22,)', 'carried.alpha0': 'f8 (6, 40)', 'carried.theta1': 'f8 (22,)',
+        'carried.alpha1': 'f8 (6, 0)', 'carried.theta2': 'f8 (16,)', 'carried.alpha2': 'f8 (6, 40)',
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (6,)',  # level, mean, ratio of a closure
         'gate.3': 'f8 (0, 6)', 'gate.4': 'f8 (0, 6)',  # tails
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 2 else 'f8 (6,)' for number in range(5, 23)},  # six bands
