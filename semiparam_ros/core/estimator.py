@@ -290,8 +290,9 @@ class Estimator(SingleEstimator):
         """See :attr:`SingleEstimator.effects_probability`."""
         if not self.columns.effects:
             return None
-        weights = self._weights.weights[[0, -1]]  # the same variant with them and without
-        return np.asarray(weights[0] / weights.sum(axis=0))
+        *having, without = self._weights.weights
+        best = np.max(having, axis=0)
+        return np.asarray(best / (best + without))
 
     @property
     def members(self) -> tuple[Member, ...]:

@@ -106,10 +106,16 @@ def declared_findings(fit: Fit, found: list[Finding], sure: Deviations) -> list[
 
 
 def _index_in(fit: Fit, effect: Effect, taken: list[int]) -> int | None:
-    """Where the model holds the effect now: at its place, or, as a load moves to the nearest link, with its start."""
+    """Where the model holds the effect now: at its place, or, as a load moves to the nearest link, with its start. Of
+    several at one place, such as a load that was declared and a later one, the one whose start is nearest."""
     same = [index for index, known in enumerate(fit.effects) if known.kind == effect.kind and index not in taken
             and (known.where == effect.where or known.start_s == effect.start_s is not None)]
-    return same[0] if same else None
+
+    def distance(index: int) -> tuple[bool, float]:
+        known = fit.effects[index]
+        return known.where != effect.where, abs((known.start_s or 0.0) - (effect.start_s or 0.0))
+
+    return min(same, key=distance) if same else None
 
 
 def _parameters(fit: Fit, index: int, sure: Deviations) -> dict[str, Quantity]:

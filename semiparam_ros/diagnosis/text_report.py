@@ -40,6 +40,17 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     return lines + _contacts(diagnosis) + diagnosis.notes
 
 
+def summary(diagnosis: Diagnosis) -> list[str]:
+    """What was found, a line for each effect, and what to do now; :func:`text_report` has the details."""
+    lines = [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis)]
+    for finding in diagnosis.findings:
+        effect = finding.effect
+        values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding)[:MOST_IN_ROW])
+        rivals = f'; or {place(finding.rivals[0].kind, finding.rivals[0].where)}' if finding.rivals else ''
+        lines.append(f'- {place(effect.kind, effect.where)}{when(diagnosis, effect)}: {values}{rivals}')
+    return lines
+
+
 def _opening(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'nothing_missing':
         return 'Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
@@ -211,7 +222,14 @@ def _rivals(finding: Finding, better_odds: float) -> list[str]:
 
 
 def _with_odds(rivals: Sequence[Rival]) -> str:
-    return ', '.join(f'{place(rival.kind, rival.where)} (odds {rival.odds:.2g})' for rival in rivals)
+    return ', '.join(f'{place(rival.kind, rival.where)} ({_likely(rival.odds)})' for rival in rivals)
+
+
+def _likely(odds: float) -> str:
+    """Of a rival, against the effect that was chosen."""
+    if 0.8 < odds < 1.25:
+        return 'as likely'
+    return f'{max(odds, 1.0 / odds):.2g} times {"more" if odds > 1.0 else "less"} likely'
 
 
 def _refinements(diagnosis: Diagnosis) -> list[str]:

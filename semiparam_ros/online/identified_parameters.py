@@ -24,6 +24,8 @@ MOVED_ENOUGH = 0.05
 
 SMALLEST_MASS = 1e-3
 """[kg] A lighter payload has no centre of mass worth telling."""
+BROAD = 100.0
+"""[kg, kg m, kg m^2] Standard deviation of a load's parameters before anything is known of them."""
 
 
 class Excitation:
@@ -76,12 +78,17 @@ class Quantity(NamedTuple):
 
 
 class Payload(NamedTuple):
-    """What the arm carries beyond its description, in the frame of ``link``; inertia (3, 3) about its centre."""
+    """What the arm carries beyond its description, in the frame of ``link``; inertia (3, 3) about its centre.
+
+    ``std`` is of the same kind and has the standard deviations. What cannot be told is not a number: the centre and the
+    inertia of a mass that is smaller than two standard deviations, and an inertia that no body has.
+    """
 
     link: str
     mass: float  # [kg]
     centre: Array  # (3,) [m]
     inertia: Array  # (3, 3) [kg m^2]
+    std: Payload | None = None
 
 
 def quantities(estimator: Estimator) -> list[Quantity]:
@@ -95,46 +102,74 @@ def quantities(estimator: Estimator) -> list[Quantity]:
 def payload(estimator: Estimator) -> Payload | None:
     """The declared payload, or else what the estimate adds to the last link that the outputs feel.
 
-    None while the model learns no base parameters, and where nothing of noticeable weight is there.
+    None while the initial window is not over, and while the model learns no base parameters.
     """
-    declared = _declared_payload(estimator)
-    if declared is not None:
-        return declared
-    if not estimator.ready or not len(estimator.model.part(slice(0, estimator.body.n_parameters))):
+    if not estimator.ready:
         return None
-    link = list(loaded_links(estimator.body))[-1]
-    return _payload(link, _added_load(estimator, link))
-
-
-def _declared_payload(estimator: Estimator) -> Payload | None:
     for index, effect in enumerate(estimator.columns.effects):
         if getattr(effect, 'is_load', False):
-            theta = estimator.model.part(estimator.columns.blocks[str(index)])
-            return _payload(str(getattr(effect, 'where', '')), theta)
-    return None
+            theta, covariance = _block(estimator.model, estimator.columns.blocks[str(index)])
+            return _payload(str(getattr(effect, 'where', '')), theta, covariance) if len(theta) else None
+    theta, covariance = _block(estimator.model, slice(0, estimator.body.n_parameters))
+    if not len(theta):
+        return None
+    link = list(loaded_links(estimator.body))[-1]
+    return _payload(link, *_added_load(estimator.body, link, theta, covariance))
 
 
-def _added_load(estimator: Estimator, link: str) -> Array:
-    """(10,) inertial parameters at ``link`` that explain best, in posterior standard deviations, what was learnt."""
-    body = estimator.body
-    learnt = slice(0, body.n_parameters)
-    difference = estimator.model.theta[learnt] - body.base_parameters
+def _block(model: Model, block: slice) -> tuple[Array, Array]:
+    """Coefficients (k,) of a block of columns, and their covariance (k, k); empty where the model has none."""
+    theta, start = model.part(block), block.start - model.covered.start
+    covariance, learnt = np.zeros((len(model.theta), len(model.theta))), model.recursion.n_columns
+    if learnt:
+        covariance[-learnt:, -learnt:] = model.recursion.theta_covariance()
+    inside = slice(start, start + len(theta))
+    return theta, covariance[inside, inside]
+
+
+def _added_load(body: RigidBody, link: str, theta: Array, covariance: Array) -> tuple[Array, Array]:
+    """(10,) inertial parameters at ``link`` that explain best what was learnt beyond the description, by generalised
+    least squares, and their covariance (10, 10): what the motion does not tell keeps a deviation of ``BROAD``."""
     index, transform = load_transform(body, link)
     load = body.basis[10 * index:10 * index + 10].T @ transform
-    std = np.maximum(estimator.model.theta_std()[learnt], 1e-12)
-    solution, *_ = np.linalg.lstsq(load / std[:, None], difference / std, rcond=1e-6)
-    return np.asarray(solution)
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-24))
+    values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
+    whitened = vectors.T / np.sqrt(np.maximum(values, 1e-12))[:, None]
+    rows = whitened @ (load / std[:, None])
+    spread = np.linalg.inv(rows.T @ rows + np.eye(10) / BROAD**2)
+    return spread @ rows.T @ whitened @ ((theta - body.base_parameters) / std), spread
 
 
-def _payload(link: str, parameters: Array) -> Payload | None:
-    """From mass, first moment and inertia about the link's origin, (10,)."""
-    mass = float(parameters[0])
-    if mass < SMALLEST_MASS:
-        return None
-    centre = parameters[1:4] / mass
+def _payload(link: str, parameters: Array, covariance: Array) -> Payload:
+    """From mass, first moment and inertia about the link's origin, (10,), and their covariance (10, 10)."""
+    mass, mass_std = float(parameters[0]), float(np.sqrt(covariance[0, 0]))
+    unknown = Payload(link, mass, np.full(3, np.nan), np.full((3, 3), np.nan))
+    if not mass > max(SMALLEST_MASS, 2.0 * mass_std):
+        return unknown._replace(std=unknown._replace(mass=mass_std))
+    step = 1e-6 * mass
+    jacobian = np.array([(_centred(parameters + step * unit) - _centred(parameters - step * unit)) / (2.0 * step)
+                         for unit in np.eye(10)])
+    found, std = _centred(parameters), np.sqrt(np.maximum(np.diag(jacobian.T @ covariance @ jacobian), 0.0))
+    inertia, inertia_std = found[3:].reshape(3, 3), std[3:].reshape(3, 3)
+    if not _has_a_body(inertia):
+        inertia = unknown.inertia
+    return Payload(link, mass, found[:3], inertia, Payload(link, mass_std, std[:3], inertia_std))
+
+
+def _centred(parameters: Array) -> Array:
+    """(12,) centre of mass and inertia about it, row by row, from parameters about the origin (10,)."""
+    centre = parameters[1:4] / parameters[0]
     xx, xy, yy, xz, yz, zz = parameters[4:]
     about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return Payload(link, mass, centre, about_origin - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
+    inertia = about_origin - parameters[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return np.concatenate([centre, inertia.ravel()])
+
+
+def _has_a_body(inertia: Array) -> bool:
+    """Whether some distribution of mass has this inertia about its centre: no principal moment is larger than the sum
+    of the two others."""
+    moments = np.linalg.eigvalsh(inertia)
+    return bool(moments[0] >= 0.0 and moments[0] + moments[1] >= moments[2])
 
 
 def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:

@@ -462,9 +462,13 @@ def known_of(estimator: Estimator) -> Known | None:
 
 
 class Outcome(NamedTuple):
-    """A diagnosis in words and as the machine-readable report; ``effects`` are all that the model then declares."""
+    """A diagnosis in words and as the machine-readable report; ``effects`` are all that the model then declares.
+
+    ``summary`` has what was found, line by line, ``words`` all that is to be said of it.
+    """
 
     verdict: str
+    summary: list[str]
     words: list[str]
     report: dict[str, object]
     effects: tuple[Effect, ...]
@@ -473,12 +477,12 @@ class Outcome(NamedTuple):
 def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> Outcome:
     """Diagnose samples with the effects declared so far; raises SemiparamError as the command does."""
     from semiparam_ros.diagnosis.diagnose import diagnose
-    from semiparam_ros.diagnosis.text_report import text_report
+    from semiparam_ros.diagnosis.text_report import summary, text_report
 
     samples = batch.samples
     assert samples is not None
     found = diagnose(body, samples, effects, progress=lambda words, share: tell(f'{words} ({share:.0%})'))
-    return Outcome(found.verdict, text_report(found), found.as_dict(), declared(found))
+    return Outcome(found.verdict, summary(found), text_report(found), found.as_dict(), declared(found))
 
 
 def declared(found: Diagnosis) -> tuple[Effect, ...]:

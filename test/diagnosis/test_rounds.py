@@ -292,6 +292,19 @@ def test_a_load_that_comes_in_a_gap_is_said_to_have_come_there():
         f'{seen.time[seen.time > 20.0][0]:.1f} s, where nothing was looked at.']
 
 
+def test_a_second_load_is_not_taken_for_the_one_that_was_declared():
+    samples = moving(3)
+    outputs = samples.outputs
+    for start_s, mass in ((6.0, 0.4), (18.0, 0.9)):
+        columns = kinds()['payload']('tool', start=Start(start_s)).columns(BODY, samples, None)[0]
+        outputs = outputs + columns @ np.array([mass, 0.01, 0.0, 0.02, *[0.0] * 6])
+    known = kinds()['payload']('tool', start=Start(6.0))
+    found = diagnose(BODY, replace(samples, outputs=outputs), [known], only=['payload'])
+    assert [round(finding.effect.start_s) for finding in found.findings] == [18]
+    assert [round(finding.effect.start_s) for finding in found.declared] == [6]
+    assert abs(found.declared[0].parameters['mass'].value - 0.4) < 0.05
+
+
 def test_a_load_must_be_a_body_as_far_as_the_motion_shows():
     body = np.array([0.4, 0.01, 0.0, 0.02, 3e-3, 0.0, 3e-3, 0.0, 0.0, 1e-3])
     assert all_plausible(*with_load(body, 0.01))

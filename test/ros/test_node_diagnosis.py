@@ -60,7 +60,12 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         answer = running.result()
         assert answer.success, answer.message
         assert answer.message.startswith('With no effects declared: ')
-        assert 'viscous_friction at a' in answer.message and 'viscous_friction at b' in answer.message
+        lines = answer.message.splitlines()
+        details = lines.index('Details:')
+        assert lines[0] == 'With no effects declared: The model lacks 2 effects.' and details == 3
+        for line, joint in zip(sorted(lines[1:details]), JOINTS, strict=True):
+            assert re.fullmatch(rf'- viscous_friction at {joint}: \w+ 0\.\d+ \+- 0\.\d+ .*', line), line
+        assert any(line.startswith('On held-out data') for line in lines[details:])
         progress = [message.data for message in client.heard['diagnosis_progress']]
         assert any(re.match(r'round 1: found .*viscous_friction at a', sentence) for sentence in progress), progress
         report = json.loads(client.heard['diagnosis'][0].data)

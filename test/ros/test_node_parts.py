@@ -10,11 +10,13 @@ from semiparam_ros.ros.estimator.diagnostics import (
     REPORTS,
     WARN,
     Tally,
+    believed_payload,
     learning_report,
     model_report,
+    parameters_report,
     stage_of,
 )
-from semiparam_ros.ros.estimator.publishers import HorizonMessage
+from semiparam_ros.ros.estimator.publishers import HorizonMessage, inertia_message
 from support.learner_stage import Stage
 from support.node_helpers import SETTINGS, motion
 
@@ -118,3 +120,25 @@ def test_the_health_of_a_model_does_not_change_every_second():
             tally.add(answer._replace(innovation=innovation))
         levels.append(model_report(stage.learner, tally).level)
     assert levels == [OK] + [WARN] * (REPORTS + 2) + [OK]
+
+
+def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the_latest_answer():
+    stage, samples = Stage(replace(SETTINGS, variant='P')), motion(200)
+    tally = Tally(stage.learner.body.joints)
+    stage.offer(samples[:30])
+    assert believed_payload(stage.learner, tally) == (None, 'withheld: the initial window is not over.')
+    stage.offer(samples[30:190])
+    stage.background.run()
+    stage.offer(samples[190:])
+    for answer in stage.answers:
+        tally.add(answer)
+    carried, sentence = believed_payload(stage.learner, tally)
+    assert sentence.endswith('kg at ft') and parameters_report(stage.learner, sentence).values['payload'] == sentence
+    for each in (carried, carried.std):
+        message = inertia_message(tally.stamp, each)
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == samples[-1].stamp
+    tally.innovation()
+    tally.add(stage.answers[-1]._replace(innovation=1000.0))
+    tally.innovation()
+    carried, sentence = believed_payload(stage.learner, tally)
+    assert carried is None and 'predicted standard deviations off' in sentence

@@ -19,7 +19,14 @@ from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import listed, shortened
 from semiparam_ros.online.feedforward import Feedforward
-from semiparam_ros.online.identified_parameters import MOVED_ENOUGH, Excitation, conditioning, payload, quantities
+from semiparam_ros.online.identified_parameters import (
+    MOVED_ENOUGH,
+    Excitation,
+    Payload,
+    conditioning,
+    payload,
+    quantities,
+)
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
 from semiparam_ros.ros.estimator.publishers import inertia_message
@@ -106,6 +113,8 @@ class Tally:
     def __init__(self, joints: tuple[str, ...]) -> None:
         self.excitation = Excitation(joints)
         self.errors: HorizonErrors | None = None
+        self.stamp: int | None = None
+        """Of the latest answer [ns]."""
         self.answers = 0
         self._squares = 0.0
         self._innovations: deque[float] = deque(maxlen=REPORTS)
@@ -114,6 +123,7 @@ class Tally:
         """One answer has gone out."""
         prediction = answer.prediction
         self.excitation.add(prediction.sample)
+        self.stamp = prediction.sample.stamp
         if prediction.ready:
             self.answers += 1
             self._squares += answer.innovation**2
@@ -349,10 +359,24 @@ def errors_report(errors: InternalErrors, twins: str = '') -> Report:
     return Report(ERROR if errors.counts else OK, errors.last or 'no internal error.', values)
 
 
-def parameters_report(learner: Learner) -> Report:
-    """Every coefficient with its standard deviation."""
+def believed_payload(learner: Learner, tally: Tally) -> tuple[Payload | None, str]:
+    """What the arm carries and a sentence of it; None and the reason while that cannot be told."""
+    if not learner.estimator.ready:
+        return None, 'withheld: the initial window is not over.'
+    if tally.worst > IMPLAUSIBLE:
+        return None, (f'withheld: the outputs lay {tally.worst:.1f} predicted standard deviations off within the last '
+                      f'{REPORTS} s.')
+    carried = payload(learner.estimator)
+    if carried is None or carried.std is None:
+        return None, 'withheld: the model learns no inertias.'
+    return carried, f'{carried.mass:.3g} +- {carried.std.mass:.2g} kg at {carried.link}'
+
+
+def parameters_report(learner: Learner, carried: str) -> Report:
+    """Every coefficient with its standard deviation, and what the arm carries."""
     found = quantities(learner.estimator)
     values = {entry.name: f'{entry.value:.6g} +- {entry.std:.2g} {entry.unit}' for entry in found}
+    values['payload'] = carried
     return Report(OK, f'{len(found)} coefficients.', values)
 
 
@@ -380,6 +404,7 @@ class Reports:
         self._name = node.get_fully_qualified_name().lstrip('/')
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
+        self._payload_std = node.create_publisher(InertiaStamped, '~/payload_std', 10)
         turns = {'inputs': InputReport(inputs, rejections).make,
                  'timing': TimingReport(inputs, self.say).make, 'learning': self._learning,
                  'model': self._model, 'parameters': self._parameters,
@@ -452,7 +477,9 @@ class Reports:
         learner = self._learner()
         if learner is None:
             return None
-        carried = payload(learner.estimator) if self._payload.get_subscription_count() else None
-        if carried is not None:
-            self._payload.publish(inertia_message(self._node.get_clock().now().to_msg(), carried))
-        return parameters_report(learner)
+        carried, sentence = believed_payload(learner, self.tally)
+        stamp = self.tally.stamp
+        if carried is not None and carried.std is not None and stamp is not None:
+            self._payload.publish(inertia_message(stamp, carried))
+            self._payload_std.publish(inertia_message(stamp, carried.std))
+        return parameters_report(learner, sentence)

@@ -16,6 +16,7 @@ from std_msgs.msg import Bool
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.single_estimator import Prediction
+from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.core.types import Array
 from semiparam_ros.online.identified_parameters import Payload
 from semiparam_ros.online.learner import Answer
@@ -28,10 +29,10 @@ PARTS = ('predicted', 'std', 'residual', 'contact_level')
 """What ``~/answer`` holds of every output."""
 
 
-def inertia_message(stamp: Time, payload: Payload) -> InertiaStamped:
-    """A payload as geometry_msgs/InertiaStamped: centre of mass in the link's frame, inertia about it."""
+def inertia_message(stamp: int, payload: Payload) -> InertiaStamped:
+    """A payload as geometry_msgs/InertiaStamped: centre of mass in the link's frame, inertia about it; stamp in ns."""
     message = InertiaStamped()
-    message.header.stamp, message.header.frame_id = stamp, payload.link
+    message.header.stamp, message.header.frame_id = Time(**stamp_fields(stamp)), payload.link
     inertia = message.inertia
     inertia.m = payload.mass
     inertia.com.x, inertia.com.y, inertia.com.z = payload.centre.tolist()

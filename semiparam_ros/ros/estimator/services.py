@@ -259,9 +259,11 @@ class Diagnosing:
             return
         self._outcome, self._examined = outcome, effects
         self._report.publish(String(data=json.dumps({'schema': 1, **outcome.report})))
-        sentence = f'With {_listed(effects) or "no effects"} declared: {" ".join(outcome.words)}'
-        self._node.get_logger().info(f'the diagnosis is over. {sentence}')
-        reply(sentence)
+        head, *found = outcome.summary
+        answer = '\n'.join([f'With {_listed(effects) or "no effects"} declared: {head}', *found, 'Details:',
+                            *outcome.words])
+        self._node.get_logger().info(f'the diagnosis is over. {answer}')
+        reply(answer)
 
 
 def _listed(effects: tuple[Effect, ...]) -> str:
