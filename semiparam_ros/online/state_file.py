@@ -8,7 +8,8 @@ import os
 import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from copy import deepcopy
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeAlias, cast
 
@@ -20,11 +21,13 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.motion import Motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.single_estimator import EstimatorState, MemberState
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
+from semiparam_ros.online.learning import Learning, observe
 from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.parameter_table import shown
@@ -44,6 +47,20 @@ FIXED = ('outputs', 'temperatures', 'features.count', 'features.seed', 'features
 
 ASIDE = 'aside'
 """What is moved aside has this in its name, and the time."""
+
+TYPES = {'stamps': '<i8', 'origins': '<i8', 'places': '<i8', 'waiting': '<i8', 'renewed': '<i8', 'filled': '<i8',
+         'start': '<i8', 'counts': '<i8', 'origin': '<i8', 'learnt': '|i1', 'is_news': '|b1'}
+"""Of arrays by the last part of their names; all others hold real numbers."""
+MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'temperature', 'window'), 1e18
+"""What is measured stays within 1e9, its derivatives within that by a nanosecond."""
+STAMPS = ('stamps', 'origins', 'origin')
+RANGES = {'shares': (0.0, 1.0), 'log_weights': (-math.inf, 0.0), 'inflation': (1e-100, math.inf),
+          'learnt': (0, max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
+          **dict.fromkeys(('waiting', 'filled', 'start', 'memory', 'compared', 'renewed', 'still'), (0.0, math.inf))}
+"""Of arrays by the last part of their names, where only some values make sense."""
+
+TRIED, TRIED_EVERY_NS = 5, 10**7
+"""So many of the samples kept are answered and learnt by a copy before a state counts as good."""
 
 MAY_BE_UNKNOWN = ('meta', 'history.temperature', 'temperature')
 """Arrays that are texts, or hold NaN for what is not known."""
@@ -241,14 +258,21 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         bias = arrays['bias']
         if bias.shape != (body.n_outputs,):
             raise SemiparamError(f"{path} holds a 'bias' of shape {bias.shape}; expected ({body.n_outputs},).")
-        gate = _from_json(meta['gate'], _group(arrays, 'gate'))
-        ContactGate.of(body).restore(gate)  # which checks it
-        renewal = _from_json(meta['renewal'], _group(arrays, 'renewal'))
-        Renewal(settings.initial_samples, body.n_outputs).restore(renewal)
-        return SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate, renewal)
-    except SemiparamError:
-        raise
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+        _check_types(arrays)
+        _check_stamps(meta)
+        gate, renewal = ContactGate.of(body), Renewal(settings.initial_samples, body.n_outputs)
+        for name, part in (('gate', gate), ('renewal', renewal)):
+            memory = _from_json(meta[name], _group(arrays, name))
+            _check_kinds(name, memory, part.state())
+            part.restore(memory)
+        saved = SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate.state(),
+                           renewal.state())
+        _check_nothing_else(arrays, meta, saved)
+        _try(saved, gate)
+        return saved
+    except SemiparamError as error:
+        raise error if str(error).startswith(str(path)) else SemiparamError(f'{path} is damaged: {error}') from error
+    except Exception as error:  # whatever wrong values bring about
         raise SemiparamError(f'{path} is damaged ({error}); expected a file that save_state wrote.') from error
 
 
@@ -370,11 +394,14 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
     known = None
     if meta['known'] is not None:
         hyperparameters, mean, scale, window = meta['known']
-        known = Known(_hyperparameters(hyperparameters), tuple(mean), tuple(scale), int(window))
+        known = Known(_hyperparameters(hyperparameters, _group(arrays, 'recursion')), tuple(mean), tuple(scale),
+                      _count(window))
     estimator = new_estimator(settings, body, known)
+    if arrays['inputs_learnt'].shape not in (estimator.inputs_learnt.shape, (2, 3 * body.n_joints)):
+        raise ValueError(f"'inputs_learnt' has shape {arrays['inputs_learnt'].shape}")
     estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
                                      _group(arrays, 'calibration'), _group(arrays, 'wandering'),
-                                     int(meta['window_left']), _counts(meta['passed_over']),
+                                     _count(meta['window_left']), _counts(meta['passed_over']),
                                      _group(arrays, 'window'), meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
                                      arrays['inputs_learnt'], _temperature(arrays),
@@ -392,7 +419,19 @@ def _temperature(arrays: Mapping[str, Array]) -> Array:
     return found
 
 
-def _hyperparameters(values: Mapping[str, Any]) -> Hyperparameters:
+def _hyperparameters(values: Mapping[str, Any], recursion: Mapping[str, Array]) -> Hyperparameters:
+    """Raises ValueError for what are none of a model with this recursion: none may make it larger than the file."""
+    for name, value in values.items():
+        numbers = value if isinstance(value, list) else [value]
+        if name == 'features':
+            right = value in (0, recursion['array'].shape[1])
+        elif name == 'pi' and value is None:
+            right = True
+        else:
+            right = all(type(number) is float and abs(number) <= MOST_MEASURED for number in numbers)
+            right = right and (name == 'pi' or min(numbers, default=0.0) >= 0.0)
+        if not right:
+            raise ValueError(f"the hyperparameter '{name}' is {shown(value)}")
     tuples = {name: None if values[name] is None else tuple(values[name]) for name in ('tau', 'output_scale', 'pi')}
     return Hyperparameters(**{**values, **tuples})
 
@@ -403,13 +442,21 @@ def _member_arrays(member: MemberState) -> Arrays:
 
 def _member(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> MemberState:
     groups = {group: _group(arrays, group) for group in MEMBER_ARRAYS}
-    return MemberState(_hyperparameters(meta['hyperparameters']), window_left=int(meta['window_left']),
+    hyperparameters = _hyperparameters(meta['hyperparameters'], groups['recursion'])
+    return MemberState(hyperparameters, window_left=_count(meta['window_left']),
                        passed_over=_counts(meta['passed_over']), **groups)
 
 
 def _counts(values: Sequence[int]) -> tuple[int, int]:
-    since, total = map(int, values)
+    since, total = map(_count, values)
     return since, total
+
+
+def _count(value: object) -> int:
+    """How many samples; raises ValueError for what is no such number."""
+    if not (type(value) is int and 0 <= value < 2**62):
+        raise ValueError(f'a number of samples is {shown(value)}')
+    return value
 
 
 def _stacked(motion: Motion | None) -> Arrays:
@@ -461,6 +508,88 @@ def _from_json(value: object, arrays: Mapping[str, Array]) -> Memory:
 def _named(group: str, arrays: Mapping[str, Array | Stamps | Mask | Codes]) -> Arrays:
     """With the group's name before each; :func:`_group` takes it off."""
     return {f'{group}.{name}': values for name, values in arrays.items()}
+
+
+def _check_types(arrays: Mapping[str, Array]) -> None:
+    """Raise ValueError for an array of another type than its name has, or of values that it cannot have."""
+    for name, values in arrays.items():
+        last = name.rpartition('.')[2]
+        wanted = TYPES.get(last, '<f8')
+        if name == 'meta' or last.isdigit():
+            continue
+        if values.dtype.str != wanted:
+            raise ValueError(f"'{name}' is of type {values.dtype}; expected {np.dtype(wanted)}")
+        low, high = RANGES.get(last, (-math.inf, math.inf))
+        if ((values < low) | (values > high)).any():
+            raise ValueError(f"'{name}' holds values outside of {low:g} to {high:g}")
+        if name.partition('.')[0] in MEASURED and values.dtype.kind == 'f' and (np.abs(values) > MOST_MEASURED).any():
+            raise ValueError(f"'{name}' holds values beyond {MOST_MEASURED:g}")
+
+
+def _check_stamps(meta: Mapping[str, Any]) -> None:
+    """Raise ValueError where time begins, or ended, at no time that a message can have."""
+    for name in ('origin', 'newest'):
+        stamp = meta[name]
+        if stamp is not None and not (type(stamp) is int and abs(stamp) < 2**62):
+            raise ValueError(f"'{name}' is {shown(stamp)}; expected a stamp in ns")
+
+
+def _check_kinds(where: str, given: Memory, own: Memory, rows_of: int = 2) -> None:
+    """Raise ValueError where what is remembered is of another kind than what its owner remembers at another time.
+
+    :param rows_of: arrays of so many axes or more may have another number of rows.
+    """
+    if isinstance(own, np.ndarray):
+        grows = own.ndim >= rows_of
+        if not isinstance(given, np.ndarray) or (given.dtype, given.ndim) != (own.dtype, own.ndim) or (
+                given.shape[grows:] != own.shape[grows:]):
+            raise ValueError(f"'{where}' is no array of {own.dtype} like {own.shape}")
+    elif isinstance(own, dict):
+        if not isinstance(given, dict) or given.keys() != own.keys():
+            raise ValueError(f"'{where}' has other entries")
+        for name, part in own.items():
+            _check_kinds(f'{where}.{name}', given[name], part, rows_of)
+    elif isinstance(own, tuple | list) and isinstance(given, tuple | list) and len(given) == len(own):
+        for index, part in enumerate(own):
+            _check_kinds(f'{where}.{index}', given[index], part, rows_of)
+
+
+def _check_nothing_else(arrays: Mapping[str, Array], meta: Mapping[str, Any], saved: SavedState) -> None:
+    """Raise ValueError unless a state that is saved again is the same file: then all of it was understood."""
+    again = snapshot(saved).arrays()
+    for name in sorted(again.keys() ^ arrays.keys()):
+        raise ValueError(f"'{name}' is {'missing' if name in again else 'not of such a state'}")
+    for name, values in again.items():
+        same = values.dtype == arrays[name].dtype and np.array_equal(values, arrays[name], values.dtype.kind == 'f')
+        if not same and name != 'meta':
+            raise ValueError(f"'{name}' is {arrays[name].dtype} {arrays[name].shape}; expected what makes sense as "
+                             f'{values.dtype} {values.shape}')
+    written = json.loads(str(again['meta']))
+    if written['known']:  # what the window alone used is not kept by a model that is given its hyperparameters
+        written['known'][0] |= {name: float(meta['known'][0][name]) for name in ('drift_share', 'drift_memory')}
+    for name, value in written.items():
+        if json.dumps(value) != json.dumps(meta.get(name)):  # so that neither 1 and 1.0 nor 1 and true are the same
+            raise ValueError(f"'{name}' is {shown(meta.get(name))}; expected what makes sense as {shown(value)}")
+
+
+def _try(saved: SavedState, gate: ContactGate) -> None:
+    """Let copies answer and learn some of the samples kept, as if they came next; raises whatever goes wrong."""
+    estimator, gate, body = deepcopy(saved.estimator), deepcopy(gate), saved.estimator.body
+    judging = replace(saved.settings, gate_enabled=True)
+    zeros = np.zeros(body.n_joints)
+    latest = [sample for sample, _ in saved.batch.part(max(len(saved.batch) - TRIED, 0)).pairs()]
+    latest = latest or [Sample(0, zeros, zeros, zeros, np.zeros(body.n_outputs))]
+    newest = saved.estimator.state().newest or 0
+    with np.errstate(all='ignore'):
+        for number, sample in enumerate(latest, start=1):
+            prediction = estimator.predict(sample._replace(stamp=newest + number * TRIED_EVERY_NS))
+            if not (np.isfinite([prediction.mean, prediction.std]).all() and (prediction.std > 0.0).all()):
+                raise ValueError('its model predicts values that are not finite')
+            gate.judge(prediction, judging)
+            observe(estimator, prediction, Learning.YES, finish=False)
+    _require_finite('what its model learns', snapshot(saved._replace(estimator=estimator, gate=gate.state())).learnt)
+    before, after = (cast('Memory', each.state().memory) for each in (saved.estimator, estimator))
+    _check_kinds('memory', before, after, rows_of=1)
 
 
 def _group(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:

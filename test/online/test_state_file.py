@@ -390,3 +390,81 @@ def test_what_differs_is_told_and_nothing_else(tmp_path):
         with pytest.raises(SemiparamError) as caught:
             state_file.load(path, SETTINGS, BODY)
         assert str(caught.value) == f'{path} {expected}'
+
+
+def test_sizes_are_checked_before_anything_is_unpacked(tmp_path):
+    path, arrays = tmp_path / 's.npz', state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays()
+    np.savez_compressed(path, **{**arrays, 'recursion.array': np.zeros((30_000, 1000))})
+    assert path.stat().st_size < 10**6
+    with pytest.raises(SemiparamError, match=r'cannot be read \(.* is compressed\)'):
+        state_file.load(path, SETTINGS, BODY)
+    np.savez(path, **arrays)
+    longer = path.read_bytes().replace(b"'shape': (178, 40)", b"'shape': (178,999)").replace(
+        b"'shape': (142, 40)", b"'shape': (142,999)")
+    path.write_bytes(longer)
+    with pytest.raises(SemiparamError, match=r'bytes for an array \(1.., ?999\)'):
+        state_file.load(path, SETTINGS, BODY)
+
+
+WRONG_ARRAYS = {
+    'float32': lambda values: values.astype(np.float32),
+    'int32': lambda values: values.astype(np.int32),
+    'float64': lambda values: values.astype(np.float64),
+    'bool': lambda values: values.astype(bool),
+    'text': lambda values: values.astype('U9'),
+    'flat': lambda values: values[None],
+    'empty': lambda values: values[:0] if values.ndim else np.zeros(0),
+    'longer': lambda values: np.concatenate([values, values]) if values.ndim else np.array([values, values]),
+    'wider': lambda values: np.concatenate([values, values], axis=-1) if values.ndim else values[None, None],
+    'minus one': lambda values: np.full_like(values, -1),
+    'large': lambda values: np.full_like(values, 127 if values.dtype == np.int8 else 2**62),
+    'huge': lambda values: np.full_like(values, 1e300 if values.dtype.kind == 'f' else 100),
+    'infinite': lambda values: np.full_like(values, np.inf) if values.dtype.kind == 'f' else np.full_like(values, -100),
+}
+SPOILT = {
+    'averaged': replace(SETTINGS, variant='auto', effects=('sensor_drift',)),
+    'effort': replace(EFFORT, effects=('backlash@b{"gap": 0.2}', 'coulomb_friction@a{"presliding": 0.05}')),
+}
+
+
+@pytest.mark.parametrize('settings', SPOILT.values(), ids=SPOILT)
+def test_what_is_loaded_can_answer_and_learn(tmp_path, settings):
+    """Right checksums, wrong values: each array and each entry of the JSON text, one after the other."""
+    body = build_rigid_body(settings)
+    samples, path = motion(80, body=body), tmp_path / 's.npz'
+    stage = stage_of(settings, samples[:70])
+    arrays = state_file.snapshot(stage.learner.state()).arrays()
+    meta = json.loads(str(arrays['meta']))
+    spoilt = [(f'{name}: {how}', arrays | {name: wrong(values)}) for name, values in arrays.items() if name != 'meta'
+              for how, wrong in WRONG_ARRAYS.items() if not same(values, wrong(values))]
+    spoilt += [(f'{name}x: added', {**arrays, f'{name}x': values}) for name, values in arrays.items()]
+    spoilt += [(f'{name}: missing', {other: arrays[other] for other in arrays if other != name}) for name in arrays]
+    spoilt += [(f'meta {where}', arrays | {'meta': np.array(json.dumps(wrong))}) for where, wrong in misquoted(meta)]
+    accepted = []
+    for what, these in spoilt[::int(os.environ.get('SPOILT_STEP', 13))]:
+        np.savez(path, **these)
+        try:
+            saved = state_file.load(path, settings, body)
+        except SemiparamError as error:
+            assert str(error).startswith(str(path)) and 'Traceback' not in str(error)
+            continue
+        stage.learner.restore(saved)
+        stage.offer(samples[70:])
+        assert not stage.failures, (what, stage.failures)
+        accepted.append(what)
+    wrong_kinds = {'float32', 'float64', 'int32', 'bool', 'text', 'flat', 'added', 'missing'}
+    assert not [what for what in accepted if what.split(': ')[-1] in wrong_kinds]
+
+
+def misquoted(value, where=''):
+    """The JSON value with one entry wrong, for each entry; and where it is."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            yield from ((place, {**value, name: wrong}) for place, wrong in misquoted(part, f'{where}/{name}'))
+    elif isinstance(value, list) and len(value) < 40:
+        for index, part in enumerate(value[:3]):
+            yield from ((place, [*value[:index], wrong, *value[index + 1:]])
+                        for place, wrong in misquoted(part, f'{where}/{index}'))
+    for wrong in (None, True, -1, 3, 10**30, 2.5, math.nan, 'x', [], {}, {'list': 3}):
+        if type(wrong) is not type(value) or wrong != value:
+            yield f'{where}: {wrong}', wrong

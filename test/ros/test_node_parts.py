@@ -5,7 +5,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
-from semiparam_ros.ros.estimator.diagnostics import Tally, model_report, stage_of
+from semiparam_ros.ros.estimator.diagnostics import Tally, learning_report, model_report, stage_of
 from semiparam_ros.ros.estimator.publishers import HorizonMessage
 from support.learner_stage import Stage
 from support.node_helpers import SETTINGS, motion
@@ -89,3 +89,11 @@ def test_the_health_of_a_model_tells_how_far_declared_effects_are_believed():
         told.append(model_report(stage.learner, Tally(stage.learner.body.joints)).values)
     assert 'probability of the declared effects fx' not in told[0]
     assert told[1]['probability of the declared effects fx'] == '0.500'
+
+
+def test_lost_samples_are_not_said_to_have_a_cause_that_is_not_known():
+    stage = Stage()
+    stage.learner.lost = 2
+    level, message, _ = learning_report(stage.learner, '')
+    assert level == b'\2'
+    assert message == '2 samples lost: the model could not answer them; the status errors tells why.'

@@ -230,7 +230,7 @@ def stage_of(learner: Learner | None) -> str:
 def _learning_state(learner: Learner) -> tuple[bytes, str]:
     successor, estimator = learner.switcher.successor, learner.estimator
     if learner.lost:
-        return ERROR, f'{learner.lost} samples lost: the machine is too slow for their rate.'
+        return ERROR, f'{learner.lost} samples lost: the model could not answer them; the status errors tells why.'
     if not learner.settings.learning:
         return WARN, 'paused: predicting without learning.'
     if learner.gate.closed:
