@@ -14,6 +14,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file
 from semiparam_ros.online.file_thread import FileThread
+from semiparam_ros.online.folder_lock import FolderLock, stem
 from semiparam_ros.online.state_file import SavedState, Snapshot
 from semiparam_ros.settings.snapshot import Settings
 
@@ -27,17 +28,17 @@ class Checkpoints:
     The first one replaces nothing that was learnt with another configuration, nor what this node did not want to go on
     from: that is moved aside (``NODE.checkpoint.aside-...``), and :meth:`newest` still finds it.
 
-    :param node_name: fully qualified; slashes become dots.
+    :param node_name: fully qualified; slashes become dots. :param lock: the node's, a new one unless given.
     """
 
-    def __init__(self, folder: Path, node_name: str) -> None:
-        stem = node_name.strip('/').replace('/', '.')
-        self.path = folder / f'{stem}.checkpoint.npz'
-        self.previous = folder / f'{stem}.checkpoint.previous.npz'
+    def __init__(self, folder: Path, node_name: str, lock: FolderLock | None = None) -> None:
+        self.path = folder / f'{stem(node_name)}.checkpoint.npz'
+        self.previous = folder / f'{stem(node_name)}.checkpoint.previous.npz'
+        self.lock = lock or FolderLock(folder, node_name)
         self.remarks: list[str] = []
         self.news: list[str] = []
         """What was moved aside; whoever tells it empties it."""
-        self._first, self._went_on = True, False
+        self._first, self._went_on, self._was_locked = True, False, False
         self._refused: dict[Path, str] = {}
         """What the files of these names have that this node cannot go on from."""
         self._thread = FileThread('checkpoint')
@@ -99,6 +100,11 @@ class Checkpoints:
         return sorted(found, key=lambda path: path.name.rpartition('-')[2], reverse=True)
 
     def _write(self, state: Snapshot) -> None:
+        try:
+            self.lock.take()
+        except SemiparamError:
+            self._was_locked = True
+            raise
         for path in (self.path, self.previous):
             _move_away_if_foreign(path)
         self._move_others_aside(state)
@@ -112,6 +118,8 @@ class Checkpoints:
             theirs = state_file.replaceable(path) if reason or self._first else None
             if theirs is not None:
                 reason = reason or theirs.difference(state.configuration, names)
+                if self._first and self._was_locked:
+                    reason = 'was written by another node of this name, while this one ran.'
                 if reason:
                     self.news.append(state_file.move_aside(path, reason))
 

@@ -4,7 +4,10 @@ import json
 import math
 import os
 import pickle
+import subprocess
+import sys
 import threading
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +18,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file
 from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.file_thread import FileThread
+from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.settings.build import build_rigid_body
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, InlineBackground, motion
@@ -232,7 +236,8 @@ def test_nothing_but_a_state_is_replaced(tmp_path, spoil):
 
 
 def contents(folder):
-    return {path.name: path.read_bytes() if path.is_file() else path.lstat().st_mode for path in folder.iterdir()}
+    return {path.name: path.read_bytes() if path.is_file() else path.lstat().st_mode for path in folder.iterdir()
+            if path.suffix != '.lock'}
 
 
 def test_a_model_that_is_not_finite_is_not_saved(tmp_path):
@@ -287,7 +292,7 @@ def test_two_generations_of_checkpoints(tmp_path):
     for sample in motion(3):
         stage.offer([sample])
         checkpoints.save(stage.learner.state())
-    assert sorted(os.listdir(tmp_path)) == ['estimator.checkpoint.npz', 'estimator.checkpoint.previous.npz']
+    assert sorted(contents(tmp_path)) == ['estimator.checkpoint.npz', 'estimator.checkpoint.previous.npz']
     assert len(checkpoints.newest(SETTINGS, BODY).batch) == 3
     checkpoints.path.write_bytes(checkpoints.path.read_bytes()[:5000])
     assert len(checkpoints.newest(SETTINGS, BODY).batch) == 2
@@ -351,7 +356,7 @@ def test_a_state_of_another_configuration_is_moved_aside_and_found_again(tmp_pat
     assert len(mended.newest(SETTINGS, BODY).batch) == 70 and len(mended.remarks) == 1
     for _ in range(3):
         mended.save(stage.learner.state())
-    kept = [features_of(path) for path in tmp_path.iterdir()]
+    kept = [features_of(path) for path in tmp_path.glob('*.npz')]
     assert sorted(kept) == [30, 30, 40, 40, 40, 40]
 
 
@@ -361,7 +366,7 @@ def test_what_is_begun_anew_does_not_replace_another_variant(tmp_path):
     other, stage = Checkpoints(tmp_path, 'arm'), stage_of(replace(SETTINGS, variant='P'), motion(3))
     other.save(stage.learner.state())
     other.save(stage_of(SETTINGS, motion(3)).learner.state())  # changed while it runs: its own is replaced
-    assert len(os.listdir(tmp_path)) == 3 and "variant 'SPK-ML'; this node has 'P'" in other.news[0]
+    assert len(contents(tmp_path)) == 3 and "variant 'SPK-ML'; this node has 'P'" in other.news[0]
 
 
 def test_saving_by_hand_moves_another_configuration_aside(tmp_path):
@@ -468,3 +473,36 @@ def misquoted(value, where=''):
     for wrong in (None, True, -1, 3, 10**30, 2.5, math.nan, 'x', [], {}, {'list': 3}):
         if type(wrong) is not type(value) or wrong != value:
             yield f'{where}: {wrong}', wrong
+
+
+def test_another_process_of_the_same_name_does_not_write(tmp_path):
+    stage, path = stage_of(SETTINGS, motion(70)), tmp_path / 's.npz'
+    checkpoints = Checkpoints(tmp_path, '/left/arm')
+    with other_process(tmp_path, 'left.arm') as other:
+        for lock in (checkpoints.lock, FolderLock(tmp_path, '/left/arm')):
+            with pytest.raises(SemiparamError, match=rf'process {other.pid}, another node of the name /left/arm'):
+                lock.take()
+        with pytest.raises(SemiparamError, match='another node of the name'):
+            checkpoints.save(stage.learner.state())
+        assert not checkpoints.path.exists()
+        FolderLock(tmp_path, '/right/arm').take()
+        state_file.save(checkpoints.path, stage.learner.state())
+    checkpoints.save(stage.learner.state())  # the other one is gone, and what it wrote is not lost
+    assert sum('aside' in name for name in os.listdir(tmp_path)) == 1
+    assert 'written by another node' in checkpoints.news[0]
+    FolderLock(path / 'no folder', 'arm').take()
+    (tmp_path / 'file').touch()
+    FolderLock(tmp_path / 'file', 'arm').take()  # writing tells what is wrong there
+
+
+@contextmanager
+def other_process(folder, name):
+    """One that has the lock, however it ends."""
+    code = (f'from pathlib import Path; from semiparam_ros.online.folder_lock import FolderLock; '
+            f'FolderLock(Path({str(folder)!r}), {name.replace(".", "/")!r}).take(); print(flush=True); input()')
+    with subprocess.Popen([sys.executable, '-c', code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        try:
+            yield process
+        finally:
+            process.kill()

@@ -52,9 +52,34 @@ def test_a_folder_that_cannot_be_written_is_told_once_and_the_node_goes_on(tmp_p
         client.connect()
         client.play(motion(150), SETTINGS.joints)
         client.wait_report('inputs', lambda level, message, values: values.get('refused: checkpoints') == '1')
+        client.wait_report('checkpoints', lambda level, message, _: level == b'\2' and 'there is no folder' in message)
         reply = client.trigger('save_state')
         assert not reply.success and 'there is no folder' in reply.message and reply.message.endswith('.')
         assert client.trigger('load_state').success is False
         client.play([sample._replace(stamp=sample.stamp + 10**11) for sample in motion(50)], SETTINGS.joints)
         assert node.stop() == 0
         assert 'Traceback' not in node.output
+
+
+def test_a_second_node_of_the_same_name_says_so_and_does_not_write(tmp_path, ros_domain):
+    states = tmp_path / 'states'
+    dump_params(replace(SETTINGS, acceleration_source='measured', state_folder=str(states),
+                        checkpoint_period=0.2, checkpoint_resume=True), tmp_path / 'p.yaml')
+    (tmp_path / 'second').mkdir()
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml') as first, Client() as client:
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+        client.connect()
+        client.play(motion(50), SETTINGS.joints)
+        path = states / 'estimator.checkpoint.npz'
+        client.wait(path.exists, 'a checkpoint')
+        client.wait_report('checkpoints', lambda level, message, values: 'was written' in message)
+        with NodeProcess(tmp_path / 'second', tmp_path / 'p.yaml') as second:
+            client.wait_report('checkpoints', lambda level, message, _: level == b'\2' and 'not written' in message)
+            client.wait_report('errors', lambda level, message, _: level == b'\2' and 'another node' in message)
+            assert f'process {first.process.pid}, another node of the name /estimator' in second.output
+            assert 'is loaded' not in second.output
+            client.wait(lambda: '2 publish on /estimator/answer' in first.output, 'the first one says so too')
+            assert second.stop() == 0
+        assert first.stop() == 0
+        assert first.process.pid == int((states / 'estimator.lock').read_text())
+        assert not any('aside' in found.name for found in states.iterdir())

@@ -104,7 +104,8 @@ def read_only_folder(folder, full):
 
 def _saves_in_vain(folder, disk, times, sentence, fault, mend):
     settings = replace(LIVE, state_file='state.npz', state_folder=str(disk), checkpoint_period=0.3)
-    saved, known = disk / 'state.npz', {'state.npz', 'estimator.checkpoint.npz', 'estimator.checkpoint.previous.npz'}
+    saved, known = disk / 'state.npz', {'state.npz', 'estimator.checkpoint.npz', 'estimator.checkpoint.previous.npz',
+                                          'estimator.lock'}
     counts = {'faults': times, 'saves refused in a sentence': 0, 'saves afterwards': 0}
     with live(folder, settings, motion(200 + 20 * times)) as (_, client, robot):
         robot.move(200)

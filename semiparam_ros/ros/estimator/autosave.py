@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -12,8 +13,10 @@ from rclpy.node import Node
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.checkpoint import Checkpoints
+from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import Later
+from semiparam_ros.ros.estimator.diagnostics import ERROR, OK, Report
 from semiparam_ros.settings.snapshot import Settings
 
 RETRY_S = 0.2
@@ -22,19 +25,22 @@ RETRY_S = 0.2
 class Autosave:
     """By ``checkpoint.period`` on the machine's own clock, and by ``checkpoint.resume``.
 
+    :param lock: the right to write there.
     :param state: gives what is to be saved, None before the robot is known.
     :param later: see :data:`Later`.
     :param say: receives sentences for the log. :param refuse: those about checkpoints that could not be written.
     Raises SemiparamError when there can be no folder for them.
     """
 
-    def __init__(self, node: Node, settings: Settings, state: Callable[[], SavedState | None],
+    def __init__(self, node: Node, settings: Settings, lock: FolderLock, state: Callable[[], SavedState | None],
                  later: Later, say: Callable[[str], None],
                  refuse: Callable[[str], None]) -> None:
-        self.checkpoints = Checkpoints(folder_of(settings), node.get_fully_qualified_name())
+        self.checkpoints = Checkpoints(folder_of(settings), node.get_fully_qualified_name(), lock)
         self._active, self._resumes = settings.checkpoint_period > 0.0, settings.checkpoint_resume
         self._state, self._later, self._say, self._refuse = state, later, say, refuse
         self._failed = ''
+        self._written: float | None = None
+        self._count = 0
         if self._active:
             clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._retry = node.create_timer(RETRY_S, self._save, clock=clock)
@@ -43,6 +49,13 @@ class Autosave:
 
     def resume(self, settings: Settings, body: RigidBody) -> SavedState | None:
         """The checkpoint to go on from, None where none is asked for or none is good; says which, and why."""
+        if not (self._resumes or self._active):
+            return None
+        try:
+            self.checkpoints.lock.take()
+        except SemiparamError as error:
+            self._saved(error)
+            return None
         if not self._resumes:
             return None
         saved = self._loaded(settings, body)
@@ -64,6 +77,17 @@ class Autosave:
         for remark in self.checkpoints.remarks:
             self._refuse(remark)
         return saved
+
+    def report(self) -> Report:
+        """Whether they are written, and when the last one was."""
+        values = {'file': self.checkpoints.path, 'written': self._count, 'last failure': self._failed}
+        if self._failed:
+            return Report(ERROR, f'not written: {self._failed}', values)
+        if not self._active:
+            return Report(OK, 'not asked for (checkpoint.period is 0).', values)
+        if self._written is None:
+            return Report(OK, 'none is written yet.', values)
+        return Report(OK, f'the last one was written {time.monotonic() - self._written:.0f} s ago.', values)
 
     def close(self) -> None:
         """Save once more, for the node ends."""
@@ -100,6 +124,8 @@ class Autosave:
         sentence = '' if error is None else str(error)
         if sentence and sentence != self._failed:
             self._refuse(sentence)
-        elif self._failed and not sentence:
+        if not sentence:
+            self._written, self._count = time.monotonic(), self._count + 1
+        if self._failed and not sentence:
             self._say(f'checkpoints are written again: {self.checkpoints.path}.')
         self._failed = sentence

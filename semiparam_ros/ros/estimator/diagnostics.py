@@ -294,10 +294,16 @@ def feedforward_report(feedforward: Feedforward) -> Report:
     return Report(OK, f'{counts.answered} desired states answered, {counts.withheld} withheld.', values)
 
 
-def errors_report(errors: InternalErrors) -> Report:
-    """What went wrong in the node itself, by its place."""
+def errors_report(errors: InternalErrors, twins: str = '') -> Report:
+    """What went wrong in the node itself, by its place.
+
+    :param twins: who else publishes its topics, see :meth:`Outputs.twins`.
+    """
     values: dict[str, object] = {f'internal errors: {place}': count for place, count in sorted(errors.counts.items())}
     values |= {'internal errors': errors.counts.total(), 'last internal error': errors.last}
+    values['another node of this name'] = twins
+    if twins:
+        return Report(ERROR, twins, values)
     return Report(ERROR if errors.counts else OK, errors.last or 'no internal error.', values)
 
 
@@ -319,13 +325,15 @@ class Reports:
     """One status after another, evenly over the second: a sample that comes meanwhile waits for one of them only.
 
     :param learner: gives the learner, None before the robot is known.
+    :param checkpoints: their report. :param twins: see :meth:`Outputs.twins`.
     """
 
     def __init__(self, node: Node, inputs: Inputs, rejections: Rejections, errors: InternalErrors,
-                 learner: Callable[[], Learner | None], feedforward: Feedforward) -> None:
+                 learner: Callable[[], Learner | None], feedforward: Feedforward,
+                 checkpoints: Callable[[], Report], twins: Callable[[], str]) -> None:
         self.tally = Tally(())
-        self._news = self._robot_name = self._stage = ''
-        self._errors = errors
+        self._news = self._robot_name = self._stage = self._told_twins = ''
+        self._errors, self._twins = errors, twins
         self._node, self._inputs, self._learner = node, inputs, learner
         self._name = node.get_fully_qualified_name().lstrip('/')
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -333,8 +341,8 @@ class Reports:
         turns = {'inputs': InputReport(inputs, rejections).make,
                  'timing': lambda: timing_report(inputs), 'learning': self._learning,
                  'model': self._model, 'parameters': self._parameters,
-                 'feedforward': lambda: feedforward_report(feedforward),
-                 'errors': lambda: errors_report(errors)}
+                 'feedforward': lambda: feedforward_report(feedforward), 'checkpoints': checkpoints,
+                 'errors': self._errors_report}
         turn = cycle(turns.items())
         # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
         node.create_timer(PERIOD_S / len(turns), lambda: self._publish(*next(turn)),
@@ -347,10 +355,16 @@ class Reports:
         self.say(f'{robot_name or "the robot"} is known by its description and moves {", ".join(body.joints)}; '
                  f'{predicted} is predicted.')
 
-    def say(self, sentence: str) -> None:
-        """Into the log, and into the status of learning as the last news."""
+    def say(self, sentence: str, log: Callable[[str], object] | None = None) -> None:
+        """Into the log, and into the status of learning as the last news.
+
+        :param log: of another level than the usual one.
+        """
         self._news = sentence
-        self._node.get_logger().info(sentence)
+        if log is None:
+            self._node.get_logger().info(sentence)
+        else:
+            log(sentence)
 
     def _publish(self, title: str, make: Callable[[], Report | None]) -> None:
         try:
@@ -364,6 +378,13 @@ class Reports:
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [status(f'{self._name}: {title}', self._robot_name, report)]
         self._statuses.publish(message)
+
+    def _errors_report(self) -> Report:
+        twins = self._twins()
+        if twins and not self._told_twins:
+            self.say(twins, self._node.get_logger().error)
+        self._told_twins = twins
+        return errors_report(self._errors, twins)
 
     def _learning(self) -> Report:
         for topic in self._inputs.follow_reliability():

@@ -17,6 +17,7 @@ from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
+from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import Later, ProcessBackground, Worker
@@ -68,11 +69,13 @@ class EstimatorNode(Node):
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
-                                trajectories.feedforward)
+                                trajectories.feedforward, lambda: self._autosave.report(), self._outputs.twins)
         self._held_replies = HeldReplies(self, self._announcement)
-        self._requests = Services(self, self._live, self._the_learner, folder_of(settings), guarded, self.errors)
+        lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
+        self._requests = Services(self, self._live, self._the_learner, folder_of(settings), lock, guarded, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
-        self._autosave = Autosave(self, settings, lambda: None if self.learner is None else self.learner.state(),
+        self._autosave = Autosave(self, settings, lock,
+                                  lambda: None if self.learner is None else self.learner.state(),
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
         self._watch_clock()
         self._robot.from_parameters()
@@ -243,7 +246,7 @@ class EstimatorNode(Node):
 
     def _refuse(self, where: str, sentence: str) -> None:
         self._rejections.add(where, sentence)
-        self._reports.say(sentence)
+        self._reports.say(sentence, self.get_logger().error)
 
     def _guarded(self, place: str, function: Callable[..., object], *arguments: object) -> None:
         """Call a function; nothing that goes wrong there may end the node."""

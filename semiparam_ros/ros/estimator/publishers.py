@@ -102,6 +102,15 @@ class Outputs:
         self._contact_level = node.create_publisher(JointState, '~/contact_level', DEPTH)
         self._in_contact: bool | None = None
 
+    def twins(self) -> str:
+        """Who else publishes these topics, as a sentence; '' for nobody."""
+        count = self._node.count_publishers(self._answer.topic_name)
+        if count < 2:
+            return ''
+        return (f'{count} publish on {self._answer.topic_name}: another node of the name '
+                f'{self._node.get_fully_qualified_name()} runs, or one has died and its lease is not over yet. Both '
+                'answer, and both do what services are asked for.')
+
     def open(self, body: RigidBody) -> None:
         """The robot is known: prepare the messages."""
         wrench = body.outputs == 'wrench'

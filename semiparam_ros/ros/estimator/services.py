@@ -22,6 +22,7 @@ from semiparam_ros.effects import Effect, effects_to_parameters
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file, worker
 from semiparam_ros.online.file_thread import FileThread
+from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.model_switcher import sentence_of
 from semiparam_ros.online.state_file import SavedState
@@ -89,15 +90,15 @@ class Services:
     States are written and read in a thread: samples are answered meanwhile.
 
     :param learner: gives the learner, or raises SemiparamError before the robot is known.
-    :param folder: where states lie.
+    :param folder: where states lie. :param lock: the right to write there.
     :param later: see :data:`Later`.
     :param errors: counts what goes wrong unexpectedly.
     """
 
     def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner], folder: Path,
-                 later: Later, errors: InternalErrors) -> None:
+                 lock: FolderLock, later: Later, errors: InternalErrors) -> None:
         self._node, self._parameters, self._learner, self._later = node, parameters, learner, later
-        self._folder, self._errors = folder, errors
+        self._folder, self._lock, self._errors = folder, lock, errors
         self._files = FileThread('states')
         create_trigger(node, '~/reset', self.reset, errors)
         create_trigger(node, '~/tare', self.tare, errors)
@@ -124,6 +125,7 @@ class Services:
 
     def save_state(self, reply: Reply) -> None:
         """Write what is learnt now to ``state_file``."""
+        self._lock.take()
         path = self._folder / self._parameters.settings.state_file
         state = state_file.snapshot(self._learner().state())
 
