@@ -441,8 +441,9 @@ def test_a_description_of_more_than_a_robot_is_refused_at_once(joint, count, sen
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 def test_a_link_may_have_the_name_of_any_joint(outputs):
     """As left_hand of the published Baxter, a link at the end of a fixed joint of that name."""
-    tool = ('<link name="NAME"><inertial><mass value="0.2"/><inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" '
-            'iyz="0"/></inertial></link><joint name="JOINT" type="fixed"><parent link="ft"/><child link="NAME"/></joint>')
+    tool = ('<link name="NAME"><inertial><mass value="0.2"/><inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" '
+            'ixz="0" iyz="0"/></inertial></link>'
+            '<joint name="JOINT" type="fixed"><parent link="ft"/><child link="NAME"/></joint>')
     settings = SETTINGS if outputs == 'wrench' else replace(SETTINGS, outputs='effort', sensor_frame='')
     bodies = [build_rigid_body(replace(settings, robot_description=URDF.replace('</robot>', tool.replace(
         'NAME', link).replace('JOINT', joint) + '</robot>'))) for link, joint in (
