@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.preparation import Inputs
 from support.arms import smooth_motion
+from support.node_helpers import motion
 
 ENCODER, TACHO = 5e-5, 2e-3
 
@@ -90,3 +92,12 @@ def test_measured_accelerations_and_a_smoother_motion_make_accelerations_better(
 
     plain, more, both = (error(smoothed(seen, *how)) for how in ((2, 4), (2, 6), (3, 6)))
     assert both < 0.95 * more < 0.95 * 0.75 * plain < noise.std()
+
+
+def test_a_motion_that_jumps_is_smoothed_all_the_same():
+    """As of a bag that is cut together: rounding spoiled the factor."""
+    samples = [sample._replace(position=sample.position + 100.0 * (index // 400 % 2))
+               for index, sample in enumerate(motion(1500))]
+    found = smoothed(Samples.from_list(samples))
+    assert np.isfinite(found.position).all() and np.isfinite(found.acceleration).all()
+    np.testing.assert_allclose(found.position[200], samples[200].position, atol=0.1)
