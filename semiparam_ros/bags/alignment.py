@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample
-from semiparam_ros.core.stamps import in_seconds
+from semiparam_ros.core.stamps import NANOSECONDS, in_seconds
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed, shortened
 
@@ -24,6 +24,8 @@ CAPACITY = 20_000
 LARGEST = 1e9
 """No robot has such an angle [rad], speed, acceleration, force [N] or torque [N m]; memory that was never written does,
 and one such value would leave nothing of a model."""
+END_OF_TIME_NS = 2**31 * NANOSECONDS
+"""The seconds of a header have 32 bits. One with more nanoseconds than a second has can be beyond that."""
 HELD_FROM_NS = 1_000_000_000
 """How long after its stamp a temperature counts. It comes too seldom to be waited for; by then it has come, however the
 topics interleave, and none changes so fast."""
@@ -293,6 +295,10 @@ class SampleStream:
         if values and not (min(values) > -LARGEST and max(values) < LARGEST):
             self._refuse('out_of_range', f'{what} at {in_seconds(stamp)} s holds {max(values, key=abs):g}; expected '
                                          f'values within {LARGEST:g}.')
+            return False
+        if not -END_OF_TIME_NS <= stamp < END_OF_TIME_NS:
+            self._refuse('out_of_range', f'{what} has the stamp {in_seconds(stamp)} s; expected one that a header can '
+                                         'hold, with less than 1e9 ns beside its seconds.')
             return False
         last = self._last.get(what)
         if last is not None and stamp <= last:

@@ -40,6 +40,18 @@ def array_lines(path: Path, text_lines: Callable[[Path], Cells]) -> Cells:
         yield number, [repr(value) for value in row]
 
 
+def raise_unmatched(path: Path, text_lines: Callable[[Path], Cells], column: str) -> None:
+    """Raise SemiparamError where a column is of an array that is left out because its rows do not match the others'."""
+    arrays = _folder(path, text_lines) if path.is_dir() else _file(path)
+    columns = _columns(arrays, repr(str(path)))
+    count = len(next(iter(columns.values())))
+    for name in (column, column.rpartition(':')[0]):
+        shape = np.shape(arrays[name]) if name in arrays else ()
+        if shape and count not in shape:
+            raise SemiparamError(f"{str(path)!r}: '{name}' has {' x '.join(map(str, shape))} values, where the others "
+                                 f'have {count} samples; expected as many samples in each.')
+
+
 def _tables(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in TABLES)
 

@@ -89,7 +89,7 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
             frame_id, samples = frame_id or frame, samples + stretch
             lengths.append(len(stretch))
         if not samples:
-            raise SemiparamError(_nothing_matched(bag, stream, needed))
+            raise SemiparamError(_nothing_matched(bag, stream, needed, bool(settings.joints)))
         return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, stream.last_fault,
                          bag.losses, tuple(lengths))
 
@@ -176,10 +176,13 @@ def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collecti
     return frame_id, samples
 
 
-def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str]) -> str:
+def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str], joints_given: bool) -> str:
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
     waiting = f'{stream.pending} outputs have no joint state at or after their stamps.'
     reason = stream.last_fault or stream.last_stranger or waiting
     renamed = stream.faults['missing_joint'] or stream.strangers
     remedy = ' semiparam convert --joint NAME=NEW renames joints.' if renamed else ''
+    if renamed and not joints_given:  # those of the description count, all of them
+        remedy = ' The parameter joints is not given, so every moving joint of the robot description is expected; ' \
+                 'name in it those that the recording has.'
     return f'{str(bag.path)!r} holds no complete sample ({counts} messages): {reason}{remedy}'

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from semiparam_ros.bags import recording_layout as layout_names
-from semiparam_ros.bags.array_files import array_lines, holds_arrays
+from semiparam_ros.bags.array_files import array_lines, holds_arrays, raise_unmatched
 from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.stamps import NANOSECONDS, stamp_fields
@@ -90,14 +90,16 @@ def load_layout(path: str | os.PathLike[str]) -> TableLayout:
 
 
 def parse_columns(text: object) -> tuple[int | str, ...]:
-    """Columns from '1-4', '1,2,5-7', 'q1,q2', 3, or a list of such."""
+    """Columns from '1-4', '1,2,5-7', 'q1,q2', 'q:1-6' (those of an array), 3, or a list of such."""
     if isinstance(text, list | tuple):
         return tuple(column for part in text for column in parse_columns(part))
     found: list[int | str] = []
     for part in filter(None, (part.strip() for part in str(text).split(','))):
-        first, dash, last = part.partition('-')
+        array, colon, numbers = part.rpartition(':')
+        first, dash, last = numbers.partition('-')
         if dash and first.strip().isdigit() and last.strip().isdigit():
-            found += range(int(first), int(last) + 1)
+            span = range(int(first), int(last) + 1)
+            found += [f'{array}:{number}' for number in span] if colon else span
         else:
             found.append(int(part) if part.isdigit() else part)
     return tuple(found)
@@ -259,7 +261,12 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     if first is None:
         return
     header = [] if all(map(_is_number, first[1])) else first[1]
-    layout = layout.spread(header).checked()
+    layout = layout.spread(header)
+    unknown = [column for columns in layout.columns.values() for column in columns
+               if isinstance(column, str) and column not in header]
+    if unknown and arrays:
+        raise_unmatched(Path(path), _lines, unknown[0])
+    layout = layout.checked()
     indices = column_indices(layout, header, name)
     width = 1 + max(index for columns in indices.values() for index in columns)
     convert = _Units(layout)

@@ -122,7 +122,7 @@ class CarryOver:
                                     np.array(state[f'alpha{index}'], dtype=float)) for index in models)
         found = [(each.theta.shape, each.alpha.shape) for each in frozen]
         expected = [((p,), (sums.shape[1], count)) for p, count in sizes]
-        if found and found != expected or not all(np.isfinite(values).all() for each in frozen for values in each):
+        if (found and found != expected) or not all(np.isfinite(values).all() for each in frozen for values in each):
             raise SemiparamError(f'the saved coefficients of left-out blocks have shapes {found}; expected finite '
                                  f'values of {expected}.')
         if min(counts) < 0 or (blocks[:min(counts[0], BLOCKS)] <= 0.0).any():

@@ -131,8 +131,8 @@ class Estimator(SingleEstimator):
     The first ``initial_samples`` of motion are answered by the rigid body alone, which starts from the robot
     description's inertias. They then give the hyperparameters, are learnt by the chosen variant, and it takes over.
 
-    Several learn beside each other (see :func:`members_of`): this is the first of these models, its answers are averaged with those of the others, and what is asked of a single model (its
-    coefficients, its hyperparameters) is its own.
+    Several models learn beside each other (see :func:`members_of`). This is the first of them: its answers are averaged
+    with those of the others, and what is asked of a single model (its coefficients, its hyperparameters) is its own.
 
     :param origin: stamp [ns] from which the time of effects counts, such as the start of a recording; that of the first
         sample unless given. It moves along when the clock jumps, so that time goes on from the last sample.

@@ -71,8 +71,8 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
                   seeds: Sequence[int] = (0, 1, 2), estimation: Estimation | None = None) -> Scenario:
     """Check that the two recordings fit each other and are long enough.
 
-    The paper's models have a bare rigid body, the paper's priors and no wandering offset: with ``forgetting: auto`` they
-    forget nothing and have none here. With ``features.count: auto`` they have as many features as it chooses from.
+    The paper's models have a bare rigid body, the paper's priors and no wandering offset: with ``forgetting: auto``
+    they forget nothing and have none here. With ``features.count: auto`` they have as many features as it chooses from.
 
     :param subset_samples: length of each part of ``test``; by default all of it is divided.
     :param train_samples: how much of ``train`` to use; by default all. :param test_from: first row of ``test`` to use.

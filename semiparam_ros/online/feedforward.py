@@ -92,8 +92,8 @@ STATUS = ('valid', 'described', 'limited', 'outside', 'variance_ratio', 'distanc
 
 def status(found: Desired) -> list[float]:
     """Numbers that mark an answer: valid (1: by the model, within what it learnt, not cut), by the description (1),
-    how many efforts were cut, how many inputs lie outside of those learnt, model's over noise's variance, and the distance
-    from the inputs learnt, taken together, over the largest of these."""
+    how many efforts were cut, how many inputs lie outside of those learnt, model's over noise's variance, and the
+    distance from the inputs learnt, taken together, over the largest of these."""
     cut = float(found.limited.sum())
     valid = not (found.described or cut or is_doubtful(found))
     return [float(valid), float(found.described), cut, float(len(found.outside)), found.variance_ratio,

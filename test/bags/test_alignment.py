@@ -185,6 +185,7 @@ BAD = {
     'out_of_range': ('joint_state', 2 * MS, JOINTS, (0.0, 0.0), (0.0, -1e160)),
     'out_of_range of a wrench': ('wrench', 2 * MS, 'sensor', (0.0, 1e300, 0.0, 0.0, 0.0, 0.0)),
     'not_finite of opposite infinities': ('wrench', 2 * MS, 'sensor', (math.inf, -math.inf, 0.0, 0.0, 0.0, 0.0)),
+    'out_of_range of a stamp': state(2**31 * 10**9, 7.0),
     'missing_joint': ('joint_state', 2 * MS, ('hip', 'ankle'), (0.0, 0.0), (0.0, 0.0)),
     'missing_joint named twice': ('joint_state', 2 * MS, ('hip', 'knee', 'hip'), (0.0,) * 3, (0.0,) * 3),
     'missing_joint of an empty message': ('joint_state', 2 * MS, (), (), ()),

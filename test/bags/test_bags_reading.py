@@ -20,6 +20,7 @@ from semiparam_ros.bags.reader import MergedBag, open_bag
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.snapshot import Settings
+from support.node_helpers import motion, write_bag
 
 STRING, STATE, WRENCH = 'std_msgs/msg/String', 'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped'
 SECOND = 10**9
@@ -377,3 +378,11 @@ def test_a_topic_of_the_wrong_type_is_refused(tmp_path):
     path = write_strings(tmp_path / 'bag.mcap', [1], topic='/joint_states')
     with pytest.raises(SemiparamError, match=f'topic /joint_states holds {STRING}; expected {STATE}'):
         load_samples(path, Settings(joints=('a',), outputs='effort'))
+
+
+def test_a_recording_of_some_joints_names_the_parameter_that_tells_which(tmp_path):
+    path = write_bag(tmp_path / 'bag.mcap', motion(10), joints=('a', 'gripper'))
+    with pytest.raises(SemiparamError, match=r"must name joint 'b' once; it names a, gripper. The parameter joints is "
+                                             'not given, so every moving joint of the robot description is expected; '
+                                             r'name in it those that the recording has\.$'):
+        load_samples(path, Settings(sensor_frame='ft'))

@@ -155,6 +155,22 @@ def test_single_columns_of_an_array_and_factors_for_a_bag(tmp_path, capsys):
     assert 'position has 1 columns; expected 2, one for each of --joints' in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('form', ['npz', 'mat', 'folder'])
+def test_ranges_of_an_array_and_rows_that_do_not_match(form, tmp_path, capsys):
+    within = 'log.' if form == 'mat' else ''
+    arrays = quantities() | {'short': quantities(49)['current']}
+    path, bag = saved_arrays(tmp_path, arrays, form), tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'hip,knee', '--time', f'{within}t', '--position', f'{within}q:1-2') == 0
+    np.testing.assert_array_equal([state.data.position for state in messages(bag, '/joint_states')], arrays['q'])
+    capsys.readouterr()
+    for columns in ('short', 'short:1-2'):
+        assert convert(path, bag, '--joints', 'hip,knee', '--time', f'{within}t', '--position', f'{within}q',
+                       '--effort', within + columns) == 2
+        shape = '2 x 49' if form == 'mat' else '49 x 2'
+        assert (f"'{within}short' has {shape} values, where the others have 50 samples; expected as many samples in "
+                'each.') in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(('name', 'content', 'sentence'), [
     ('a.npz', b'PK no archive', 'is damaged or holds no plain arrays'), ('a.npz', b'', 'holds no plain arrays'),
     ('a.mat', b'MATLAB 5.0 but not really', 'is damaged or holds no plain arrays'),

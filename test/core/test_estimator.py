@@ -16,7 +16,7 @@ from semiparam_ros.core.motion import STILL_SAMPLES, at_start
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.single_estimator import ModelOptions, SingleEstimator, information_gain, log_density
-from semiparam_ros.core.variants import AVERAGED, CHOICES
+from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.identified_parameters import quantities

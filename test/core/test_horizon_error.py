@@ -112,7 +112,8 @@ def test_an_average_is_charged_with_the_weights_of_its_moment():
     errors, weights = rng.normal(size=(count, 3, length, N)), rng.dirichlet(np.ones(3), size=(count, N))
     std, outputs = rng.uniform(0.5, 2.0, (count, 3, N)), rng.normal(size=(count, N))
     index = AveragedHorizons(length, N, 3)
-    found = [index.advance_average(t, errors[t], outputs[t], np.ascontiguousarray(weights[t].T), std[t]) for t in range(count)]
+    found = [index.advance_average(t, errors[t], outputs[t], np.ascontiguousarray(weights[t].T), std[t])
+             for t in range(count)]
     assert found[:length] == [None] * length
     for t in range(count - length):
         # The model of t is the newest one at t + 1.

@@ -14,6 +14,7 @@ from semiparam_ros.core.robot.frames import felt_links, force_maps, frame_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.build import build_rigid_body
 from support.arms import (
     ICUB_JOINTS,
     ICUB_OWN,
@@ -28,6 +29,7 @@ from support.arms import (
     pinocchio_link_wrench,
     smooth_motion,
 )
+from support.node_helpers import SETTINGS, URDF
 
 EXACT = {'rtol': 0, 'atol': 1e-9}
 
@@ -434,3 +436,18 @@ def test_a_description_of_more_than_a_robot_is_refused_at_once(joint, count, sen
         urdf_tree.parse(f'<robot name="x"><link name="l0"/>{"".join(parts)}</robot>')
     with pytest.raises(SemiparamError, match='has 2000001 characters; expected at most 2000000'):
         urdf_tree.parse('<' * 2_000_001)
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_link_may_have_the_name_of_any_joint(outputs):
+    """As left_hand of the published Baxter, a link at the end of a fixed joint of that name."""
+    tool = ('<link name="NAME"><inertial><mass value="0.2"/><inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" '
+            'ixz="0" iyz="0"/></inertial></link>'
+            '<joint name="JOINT" type="fixed"><parent link="ft"/><child link="NAME"/></joint>')
+    settings = SETTINGS if outputs == 'wrench' else replace(SETTINGS, outputs='effort', sensor_frame='')
+    bodies = [build_rigid_body(replace(settings, robot_description=URDF.replace('</robot>', tool.replace(
+        'NAME', link).replace('JOINT', joint) + '</robot>'))) for link, joint in (
+            ('hand', 'fixed'), ('hand', 'hand'), ('hand', 'ft'))]
+    for body in bodies[1:]:
+        state = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 2))
+        np.testing.assert_array_equal(body.regressor(*state), bodies[0].regressor(*state))

@@ -515,3 +515,27 @@ def other_process(folder, name):
             yield process
         finally:
             process.kill()
+
+
+def test_thirty_restarts_with_random_configurations_lose_no_state_of_another(tmp_path):
+    """Each start saves a few times; what the one before had learnt is then there, or was gone on from or begun anew."""
+    chance, last = np.random.default_rng(7), {}
+    for number in range(30):
+        settings = replace(SETTINGS, features_count=int(chance.choice([20, 30, 40])), features_seed=number % 2,
+                           variant=str(chance.choice(['P', 'NP-ML'])), initial_samples=60)
+        stage, checkpoints = stage_of(settings), Checkpoints(tmp_path, 'arm')
+        saved = checkpoints.newest(settings, BODY) if chance.random() < 0.7 else None
+        if saved is not None:
+            stage.learner.restore(saved)
+        newest = 1 + max(0, *(sample.stamp for sample, _ in saved.batch.pairs())) if saved is not None else 0
+        stage.offer([sample._replace(stamp=sample.stamp + newest) for sample in motion(5, seed=number)])
+        for _ in range(int(chance.integers(1, 4))):
+            checkpoints.save(stage.learner.state())
+        last[settings.features_count, settings.features_seed, stage.learner.built.variant] = len(stage.learner.history)
+        found = set()
+        for path in tmp_path.glob('*.npz'):
+            with np.load(path) as archive:
+                kept = json.loads(str(archive['meta']))['settings']
+                found.add((kept['features.count'], kept['features.seed'], kept['variant'],
+                           len(archive['history.learnt'])))
+        assert {(*configuration, count) for configuration, count in last.items()} <= found

@@ -4,7 +4,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.settings import dump_params
 from support.faulty_node import UNLUCKY_STAMP_NS
@@ -62,3 +68,44 @@ def answers_on(client, samples):
     client.wait(lambda: len(client.heard['residual']) > before + 100, 'answers go on')
     return True
 
+
+def test_every_call_with_fields_at_their_ends_is_answered(tmp_path, ros_domain):
+    """Types that are none, empty and long names, stamps at the ends of their fields: sentences, no internal errors."""
+    dump_params(replace(SETTINGS, variant='P', acceleration_source='filter'), tmp_path / 'p.yaml')
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
+        client.connect()
+        client.offer('joint_states', 'wrench', 'desired_trajectory')
+        for number in (*range(11), 99, 255):
+            wrong = [Parameter(name=name, value=ParameterValue(type=number)) for name in ('forgetting', 'noise', '')]
+            good = Parameter(name='gate.hold', value=ParameterValue(type=3, double_value=0.25 + number / 1000))
+            request = SetParameters.Request(parameters=[*wrong, good])
+            results = client.call(SetParameters, 'set_parameters', request).results
+            assert [result.successful for result in results] == [False] * 3 + [True]
+            assert client.get('gate.hold')[0].double_value == 0.25 + number / 1000
+            sentences = [result.reason for result in results[:3]]
+            for parameters in ([wrong[0]], [good, wrong[1]], [wrong[2], good]):
+                request = SetParametersAtomically.Request(parameters=parameters)
+                result = client.call(SetParametersAtomically, 'set_parameters_atomically', request).result
+                assert not result.successful
+                sentences.append(result.reason)
+            assert all(sentences) and not any('internal error' in sentence for sentence in sentences), sentences
+        assert 'has a value of the type 255' in sentences[0], sentences
+        samples = motion(120)
+        for seconds, nanoseconds in ((2**31 - 1, 2**32 - 1), (-2**31, 0), (2**31 - 1, 10**9 - 1), (0, 2**32 - 1)):
+            stamp = Time(sec=seconds, nanosec=nanoseconds)
+            state = JointState(name=list(JOINTS), position=[0.0] * 2, velocity=[0.0] * 2)
+            for topic, message in (('joint_states', state), ('wrench', WrenchStamped())):
+                message.header.stamp, message.header.frame_id = stamp, 'ft' * (topic == 'wrench')
+                client.outputs[topic].publish(message)
+            point = JointTrajectoryPoint(positions=[0.0] * 2, velocities=[0.0] * 2, accelerations=[0.0] * 2)
+            point.time_from_start = Duration(sec=seconds, nanosec=nanoseconds)
+            trajectory = JointTrajectory(joint_names=list(JOINTS), points=[point])
+            client.outputs['desired_trajectory'].publish(trajectory)
+            trajectory.header.stamp = stamp
+            point.time_from_start = Duration(sec=-2**31)
+            client.outputs['desired_trajectory'].publish(trajectory)
+        assert answers_on(client, samples)
+        values = client.wait_report('errors', lambda level, message, values: True)[2]
+        assert values['internal errors'] == '0' and 'Traceback' not in node.output
+        assert client.wait_report('inputs', lambda level, message, values: True)[2]['refused: out_of_range'] == '2'
+        assert node.stop() == 0

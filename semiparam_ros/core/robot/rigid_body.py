@@ -50,6 +50,9 @@ def build(robot: ElementTree.Element, root: pin.JointModel | None = None) -> pin
         reason = ' '.join(str(error).split())
         raise SemiparamError(f'the robot description cannot be read as a robot: {reason}') from error
     model.gravity.linear = GRAVITY
+    for frame in model.frames:  # a link may have the name of a fixed joint, and frames are looked for by name
+        if frame.type == pin.FrameType.FIXED_JOINT:
+            frame.name = JOINT + frame.name
     return model
 
 

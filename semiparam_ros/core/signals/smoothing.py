@@ -22,6 +22,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, STACK, VECTOR, compiled
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
 
 ORDER = 4
 """Which derivative of the positions is white noise, unless it is given."""
@@ -38,6 +39,9 @@ LEAST_SIZE = 1e-24
 """Least squared size of the noise, over that of third differences: exact numbers have no noise at all."""
 LEAST_STEP = 0.2
 """Steps shorter than this share of the median add noise as if they were not: their precision would overflow."""
+
+MOST_DOUBLED = 60
+"""From the smoothest motion that is tried to the liveliest."""
 
 
 def smoothed(samples: Samples, measured: int = 2, order: int = ORDER) -> Samples:
@@ -211,8 +215,19 @@ class _Problem:
                            for order, (weight, values) in enumerate(zip(weights, self.motion, strict=True))))
 
     def states(self, logs: Array) -> Array:
-        """(N, order) smoothed position and derivatives, in units of the step."""
-        return self._solve(np.clip(logs, -40.0, 20.0))[1]
+        """(N, order) smoothed position and derivatives, in units of the step.
+
+        With snap so small beside the noise that rounding spoils the factor, as where positions jump between two
+        samples, the snap is doubled until it does not. Raises SemiparamError where that never is.
+        """
+        logs = np.clip(logs, -40.0, 20.0)
+        for _ in range(MOST_DOUBLED):
+            try:
+                return self._solve(logs)[1]
+            except np.linalg.LinAlgError:
+                logs[0] += np.log(2.0)
+        raise SemiparamError('the motion cannot be smoothed: its positions jump, as in a recording that is cut '
+                             'together; expected the motion of one robot without jumps.')
 
     def acceleration_error(self, logs: Array, times: float) -> float:
         """Standard deviation of an acceleration far from the ends, of measurements at ``times`` the rate; NaN where

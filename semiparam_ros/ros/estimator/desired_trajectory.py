@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from semiparam_ros.bags.alignment import LARGEST
+from semiparam_ros.bags.alignment import END_OF_TIME_NS, LARGEST
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
@@ -292,7 +292,8 @@ def desired_state(point: Point, order: Sequence[int], n_names: int, index: int) 
 def stamp_of(start: int, point: Point, index: int) -> int:
     """Time of a point [ns]; raises SemiparamError for one that no stamp can tell."""
     stamp = start + point.from_start
-    if not -2**31 <= stamp // NANOSECONDS < 2**31:
+    if not all(-END_OF_TIME_NS <= time < END_OF_TIME_NS for time in (start, point.from_start, stamp)):
         raise SemiparamError(f'point {index} of desired_trajectory lies at {stamp / NANOSECONDS:g} s, which no header '
-                             'can hold; expected a sum of stamp and time_from_start below 2^31 s.')
+                             'can hold; expected stamp, time_from_start and their sum below '
+                             '2^31 s.')
     return stamp

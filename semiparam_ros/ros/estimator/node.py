@@ -6,12 +6,14 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.service import Service
 
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -32,7 +34,7 @@ from semiparam_ros.ros.estimator.diagnostics import (
     Rejections,
     Reports,
 )
-from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters
+from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answering
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Diagnosing, Services
@@ -79,6 +81,14 @@ class EstimatorNode(Node):
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
         self._watch_clock()
         self._robot.from_parameters()
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any],
+                       **options: Any) -> Service:
+        """As every node does, but whatever the callback raises, a response is sent: rclpy would send none."""
+        def failed(error: Exception) -> str:
+            return self.errors.add(srv_name, error)
+
+        return super().create_service(srv_type, srv_name, answering(callback, failed), **options)
 
     @property
     def settings(self) -> Settings:
