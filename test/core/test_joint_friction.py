@@ -1,0 +1,83 @@
+"""Friction and offset of the joints as part of the rigid body's model of efforts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.robot.joint_friction import KINDS, TURN_SPEEDS, friction_columns, friction_scale
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import base_scale, inertial_scale
+from semiparam_ros.core.single_estimator import ModelOptions
+from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+
+ARM = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+TWO_OF_FOUR = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort', output_joints=('turn', 'grip'))
+VISCOUS, DRY, OFFSET = np.array([3.0, 1.0, 0.5, 0.1]), np.array([5.0, 2.0, 1.0, 0.2]), np.array([1.0, -0.5, 0.3, 0.1])
+
+
+def rubbing(motion, turn_speed):
+    outputs = ARM.regressors(motion) @ ARM.base_parameters + OFFSET + VISCOUS * motion.velocity
+    return replace(motion, outputs=outputs + DRY * np.tanh(motion.velocity / turn_speed))
+
+
+@given(st.lists(st.floats(-10.0, 10.0), min_size=4, max_size=4))
+def test_a_sample_has_the_columns_of_a_batch_each_for_its_own_effort(velocity):
+    for body in (ARM, TWO_OF_FOUR):
+        sample = smooth_motion(4, 2)[0]._replace(velocity=np.array(velocity))
+        columns = CoupledColumns(body, joint_friction=True)
+        one, _ = columns.one(sample, 0)
+        block = one[:, columns.blocks['friction']]
+        np.testing.assert_allclose(block, friction_columns(body, sample.velocity[None])[0], rtol=1e-12, atol=1e-15)
+        n = body.n_outputs
+        own = sample.velocity[body.output_index]
+        np.testing.assert_array_equal(block[:, :n], np.diag(own))
+        for index, speed in enumerate(TURN_SPEEDS, start=1):
+            np.testing.assert_allclose(block[:, index * n:(index + 1) * n], np.diag(np.tanh(own / speed)), rtol=1e-12)
+        np.testing.assert_array_equal(one[:, columns.blocks['offset']], np.eye(n))
+
+
+def test_a_wrench_and_the_bare_rigid_body_have_none():
+    for body, chosen in ((icub(), True), (ARM, False)):
+        columns, bare = CoupledColumns(body, joint_friction=chosen), CoupledColumns(body)
+        assert columns.blocks == bare.blocks and columns.n_own == bare.n_own
+    assert CoupledColumns(ARM, joint_friction=True).n_own == ARM.n_parameters + (KINDS + 1) * 4
+
+
+@pytest.mark.parametrize('turn_speed', [0.005, 0.012, 0.03])
+def test_friction_that_turns_over_between_the_two_speeds_is_learnt_and_carried_to_another_motion(turn_speed):
+    errors = {}
+    for joint_friction in (True, False):
+        estimator = Estimator(ARM, ModelOptions(variant='P', initial_samples=200, joint_friction=joint_friction))
+        for sample in rubbing(smooth_motion(4, 1200, rate=50.0, seed=1), turn_speed):
+            estimator.step(sample)
+        other = rubbing(smooth_motion(4, 400, rate=50.0, seed=2), turn_speed)
+        estimator.begin_recording(other.origin)
+        left = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in other])
+        errors[joint_friction] = np.mean(left**2 / other.outputs.var(axis=0))
+    assert errors[True] < 2e-3 and errors[True] < 0.02 * errors[False]
+
+
+def test_the_prior_is_as_wide_as_the_robot_is_large():
+    columns = CoupledColumns(ARM, joint_friction=True, physical=True)
+    scale, blocks = columns.prior_scale, columns.blocks
+    np.testing.assert_array_equal(scale[blocks['rigid_body']], base_scale(ARM))
+    np.testing.assert_array_equal(scale[blocks['friction']].reshape(KINDS, -1), [friction_scale(ARM)] * KINDS)
+    np.testing.assert_array_equal(scale[blocks['offset']], friction_scale(ARM))
+    np.testing.assert_array_equal(columns.expected[blocks['rigid_body']], ARM.base_parameters)
+    assert not CoupledColumns(ARM, joint_friction=True).expected.any(), 'of the paper: about zero'
+    bodies = ARM.inertial_parameters.reshape(-1, 10)
+    assert (inertial_scale(ARM).reshape(-1, 10) >= np.abs(bodies) * (1.0 - 1e-9)).all()
+
+
+def test_joints_need_friction_and_offset_of_a_desired_state():
+    estimator = Estimator(ARM, ModelOptions(variant='P', initial_samples=200))
+    for sample in rubbing(smooth_motion(4, 1200, rate=50.0, seed=1), 0.012):
+        estimator.step(sample)
+    zero, velocity = np.zeros(4), np.full(4, 0.4)
+    there, back = (estimator.predict_desired(zero, way * velocity, zero).needed for way in (1.0, -1.0))
+    np.testing.assert_allclose(0.5 * (there - back), DRY + VISCOUS * velocity, rtol=0.1, atol=0.1)
