@@ -27,6 +27,7 @@ from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import output_scale
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, NANOSECONDS
 from semiparam_ros.core.types import Array, Indices, Stamps
@@ -51,7 +52,8 @@ OFF_SHARE = 0.1
 """Where nothing moves and all outputs are below this share of what is predicted, the motors are off behind brakes."""
 
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
-
+"""Of the model before the first window is over, with the paper's priors. With physical ones gamma is 1, and the noise
+is so large a share of what an output may be beside the described body (``robot.size.output_scale``)."""
 
 COMPARED_EVERY_NS, LONGEST_COMPARED_NS = NANOSECONDS // 100, NANOSECONDS // 10
 """A model is compared with the one from before the last change no more often, and a pause counts for no more."""
@@ -654,8 +656,11 @@ class SingleEstimator:
                      forgetting=given if isinstance(given, float) else 1.0, n_effects=self.columns.n_effects)
 
     def _provisional(self) -> Model:
-        hyperparameters = Hyperparameters(gamma=PROVISIONAL_GAMMA, rho=1.0, tau=(1.0,), sigma=PROVISIONAL_SIGMA,
-                                          output_scale=(1.0,) * self.body.n_outputs, pi=None)
+        gamma, scale = PROVISIONAL_GAMMA, np.ones(self.body.n_outputs)
+        if self.options.physical:
+            gamma, scale = 1.0, output_scale(self.body)
+        hyperparameters = Hyperparameters(gamma=gamma, rho=1.0, tau=(1.0,), sigma=PROVISIONAL_SIGMA,
+                                          output_scale=tuple(scale.tolist()), pi=None)
         return Model(VARIANTS['P'], hyperparameters, None, self.columns.prior_scale, self.columns.prior_mean,
                      n_effects=self.columns.n_effects)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, PART, STRIDED, VECTOR, compiled
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import plausible, size_beyond
+from semiparam_ros.core.robot.size import output_scale
 from semiparam_ros.core.types import Array, Indices
 
 TURN_SPEEDS = np.array([0.005, 0.03])
@@ -49,9 +49,8 @@ def friction_columns(body: RigidBody, velocity: Array) -> Array:
 def friction_scale(body: RigidBody) -> Array:
     """(n,) [N m] what friction and offset of each output may be: a share of the torque that holds what the joint
     carries, or of the largest effort that the robot description permits, whichever is larger."""
-    carried = np.array([plausible('N m', size_beyond(body, joint)) for joint in body.output_names])
     limits = np.where(np.isfinite(body.effort_limits), body.effort_limits, 0.0)
-    return np.asarray(np.maximum(carried, SHARE_OF_LIMIT * limits))
+    return np.asarray(np.maximum(output_scale(body), SHARE_OF_LIMIT * limits))
 
 
 @compiled(STRIDED, INTEGERS, VECTOR, PART)

@@ -74,6 +74,15 @@ def _of(product: str, size: Size) -> float:
     return value
 
 
+def output_scale(body: RigidBody) -> Array:
+    """(n,) what an output may be beside the described rigid body, in its unit: ``SHARE`` of the weight, or of the
+    torque that holds what a joint carries stretched out."""
+    sizes = [size_of(body)] * 6
+    if body.outputs == 'effort':
+        sizes = [size_beyond(body, joint) for joint in body.output_names]
+    return np.array([plausible(unit, size) for unit, size in zip(body.output_units, sizes, strict=True)])
+
+
 LEAST_MASS_SHARE, LEAST_LENGTH_SHARE = 0.05, 0.1
 """Of the whole arm's mass and length, what a body has at least: a description may know nothing of a body."""
 
