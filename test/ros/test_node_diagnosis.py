@@ -17,7 +17,7 @@ from support.node_client import Client, NodeProcess
 from support.node_helpers import JOINTS, SETTINGS, motion
 
 LIVE = replace(SETTINGS, outputs='effort', sensor_frame='', variant='P', acceleration_source='measured',
-               diagnosis_window=1000.0)
+               diagnosis_window=1000.0, joint_friction=False)
 FRICTION = np.array([0.8, 0.5])
 pytestmark = pytest.mark.usefixtures('module_domain')
 

