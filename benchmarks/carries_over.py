@@ -122,11 +122,9 @@ def shortened(samples: Samples, seconds: float | None) -> Samples:
 
 
 def references(pair: Pair, seconds: float | None) -> dict[str, float]:
-    """Errors on B of the description alone (its outputs' means aside for a wrench) and of the plain model."""
+    """Errors on B of the rigid body as described, and of the plain model."""
     body, second = pair.body, pair.second[moving(pair.second)]
     left = second.outputs - body.regressors(second) @ body.base_parameters
-    if body.outputs == 'wrench':
-        left = left - left.mean(axis=0)
     first = shortened(pair.first, seconds)
     first = first[moving(first)]
     plain = plain_model(body, first, np.ones(len(first), dtype=bool))
@@ -161,13 +159,15 @@ def _predicted(learner: OfflineLearner, samples: Samples, learn: bool) -> list[A
 
 
 def feedforward(learner: OfflineLearner, pair: Pair) -> dict[str, Any]:
-    """Desired states of B: error, and what ``valid`` is worth."""
+    """Desired states of B that no effort limit cuts: error, and what ``valid`` is worth."""
     from semiparam_ros.core.robot.feedforward import desired
 
     second = pair.second[moving(pair.second)]
     second = second[::max(1, len(second) // FEEDFORWARD_STATES)]
     answers = [desired(learner.estimator, *row) for row in
                zip(second.position, second.velocity, second.acceleration, strict=True)]
+    uncut = np.array([not answer.limited.any() for answer in answers])
+    second, answers = second[uncut], [answer for answer in answers if not answer.limited.any()]
     errors = second.outputs - np.array([answer.outputs for answer in answers])
     beyond = np.abs(errors) > 3.0 * np.array([answer.outputs_std for answer in answers])
     valid = np.array([not is_doubtful(answer) for answer in answers])

@@ -13,7 +13,8 @@ from semiparam_ros.errors import SemiparamError
 class FolderLock:
     """The right to write a node's states, which ends with the process, however that ends.
 
-    A lock of the process (POSIX): the processes that it starts do not have it, and cannot keep it from the next node.
+    The file is open for reading alone while the lock is held: a disk can still be made read-only. The process beside
+    the node is forked before, and those that replace it are begun anew, so none of them keeps it from the next node.
 
     :param node_name: fully qualified; slashes become dots.
     """
@@ -32,26 +33,33 @@ class FolderLock:
             return
         with suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
+        flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         try:
-            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK,
-                                 0o666)
+            written = os.open(self._path, os.O_RDWR | os.O_CREAT | flags, 0o666)
         except OSError:
             return
         try:
-            fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._descriptor = self._locked(written)
+        finally:
+            os.close(written)
+
+    def _locked(self, written: int) -> int | None:
+        """A descriptor that has the lock of a file open for writing; None where there are no locks."""
+        descriptor = os.open(f'/proc/self/fd/{written}', os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            taken = isinstance(error, (BlockingIOError, PermissionError))
-            owner = os.pread(descriptor, 20, 0).decode(errors='replace').strip() if taken else ''
             os.close(descriptor)
-            if taken:
-                raise SemiparamError(f'process {owner}, another node of the name {self._node_name}, has its states in '
-                                     f'{self._folder} too, so this one writes none there; expected another name or '
-                                     'another state_folder.') from None
-            return
+            if not isinstance(error, BlockingIOError):
+                return None
+            owner = os.pread(written, 20, 0).decode(errors='replace').strip()
+            raise SemiparamError(f'process {owner}, another node of the name {self._node_name}, has its states in '
+                                 f'{self._folder} too, so this one writes none there; expected another name or '
+                                 'another state_folder.') from None
         with suppress(OSError):
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, f'{os.getpid()}\n'.encode(), 0)
-        self._descriptor = descriptor
+            os.ftruncate(written, 0)
+            os.pwrite(written, f'{os.getpid()}\n'.encode(), 0)
+        return descriptor
 
 
 def stem(node_name: str) -> str:
