@@ -43,6 +43,12 @@ class FolderLock:
         finally:
             os.close(written)
 
+    def release(self) -> None:
+        """Give it up before the process ends."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
     def _locked(self, written: int) -> int | None:
         """A descriptor that has the lock of a file open for writing; None where there are no locks."""
         descriptor = os.open(f'/proc/self/fd/{written}', os.O_RDONLY | os.O_CLOEXEC)

@@ -1,5 +1,6 @@
 """What is learnt on one motion holds on another one of the same robot: measured arms, nothing chosen by hand."""
 
+import importlib
 import sys
 
 import pytest
@@ -16,9 +17,7 @@ UR3 = ('Base=shoulder_pan_joint,Shoulder=shoulder_lift_joint,Elbow=elbow_joint,W
 @pytest.fixture(scope='module')
 def carries_over(repository):
     sys.path.insert(0, str(repository / 'benchmarks'))
-    import carries_over
-
-    return carries_over
+    return importlib.import_module('carries_over')
 
 
 @pytest.fixture(scope='module')

@@ -351,6 +351,7 @@ def test_a_state_of_another_configuration_is_moved_aside_and_found_again(tmp_pat
     before, stage = Checkpoints(tmp_path, 'arm'), stage_of(SETTINGS, motion(70))
     for _ in range(2):
         before.save(stage.learner.state())
+    before.lock.release()
     checkpoints = Checkpoints(tmp_path, 'arm')
     assert checkpoints.newest(mistyped, BODY) is None
     assert checkpoints.remarks == [f'{checkpoints.path} was learnt with features.count 40; this node has 30.']
@@ -361,6 +362,7 @@ def test_a_state_of_another_configuration_is_moved_aside_and_found_again(tmp_pat
     assert [features_of(path) for path in (checkpoints.path, checkpoints.previous)] == [30, 30]
     news = ' '.join(checkpoints.news)
     assert all(name in news for name in aside) and 'features.count 40; this node has 30' in news
+    checkpoints.lock.release()
     mended = Checkpoints(tmp_path, 'arm')
     assert len(mended.newest(SETTINGS, BODY).batch) == 70 and len(mended.remarks) == 1
     for _ in range(3):
@@ -371,7 +373,9 @@ def test_a_state_of_another_configuration_is_moved_aside_and_found_again(tmp_pat
 
 def test_what_is_begun_anew_does_not_replace_another_variant(tmp_path):
     """A state brings its variant along, but a node that did not go on from it has its own."""
-    Checkpoints(tmp_path, 'arm').save(stage_of(SETTINGS, motion(70)).learner.state())
+    before = Checkpoints(tmp_path, 'arm')
+    before.save(stage_of(SETTINGS, motion(70)).learner.state())
+    before.lock.release()
     other, stage = Checkpoints(tmp_path, 'arm'), stage_of(replace(SETTINGS, variant='P'), motion(3))
     other.save(stage.learner.state())
     other.save(stage_of(SETTINGS, motion(3)).learner.state())  # changed while it runs: its own is replaced
@@ -531,6 +535,7 @@ def test_thirty_restarts_with_random_configurations_lose_no_state_of_another(tmp
         stage.offer([sample._replace(stamp=sample.stamp + newest) for sample in motion(5, seed=number)])
         for _ in range(int(chance.integers(1, 4))):
             checkpoints.save(stage.learner.state())
+        checkpoints.lock.release()
         last[settings.features_count, settings.features_seed, stage.learner.built.variant] = len(stage.learner.history)
         found = set()
         for path in tmp_path.glob('*.npz'):
