@@ -1,0 +1,138 @@
+"""How well an arm follows with feedforward from what was learnt: ``python benchmarks/tracking.py ROBOTS``.
+
+ROBOTS is the folder ``robots`` of example-robot-data. MuJoCo moves arms whose masses, friction and rotors differ from the
+description. A PD controller takes feedforward efforts: none, those of the robot description, or those of the default
+model after a minute of another motion, which goes on learning. No diagnosis, nothing chosen by hand. Where a desired state is
+not valid by the model, its feedforward is used all the same, and counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+os.environ.setdefault('OMP_NUM_THREADS', '1')
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from mujoco_arms import ENCODER, MOTIONS, SETTINGS, Setting, _as_it_is
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.robot.feedforward import desired
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.signals.differentiation import CausalDifferentiator
+from semiparam_ros.core.types import Array
+from semiparam_ros.online.feedforward import is_doubtful
+from semiparam_ros.settings import Settings
+from semiparam_ros.settings.build import model_options
+from support.mujoco_arm import STEP_S, Robot, built
+
+ARMS = ('UR5 at', 'Panda, efforts')
+RATE_HZ = 200
+STIFFNESS, DAMPING = 100.0, 20.0
+"""[1/s^2], [1/s] times the described inertia of each joint."""
+SHARE_OF_START_S = 2.0
+"""What a motion takes to be followed; not judged."""
+
+Forward = Callable[[Array, Array, Array], Array]
+
+
+class Arm:
+    """One simulated arm, its controller and its driver."""
+
+    def __init__(self, setting: Setting, robots: Path) -> None:
+        robot = Robot((robots / setting.urdf).read_text(), setting.joints, setting.home)
+        self.setting, self.body = setting, robot.body
+        self.model = built(robot, lambda spec: _as_it_is(spec, setting, np.random.default_rng(setting.seed)))
+        self.dofs = np.array([self.model.joint(name).dofadr[0] for name in setting.joints])
+        self.gains = np.diag(self._described_inertia(np.array(setting.home)))
+
+    def _described_inertia(self, position: Array) -> Array:
+        """(n, n) by unit accelerations of the description at rest."""
+        body, zero = self.body, np.zeros(len(position))
+        held = body.regressor(position, zero, zero) @ body.base_parameters
+        rows = [body.regressor(position, zero, unit) @ body.base_parameters - held for unit in np.eye(len(position))]
+        return np.array(rows)
+
+    def follow(self, motion: str, seconds: float, take: int, forward: Forward,
+               heard: Callable[[Sample], None] = lambda sample: None, start_ns: int = 0) -> float:
+        """Root mean square of the tracking error [rad], all joints."""
+        setting = replace(self.setting, seconds=seconds)
+        rng = np.random.default_rng((setting.seed, take))
+        wanted = MOTIONS[motion](setting, rng) + np.array(setting.home)
+        speed = np.gradient(wanted, STEP_S, axis=0)
+        change = np.gradient(speed, STEP_S, axis=0)
+        data, every = mujoco.MjData(self.model), round(1.0 / RATE_HZ / STEP_S)
+        data.qpos[self.dofs], data.qvel[self.dofs] = wanted[0], speed[0]
+        rates, errors, effort = CausalDifferentiator(len(self.dofs), Settings().acceleration_cutoff), [], None
+        for step, (q, dq, ddq) in enumerate(zip(wanted, speed, change, strict=True)):
+            if step % every == 0:
+                position = data.qpos[self.dofs] + ENCODER * rng.standard_normal(len(self.dofs))
+                velocity = data.qvel[self.dofs] + 1e-3 * rng.standard_normal(len(self.dofs))
+                stamp = start_ns + round(step * STEP_S * 1e9)
+                if effort is not None:  # as commanded since the last sample
+                    heard(Sample(stamp, position, velocity, rates.update(stamp, velocity).copy(), effort))
+                feedback = self.gains * (STIFFNESS * (q - position) + DAMPING * (dq - velocity))
+                effort = forward(q, dq, ddq) + feedback
+            data.qfrc_applied[self.dofs] = effort
+            mujoco.mj_step(self.model, data)
+            if step * STEP_S > SHARE_OF_START_S:
+                errors.append(data.qpos[self.dofs] - q)
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def compared(setting: Setting, robots: Path) -> dict[str, float]:
+    """Tracking errors [mrad] on the second motion, and the share of its states that were valid."""
+    arm = Arm(setting, robots)
+    body: RigidBody = arm.body
+    estimator = Estimator(body, model_options(Settings(outputs='effort')))
+
+    def described(*row: Array) -> Array:
+        return np.asarray(body.regressor(*row) @ body.base_parameters)
+
+    arm.follow('points', 60.0, 1, described, lambda sample: estimator.step(sample) and None)
+    valid: list[bool] = []
+
+    def learnt(*row: Array) -> Array:
+        answer = desired(estimator, *row)
+        valid.append(not is_doubtful(answer))
+        return answer.efforts
+
+    nothing = np.zeros(len(arm.dofs))
+    errors = {'none': arm.follow('sines', 20.0, 2, lambda *row: nothing),
+              'description': arm.follow('sines', 20.0, 2, described),
+              'learnt': arm.follow('sines', 20.0, 2, learnt, lambda sample: estimator.step(sample) and None,
+                                   start_ns=61 * 10**9)}
+    return {**{name: 1e3 * value for name, value in errors.items()}, 'valid': float(np.mean(valid))}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('robots', type=Path)
+    parser.add_argument('--seeds', type=int, default=3)
+    args = parser.parse_args()
+    console, table = Console(width=120), Table('arm', 'seed', 'none', 'description', 'learnt', 'ratio', 'valid')
+    for key in ARMS:
+        chosen = next(setting for setting in SETTINGS if setting.name.startswith(key))
+        for seed in range(args.seeds):
+            setting = replace(chosen, late_s=0.0, payload_kg=0.0, asymmetry=0.0, seed=seed)
+            found = compared(setting, args.robots)
+            cells = (key.split(',')[0].split(' at')[0], str(seed), *(f'{found[name]:.2f}' for name in
+                     ('none', 'description', 'learnt')), f'{found["learnt"] / found["description"]:.3f}',
+                     f'{found["valid"]:.0%}')
+            console.print(*cells, sep=' | ')
+            table.add_row(*cells)
+    console.print(table)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
