@@ -47,6 +47,9 @@ after that, one for each feature, the prior is renewed."""
 REVISIONS = count(secrets.randbits(60))
 """Numbers the states of all models. It starts at random, so that no two processes give the same number."""
 
+LARGEST_LOSS = log(1e4)
+"""Of the information of a weight that is not excited, what may be forgotten before its prior is renewed [nat]."""
+
 _LEARNT = ('theta', '_weights', '_information', '_renewed', '_discounts', '_memory')
 """What changes places with that of :attr:`SemiParametricRecursion.before`."""
 
@@ -303,22 +306,23 @@ class SemiParametricRecursion:
 
         What the motion no longer excites would otherwise lose all information, the prior's included: its variance
         would grow without bound while the robot stands still, and the model would burst when it moves again. Each
-        renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves.
+        renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves. Where
+        much is forgotten within a round, several are renewed for each sample: what waits for its turn keeps its digits.
         """
-        if self.n_features:
-            self._renew_weight(self._renewed % self.n_features, factor)
-        if self.n_columns:
-            self._renew_coefficient(self._renewed % self.n_columns, factor)
+        for size, renew in ((self.n_features, self._renew_weight), (self.n_columns, self._renew_coefficient)):
+            times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS)) if factor else 1
+            for number in range(times if size else 0):
+                renew((self._renewed * times + number) % size, factor**ceil(size / times))
         self._renewed += 1
 
-    def _renew_weight(self, index: int, factor: float) -> None:
+    def _renew_weight(self, index: int, kept: float) -> None:
         unit = np.zeros(self.n_features)
         unit[index] = 1.0
-        self._weights.learn(self._weights.project(unit), self.rho / np.sqrt(1.0 - factor**self.n_features))
+        self._weights.learn(self._weights.project(unit), self.rho / np.sqrt(1.0 - kept))
 
-    def _renew_coefficient(self, index: int, factor: float) -> None:
+    def _renew_coefficient(self, index: int, kept: float) -> None:
         row = np.zeros((1, self.n_columns + 1), order='F')
-        weight = np.sqrt(1.0 - factor**self.n_columns) / self._prior_std[index]
+        weight = np.sqrt(1.0 - kept) / self._prior_std[index]
         row[0, index], row[0, -1] = weight, weight * self.theta[index]
         self._update_information(row)
 

@@ -336,3 +336,21 @@ def test_impossible_deviations_are_refused(options, sentence):
     with pytest.raises(SemiparamError, match=sentence):
         SemiParametricRecursion(**({'n_outputs': 2, 'n_features': 4, 'prior_std': np.ones(2), 'rho': 1.0,
                                     'sigma': 0.1} | options))
+
+
+@pytest.mark.parametrize('forgetting', [0.5, 0.8, 0.95])
+def test_much_forgetting_keeps_the_digits_of_many_features(forgetting):
+    """With 200 of them the errors grew to 1e10 times the outputs: what waited for its renewal had lost all digits."""
+    rng, count, n = np.random.default_rng(0), 200, 3
+    model = SemiParametricRecursion(n, count, np.ones(4), 1.0, 0.05, forgetting=forgetting)
+    omega, weights = rng.standard_normal((2, count // 2)), 0.3 * rng.standard_normal((n, count))
+    worst = 0.0
+    for step in range(1500):
+        z = np.array([np.sin(0.02 * step), np.cos(0.031 * step)]) @ omega
+        phi = np.concatenate([np.cos(z), np.sin(z)]) / np.sqrt(count // 2)
+        columns = rng.standard_normal((n, 4)) * (step < 700)
+        outputs = weights @ phi + columns.sum(axis=1) + 0.05 * rng.standard_normal(n)
+        prior = model.predict(phi, columns)
+        worst = max(worst, float(np.abs(outputs - prior.mean).max())) if step > 1000 else worst
+        model.learn(prior, outputs)
+    assert worst < 1.0 and np.isfinite(model.theta_covariance()).all()
