@@ -1,7 +1,7 @@
 """How well an arm follows with feedforward from what was learnt: ``python benchmarks/tracking.py ROBOTS``.
 
 ROBOTS is the folder ``robots`` of example-robot-data. MuJoCo moves arms whose masses, friction and rotors differ from
-the description. A PD controller takes feedforward efforts: none, those of the robot description, or those of the default
+the description. A PD controller takes feedforward efforts: none, those of the description, or those of the default
 model after a minute of another motion, which goes on learning. No diagnosis, nothing chosen by hand. A desired state
 that is not valid by the model is counted, and its feedforward is used all the same.
 """

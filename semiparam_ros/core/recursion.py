@@ -8,11 +8,14 @@ features regress the outputs and the coupled columns together; what they cannot 
     S     : D x D             P = S S', covariance of the feature weights given theta
     f = S' phi,  s = sigma^2 + f'f,  E = [C | y] - phi' Theta
     Theta += g E  with g = S f / s,   S -= S f f' / (s + sigma sqrt(s))           (Potter 1963)
-    R     : (p + 1) square    R'R = prior + sum E' N^-2 E / s   (triangular; updated by QR)
+    R     : (p + 1) square    R'R = prior + sum E' N^-2 E / s   (triangular; updated by QR; the last column of C first)
     theta = R_CC^-1 R_Cy,     alpha = Theta_y - Theta_C theta
 
 with N = diag(scale): outputs whose noise differs share S too, when sigma and rho are told in units of each output's
 own. A part of y that is known beforehand counts as one that phi' Theta says.
+
+R has the columns of C in reverse. Those of friction and offset stand last in C and each acts on one output alone: taken
+first, a row has zeros for all but its own, which cost nothing.
 """
 
 from __future__ import annotations
@@ -104,8 +107,8 @@ class SemiParametricRecursion:
         """Squared errors of this model and of :attr:`before`, and seconds, over the last few."""
         self._information = np.zeros((self.n_columns + 1, self.n_columns + 1))
         diagonal = np.arange(self.n_columns)
-        self._information[diagonal, diagonal] = 1.0 / self._prior_std
-        self._information[:-1, -1] = self.theta / self._prior_std
+        self._information[diagonal, diagonal] = 1.0 / self._prior_std[::-1]
+        self._information[:-1, -1] = (self.theta / self._prior_std)[::-1]
         self._nothing_known = np.zeros(n_outputs)
         self.revise()
 
@@ -136,7 +139,7 @@ class SemiParametricRecursion:
         mean = regressed[:, -1] + left @ self.theta
         covariance = np.diag(s * self.scale**2)
         if self.n_columns:
-            half, _ = dtrtrs(self._information[:-1, :-1], left.T, trans=1)
+            half, _ = dtrtrs(self._information[:-1, :-1], left.T[::-1], trans=1)
             covariance += half.T @ half
         features = np.array([phi, f, reach])
         return Prior(mean, covariance, np.sqrt(covariance.diagonal()), features, s, columns, regressed, self.revision)
@@ -219,7 +222,7 @@ class SemiParametricRecursion:
     def theta_covariance(self) -> Array:
         """(p, p) covariance of theta given the features' prior and all samples learnt."""
         inverse, _ = dtrtrs(self._information[:-1, :-1], np.eye(self.n_columns))
-        return np.asarray(inverse @ inverse.T)
+        return np.asarray((inverse @ inverse.T)[::-1, ::-1])
 
     def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
@@ -268,11 +271,13 @@ class SemiParametricRecursion:
         """R and theta with further rows (n, p + 1)."""
         if self.n_columns:
             self._update_information(rows)
-            self.theta, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
+            found, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
+            self.theta = np.ascontiguousarray(found[::-1])
 
     def _update_information(self, rows: Array) -> None:
         """R with further rows (k, p + 1) below it, triangular again."""
         block = min(self.n_columns + 1, QR_BLOCK)
+        rows = np.asfortranarray(np.hstack([rows[:, -2::-1], rows[:, -1:]]))
         self._information = np.ascontiguousarray(dtpqrt(0, block, self._information, rows)[0])
 
     @property
@@ -346,8 +351,9 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
         regressed[k, p] += known[k]
         value = regressed[k, p]
         for c in range(p):
-            half[k, c] = columns[k, c] - regressed[k, c]
-            value += half[k, c] * theta[c]
+            left = columns[k, c] - regressed[k, c]
+            half[k, p - 1 - c] = left
+            value += left * theta[c]
         mean[k] = value
     for c in range(p):
         below = information[c]
@@ -388,8 +394,9 @@ def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Ar
     rows, along = np.empty((n, size)), np.empty(size)
     for k in range(n):
         weight = 1.0 / (np.sqrt(s) * scale[k])
-        for c in range(size):
-            rows[k, c] = weight * innovations[k, c]
+        for c in range(size - 1):
+            rows[k, size - 2 - c] = weight * innovations[k, c]
+        rows[k, size - 1] = weight * innovations[k, size - 1]
     for c in range(size):
         below = 0.0
         for k in range(n):
@@ -422,6 +429,6 @@ def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Ar
     for c in range(size - 2, -1, -1):
         value = information[c, size - 1]
         for j in range(c + 1, size - 1):
-            value -= information[c, j] * theta[j]
-        theta[c] = value / information[c, c]
+            value -= information[c, j] * theta[size - 2 - j]
+        theta[size - 2 - c] = value / information[c, c]
     return placed
