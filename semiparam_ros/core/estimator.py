@@ -362,6 +362,15 @@ class Estimator(SingleEstimator):
         if self._carried.wants_coefficients(stamp):
             self._carried.begin_block(stamp, [each.coefficients() for each in models])
 
+    def _weights_elsewhere(self, models: Sequence[SingleEstimator]) -> Array:
+        """(K, n) by the errors on blocks that were left out. Before the first of these, features are not taken to know
+        anything elsewhere: the models without any weigh by their evidence, where there are such."""
+        if len(self._carried.squares):
+            return self._carried.weights
+        without = np.array([each.model.features is None for each in models])
+        weights = self._weights.weights * (without | ~without.any())[:, None]
+        return np.asarray(weights / weights.sum(axis=0))
+
     def _desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
         """Each model with the errors to expect of it on motion that it has not learnt, and weighed by them."""
         plain = shown, needed
@@ -375,7 +384,7 @@ class Estimator(SingleEstimator):
         beyond = ELSEWHERE**2 * self._carried.expected(noise)**2 - noise**2
         covariances = np.array([each.covariance for each in found])
         covariances += beyond[:, :, None] * np.eye(len(noise[0]))
-        weights = self._carried.weights if len(self._carried.squares) else self._weights.weights
+        weights = self._weights_elsewhere(models)
         means = np.array([each.shown for each in found])
         mean, covariance = pool_together(weights, means, covariances)
         shares = pool_weights(weights, np.sqrt(covariances.diagonal(axis1=1, axis2=2)))

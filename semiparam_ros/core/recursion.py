@@ -351,9 +351,9 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
         regressed[k, p] += known[k]
         value = regressed[k, p]
         for c in range(p):
-            left = columns[k, c] - regressed[k, c]
-            half[k, p - 1 - c] = left
-            value += left * theta[c]
+            value += (columns[k, c] - regressed[k, c]) * theta[c]
+        for c in range(p):  # apart: beside a store, where arrays lie in memory decides in which order the sum is taken
+            half[k, p - 1 - c] = columns[k, c] - regressed[k, c]
         mean[k] = value
     for c in range(p):
         below = information[c]
