@@ -354,17 +354,3 @@ def test_much_forgetting_keeps_the_digits_of_many_features(forgetting):
         worst = max(worst, float(np.abs(outputs - prior.mean).max())) if step > 1000 else worst
         model.learn(prior, outputs)
     assert worst < 1.0 and np.isfinite(model.theta_covariance()).all()
-
-
-def test_where_arrays_lie_in_memory_decides_nothing():
-    """Compiled sums beside a store were taken in another order at some addresses: a saved state went on otherwise."""
-    rng = np.random.default_rng(0)
-    model = SemiParametricRecursion(4, 0, np.ones(35), 1.0, 0.1)
-    columns, outputs, held, means = rng.standard_normal((4, 35)), rng.standard_normal(4), [], set()
-    model.learn(model.predict(np.zeros(0), columns), outputs)
-    for _ in range(3000):
-        held.append(np.empty(int(rng.integers(1, 3000))))
-        if len(held) > 50:
-            del held[int(rng.integers(50))]
-        means.add(model.predict(np.zeros(0), columns.copy()).mean.tobytes())
-    assert len(means) == 1
