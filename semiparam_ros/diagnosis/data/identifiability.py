@@ -55,7 +55,7 @@ def _gaps(samples: Samples, config: DiagnosisConfig) -> list[str]:
     places = _listed([f'{gap.length_s:.2f} s from {gap.start_s:.2f} s on' for gap in longest])
     count = '1 gap' if len(found) == 1 else f'{len(found)} gaps'
     which = 'the longest are' if len(found) > MOST_GAPS_NAMED else 'namely'
-    return [f'The recording has {count} in time, {which} {places}; the samples beside them are left out.']
+    return [f'The samples looked at have {count} in time, {which} {places}; those beside them are left out.']
 
 
 def _unseen(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[str]:
