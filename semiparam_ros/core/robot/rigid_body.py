@@ -226,7 +226,7 @@ class RigidBody:
         """Number p of identifiable base parameters."""
         return int(self.basis.shape[1])
 
-    @property
+    @cached_property
     def output_names(self) -> tuple[str, ...]:
         """Channel labels: fx..tz, or the joints whose efforts are the outputs, in the order of ``joints``."""
         return WRENCH_NAMES if self.outputs == 'wrench' else tuple(self.joints[index] for index in self.output_index)
