@@ -54,9 +54,8 @@ class CarryOver:
         self._frozen, self._since, self._charged, self._passed = (), 0, 0, 0
         self._sums[:] = 0.0
 
-    @property
-    def is_due(self) -> bool:
-        """Whether the next sample is predicted; counts it."""
+    def next_is_due(self) -> bool:
+        """Count one more sample, and tell whether it is predicted."""
         self._passed += 1
         return self._passed % CHARGED_EVERY == 0
 

@@ -168,7 +168,6 @@ class Estimator(SingleEstimator):
         several are averaged each has its own. See :meth:`SingleEstimator.finish_window`."""
         members = members_of(self.options, bool(self.columns.effects), ready=True)
         if len(members) == 1:
-            self._carried = CarryOver(1, self.body.n_outputs)
             return super().finish_window(draft, learn)
         plain = self._window_without_effects()
         others = []
@@ -224,14 +223,10 @@ class Estimator(SingleEstimator):
                 self.returns += 1
                 self.clear_horizons()
 
-    def clear_pending(self) -> None:
-        """See :meth:`SingleEstimator.clear_pending`."""
-        super().clear_pending()
-        self._carried.interrupt()
-
     def clear_horizons(self) -> None:
         """See :meth:`SingleEstimator.clear_horizons`."""
         super().clear_horizons()
+        self._carried.interrupt()
         for other in self._others:
             other.clear_horizons()
         self._horizons.clear()
@@ -354,7 +349,7 @@ class Estimator(SingleEstimator):
         if not (self.ready and prediction.motion.is_news):
             return
         models, stamp = (self, *self._others), prediction.sample.stamp
-        if self._carried.is_due:
+        if self._carried.next_is_due():
             said = prediction.members or (prediction,)
             self._carried.charge(prediction.sample.outputs,
                                  [its.columns[:, each.model.covered] for each, its in zip(models, said, strict=True)],

@@ -20,7 +20,7 @@ def live(carried, rng, count, start=0):
         columns, phi, stamp = rng.normal(size=(N, P)), rng.normal(size=D), index * STEP
         if frozen is not None:
             outputs = columns @ frozen[0].theta + frozen[0].alpha @ phi + 0.1 * rng.normal(size=N)
-            if carried.is_due:
+            if carried.next_is_due():
                 carried.charge(outputs, [columns, columns], [phi, phi[:0]])
                 left.append((stamp, outputs - columns @ frozen[0].theta - frozen[0].alpha @ phi,
                              outputs - columns @ frozen[1].theta))
