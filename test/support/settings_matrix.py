@@ -36,6 +36,7 @@ from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.single_estimator import PRIORS
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import Effect
@@ -54,6 +55,8 @@ from support.node_helpers import JOINTS, URDF, DelayedBackground, InlineBackgrou
 OUTPUTS = 'wrench', 'effort'
 FACTORS: dict[str, tuple[object, ...]] = {
     'variant': CHOICES,
+    'priors': PRIORS,
+    'joint_friction': (True, False),
     'effect': (*kinds(), 'none'),
     'outputs': OUTPUTS,
     'efforts': ('all', 'last'),
@@ -203,6 +206,7 @@ def settings_of(row: Row, count: int) -> Settings:
         'robot_description': URDF, 'joints': list(JOINTS), 'sensor_frame': 'ft' if wrench else '',
         'outputs': row['outputs'] if row['asked'] == 'by name' else 'auto',
         'output_joints': output_joints_of(row['outputs'], row['efforts']), 'variant': row['variant'],
+        'priors': row['priors'], 'joint_friction': row['joint_friction'],
         'temperatures': [] if row['temperatures'] == 'none' else ['ft'] if wrench else JOINTS[-1:],
         'effects': [effect_to_text(effect)] if effect else [], 'forgetting': row['forgetting'], 'noise': row['noise'],
         'features.length_scales': row['length_scales'], 'features.count': row['features'],
