@@ -219,9 +219,22 @@ class DiagnosisConfig:
     friction_turn_share: float = 0.05
     """Lets dry friction turn over within this share of a joint's highest speed (chosen)."""
 
+    # --- score ---
+
+    blocks: int = 24
+    """Scores a model by so many blocks of the recording, each predicted from the others (chosen)."""
+    sure: float = 2.5
+    """Asks of a gain that it is so many times its standard error over the blocks: 1 in 160 by chance."""
+    odds: float = 1000.0
+    """Takes a kind of effect for so unlikely that odds of it before the recording are one to this (chosen)."""
+    swapped: int = 3
+    """Tries so many other kinds and places in place of each effect that was found (chosen)."""
+    tried: int = 8
+    """Scores so many of the candidates of a round, the most credible first (chosen)."""
+
     # --- search: rounds and candidates ---
 
-    most_rounds: int = 12
+    most_rounds: int = 20
     """Stops the search after so many rounds (chosen; it ends before by itself)."""
     held_out_worse: float = 1.02
     """Takes back the last rounds where they raise the held-out error to more than so many times the best one's: what a

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.search.ambiguity import Rival
-from semiparam_ros.diagnosis.search.stepwise import Step
+from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.uncertainty import Deviations
 from semiparam_ros.effects import Effect, kinds
 

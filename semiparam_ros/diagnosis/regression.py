@@ -21,7 +21,7 @@ from semiparam_ros.effects import Effect
 
 LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = ('assembly', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'felt', 'at_prior')
+OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'felt', 'at_prior')
 """What neither its weights nor its outputs change."""
 
 
@@ -112,7 +112,7 @@ class Fit:
     @cached_property
     def assembly(self) -> CoupledColumns:
         """The rigid body's columns, the offset's and those of the effects."""
-        return CoupledColumns(self.body, self.effects)
+        return CoupledColumns(self.body, self.effects, physical=True)
 
     @cached_property
     def corrected(self) -> tuple[RigidBody, Samples]:
@@ -353,8 +353,13 @@ class Fit:
         """(p,) of theta; zero for the nuisance columns."""
         return self._with_nuisance(self.assembly.prior_mean, 0.0)
 
+    @cached_property
+    def prior_deviation(self) -> Array:
+        """(p,) prior standard deviations of theta about its prior mean."""
+        return self._with_nuisance(self.assembly.prior_scale, 1.0)
+
     def _precision(self) -> Array:
-        return self._with_nuisance(self.assembly.prior_scale ** -2.0, 1.0)
+        return np.asarray(self.prior_deviation ** -2.0)
 
     def _with_nuisance(self, values: Array, each: float) -> Array:
         """Values of the coupled columns, followed by the same for each of the nuisance columns."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from semiparam_ros.diagnosis.data.recordings import alone
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
-from semiparam_ros.diagnosis.search.ambiguity import Rival
+from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 

@@ -30,6 +30,8 @@ NO_VALUES: Values = {}
 STARTS = ('start_s', 'start_stamp_s')
 BRACKET = 2.5
 """A line search looks from a value over this factor to the value times it."""
+CALIBRATED = {'rad': 0.1, 's': 0.05, '': 0.3}
+"""Prior standard deviation of a calibration about nothing, by its unit."""
 STAMP_TOLERANCE_NS = 1000
 """A double holds today's stamps [s] to 0.24 us."""
 
@@ -103,6 +105,8 @@ class Effect:
     """True when the columns depend on the load that the rigid body predicts, with base parameters that stay fixed."""
     moves_friction: ClassVar[bool] = False
     """True for a calibration by which the other effects act at another time or speed: its derivative holds theirs."""
+    group: ClassVar[str] = ''
+    """Kinds of one group are also tried at all their places at once."""
     shows_against: ClassVar[Axis] = 'any'
     calibrations: ClassVar[tuple[Coefficient, ...]] = ()
     parameter_units: ClassVar[Mapping[str, str]] = {}

@@ -33,6 +33,7 @@ class RotorInertia(JointEffect):
     """The motor's own inertia, seen through the gear."""
 
     kind: ClassVar[str] = 'rotor_inertia'
+    group: ClassVar[str] = 'rotors'
     shows_against: ClassVar[Axis] = 'acceleration'
     resists: ClassVar[bool] = True
     sentence: ClassVar[str] = "the motor's rotor resists acceleration"
@@ -66,6 +67,7 @@ class EffortOffset(JointEffect):
     """A constant added to the measured effort."""
 
     kind: ClassVar[str] = 'effort_offset'
+    group: ClassVar[str] = 'plain friction'
     shows_against: ClassVar[Axis] = 'time'
     sentence: ClassVar[str] = "the joint's measured effort has a constant offset"
     mistaken_for: ClassVar[tuple[str, ...]] = ('asymmetric_friction', 'joint_spring', 'external_force')

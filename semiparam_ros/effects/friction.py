@@ -12,7 +12,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_beyond
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, channel_index, joint_index, on_joint
+from semiparam_ros.effects.base import Axis, Coefficient, Effect, Self, Values, channel_index, joint_index, on_joint
 from semiparam_ros.effects.hysteresis import Way, bristle, sticking_bristle
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
@@ -80,6 +80,11 @@ class _Sliding(JointEffect):
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
         return (-LONGEST_LEAD_S, LONGEST_LEAD_S) if name == 'lead_s' else super().bounds(name, body, samples, residual)
 
+    def finer(self: Self) -> Self:
+        """It may turn over a little ahead of the recorded velocity, or after it."""
+        known = 'turn_speed' not in self.parameters or 'lead_s' in self.parameters
+        return self if known else self.with_values(lead_s=0.0)
+
     def direction(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
         """(N,) direction of sliding in [-1, 1]: of the velocity, or of a bristle that bends before it slides."""
         if 'presliding' in self.parameters:
@@ -131,6 +136,7 @@ class ViscousFriction(JointEffect):
     """Friction in proportion to speed."""
 
     kind: ClassVar[str] = 'viscous_friction'
+    group: ClassVar[str] = 'plain friction'
     shows_against: ClassVar[Axis] = 'velocity'
     resists: ClassVar[bool] = True
     sentence: ClassVar[str] = 'the joint has viscous friction'
@@ -146,6 +152,7 @@ class CoulombFriction(_Sliding):
     """Dry friction: constant against the direction of motion."""
 
     kind: ClassVar[str] = 'coulomb_friction'
+    group: ClassVar[str] = 'plain friction'
     shows_against: ClassVar[Axis] = 'velocity'
     sentence: ClassVar[str] = 'the joint has dry (Coulomb) friction'
     mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_friction', 'stribeck_friction', 'load_friction', 'backlash')

@@ -25,6 +25,7 @@ class JointOffset(Effect):
     """The true angle is the encoder's plus ``offset``."""
 
     kind: ClassVar[str] = 'joint_offset'
+    group: ClassVar[str] = 'zeros'
     shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = "the joint's zero is off"
     mistaken_for: ClassVar[tuple[str, ...]] = ('gravity_tilt', 'sensor_misalignment', 'sensor_crosstalk')

@@ -1,32 +1,38 @@
-"""Stepwise search: rank the candidates, add the best, refit, and repeat until nothing significant is left."""
+"""Search for the model of the best score: effects are added, all places of a kind at once, and taken off again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
 
 from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.splits import improves, unseen_score
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.ambiguity import Rival, rivals_of, simplest, tolerance
-from semiparam_ros.diagnosis.search.candidates import Place, candidates, held, others
-from semiparam_ros.diagnosis.search.delay_with_friction import KIND as DELAY
-from semiparam_ros.diagnosis.search.delay_with_friction import delay_with_friction, reshaped, with_leads
-from semiparam_ros.diagnosis.search.elimination import without_needless, worth_at_once
-from semiparam_ros.diagnosis.search.friction_everywhere import friction_of_all, friction_where_it_helps
-from semiparam_ros.diagnosis.search.joint_offsets import joint_offsets
-from semiparam_ros.diagnosis.search.plausibility import all_plausible
+from semiparam_ros.diagnosis.score import Gain, block_gains, gain, summed, worth
+from semiparam_ros.diagnosis.search.candidates import Candidate, Place, candidates, held
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
-from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, refined, retried, score
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, overlap, refined, score
 from semiparam_ros.diagnosis.search.shapes import settled
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
 Progress = Callable[[str, float], None]
+
+
+class Rival(NamedTuple):
+    """An effect that explains the same about as well; ``odds`` are against the one chosen."""
+
+    kind: str
+    where: str | None
+    odds: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +47,25 @@ class Step:
     dropped: tuple[Effect, ...] = ()
 
 
+class Move(NamedTuple):
+    """A change of the model: the effects added, the model with them, what it gains, and what it costs."""
+
+    added: tuple[Effect, ...]
+    after: Fit
+    gain: Gain
+    price: float
+
+    @property
+    def net(self) -> float:
+        """[nat] what it gains beyond its price."""
+        return self.gain.total - self.price
+
+    @property
+    def good(self) -> bool:
+        """Whether it may be made."""
+        return self.net > 0.0 and self.gain.total > self.after.config.sure * self.gain.error
+
+
 def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
                  config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Fit:
     """The declared model, each channel weighed by its own residual; ``counted`` as in :func:`fit_model`."""
@@ -52,97 +77,94 @@ def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], t
 
 def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda words, share: None,
            hopeless: Callable[[Fit], bool] = lambda fit: False) -> list[Step]:
-    """Add effects to the declared model until none is significant, then drop those that others made needless.
+    """Change the model by the best move, until no move is good.
 
     :param hopeless: of a model with one more effect, whether to stop there.
     """
-    declared = {(effect.kind, effect.where) for effect in fit.effects}
-    stays = set(declared)
+    fixed = {(effect.kind, effect.where) for effect in fit.effects}
     steps: list[Step] = []
-    while len(steps) < fit.config.most_rounds:
-        report = _in_round(progress, len(steps) + 1)
-        step = None
-        if not steps:
-            report('friction of all joints', 0.0)
-            step = _friction_step(fit, friction_of_all(fit, kinds, declared))
-            stays |= {(trial.effect.kind, trial.effect.where) for trial in step.added} if step else set()
-        elif len(steps) == 1 and stays != declared:  # late efforts bend what was just found of every joint
-            step = _delay_step(fit, kinds, declared)
-        step = step or next_step(fit, kinds, report)
+    for _ in range(fit.config.most_rounds):
+        step = _next_step(fit, kinds, fixed, _in_round(progress, len(steps) + 1))
         if step is None:
-            report('delay beside friction', 1.0)
-            if steps:
-                fit = with_leads(fit, declared)
-                steps[-1] = replace(steps[-1], after=fit)
-            step = _delay_step(fit, kinds, declared)
-        elif any(trial.effect.kind == DELAY for trial in step.added):
-            step = replace(step, after=with_leads(reshaped(step.after, declared), declared))
-        if step is None and stays == declared:
-            report('friction where it helps', 1.0)
-            step = _friction_step(fit, friction_where_it_helps(fit, kinds, declared))
-        if step is None:
-            break
+            other = swapped(reshaped(fit, fixed, kinds), fixed, kinds)
+            if not steps or other is fit:
+                break
+            fit = pruned(other, fixed, kinds)
+            steps[-1] = replace(steps[-1], after=fit)
+            continue
         steps.append(_over(step))
-        report('found ' + ', '.join(place(trial.effect.kind, trial.effect.where) for trial in step.added), 1.0)
         fit = step.after
         if hopeless(fit):
             break
-    if steps:
-        after, dropped = without_needless(fit, stays)
-        steps[-1] = replace(steps[-1], after=after, dropped=dropped)
     return steps
 
 
-def _over(step: Step) -> Step:
-    """The step without what only its own round needed, which is far larger than the rest where samples are many."""
-    step.before.forget()
-    return replace(step, added=tuple(trial.without_residual() for trial in step.added),
-                   ranking=tuple(trial.without_residual() for trial in step.ranking))
+def price(effect: Effect, others: Sequence[Effect], body: RigidBody, kinds: Collection[str],
+          config: DiagnosisConfig = DEFAULTS) -> float:
+    """[nat] minus the log of an effect's prior probability beside others.
+
+    Each kind is as unlikely as any other, at each of its places; one that is at k of n places already is there too with
+    probability (k + 1) / (n + 2) (Laplace's rule of succession). One that begins may do so at any time.
+    """
+    places = max(len(effect.places(body)), 1)
+    same = sum(other.kind == effect.kind for other in others)
+    where = math.log((places + 2) / (same + 1)) if same else math.log(config.odds * places * max(len(kinds), 1))
+    return where + (math.log(config.start_grid) if effect.start_s is not None else 0.0)
 
 
-def _delay_step(fit: Fit, kinds: dict[str, type[Effect]], declared: set[Place]) -> Step | None:
-    found = delay_with_friction(fit, kinds, declared)
-    if found is None or found[0].evidence < fit.config.least_evidence:
+def prices(added: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
+    """[nat] the same of effects that come one after the other."""
+    known = list(fit.effects)
+    total = 0.0
+    for effect in added:
+        total += price(effect, known, fit.body, kinds, fit.config)
+        known.append(effect)
+    return total
+
+
+def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place],
+               report: Progress) -> Step | None:
+    """The best move and what it makes needless."""
+    trials = coarse(fit, list(candidates(fit, kinds)), report)
+    ranking = _refined(fit, trials)
+    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds)]
+    good = [move for move in moves if move.good]
+    if not good:
         return None
-    trial, after = found
-    return Step(added=(trial,), rivals=((),), ranking=(trial,), before=fit, after=after)
-
-
-def _friction_step(fit: Fit, after: Fit | None) -> Step | None:
-    """The step to a model with friction of many joints, if there is one."""
-    if after is None:
+    best = _simplest(good)
+    added = [(effect.kind, effect.where) for effect in best.added]
+    after = bent(best.after, added, kinds)
+    after = pruned(split(after, added, kinds), fixed, kinds)
+    before = {(effect.kind, effect.where) for effect in fit.effects}
+    names = {(effect.kind, effect.where) for effect in after.effects}
+    found = tuple(effect for effect in after.effects if (effect.kind, effect.where) not in before)
+    if not found:
         return None
-    known = {(effect.kind, effect.where) for effect in fit.effects}
-    added = [effect for effect in after.effects if (effect.kind, effect.where) not in known]
-    kept = {(effect.kind, effect.where) for effect in after.effects}
-    gone = tuple(effect for effect in fit.effects if (effect.kind, effect.where) not in kept)
-    worth = worth_at_once(after)
-    trials = tuple(Trial(effect, after.residual, len(added), evidence=float(worth[after.effects.index(effect)]))
-                   for effect in added)
-    return Step(added=trials, rivals=((),) * len(trials), ranking=trials, before=fit, after=after, dropped=gone)
+    rivals = _rivals(fit, best, moves) if len(found) == 1 == len(best.added) else ()
+    report('found ' + ', '.join(place(effect.kind, effect.where) for effect in found), 1.0)
+    return Step(
+        added=tuple(Trial(effect, after.residual, 1, evidence=best.gain.total / len(found)) for effect in found),
+        rivals=(rivals,) * len(found), ranking=tuple(ranking), before=fit, after=after,
+        dropped=tuple(effect for effect in fit.effects if (effect.kind, effect.where) not in names))
 
 
-def _in_round(progress: Progress, number: int) -> Progress:
-    def report(words: str, share: float) -> None:
-        progress(f'round {number}: {words}', share)
-    return report
-
-
-def ranked(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> list[Trial]:
-    """Every candidate's best trial by evidence, the foremost refined."""
+def coarse(fit: Fit, pool: Sequence[Candidate], report: Progress) -> list[Trial]:
+    """Every candidate's best trial by evidence, coarse."""
     trials = []
-    pool = list(candidates(fit, kinds))
     for number, candidate in enumerate(pool):
-        progress(candidate.kind.kind, number / len(pool))
+        report(candidate.kind.kind, number / len(pool))
         trial = coarse_trial(fit, candidate)
         if trial is not None and trial.n_parameters:
             trials.append(trial)
+    return _by_evidence(fit, trials) if trials else []
+
+
+def _refined(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """The foremost trials refined, and the rest."""
     if not trials:
         return []
-    trials = _by_evidence(fit, trials)
     chosen = worth_refining(fit, trials)
-    rest = [trial for trial in trials if trial not in chosen]
-    best = [refined(fit, trial) for trial in chosen] + rest
+    best = [refined(fit, trial) for trial in chosen] + [trial for trial in trials if trial not in chosen]
     noticeable = [trial for trial in best if trial.effect.is_noticeable(fit.samples) and trial.effect.possible]
     return _by_evidence(fit, noticeable) if noticeable else []
 
@@ -160,11 +182,185 @@ def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
             best_of_kind.setdefault(trial.effect.kind, trial)
     chosen += [trial for trial in best_of_kind.values()
                if trial not in chosen and trial.evidence > config.least_evidence]
-    for joint in fit.body.output_names if fit.body.outputs == 'effort' else ():
-        at_joint = [trial for trial in trials if trial.effect.where == joint]
-        chosen += [trial for trial in at_joint[:config.refined_at_joint]
-                   if trial not in chosen and trial.evidence > 0.0]
     return chosen
+
+
+def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
+    """Each of the foremost trials by itself."""
+    moves = []
+    for trial in ranking[:fit.config.tried]:
+        after = declare(fit, [trial.effect])
+        if trial.many_valued:
+            after = bent(after, [(trial.effect.kind, trial.effect.where)], kinds)
+        if all_plausible(fit, after):
+            moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.start_s),
+                              prices([trial.effect], fit, kinds)))
+    return moves
+
+
+def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str]) -> list[Move]:
+    """Kinds at all their places at once: what one joint lacks bends the rigid body's fit of the others."""
+    groups: dict[str, list[Effect]] = {}
+    for trial in trials:
+        if trial.effect.group and trial.effect.start_s is None:
+            groups.setdefault(trial.effect.group, []).append(trial.effect)
+    known, moves = {(effect.kind, effect.where) for effect in fit.effects}, []
+    for effects in groups.values():
+        if len(effects) > 1:
+            after = without_impossible(declare(fit, effects), fixed)
+            after = reshaped(after, known, kinds) if any(effect.searched for effect in effects) else after
+            after = pruned(after, {*fixed, *known}, kinds)
+            added = tuple(effect for effect in after.effects if (effect.kind, effect.where) not in known)
+            if added:
+                moves.append(Move(added, after, gain(fit, after), prices(added, fit, kinds)))
+    return moves
+
+
+def _simplest(moves: Sequence[Move]) -> Move:
+    """Of the moves that no block tells from the best one, that of the fewest values."""
+    best = max(moves, key=lambda move: move.net)
+    alike = [move for move in moves if len(move.added) == 1 == len(best.added)
+             and (move is best or _alike(move, best))]
+    return min(alike, key=lambda move: (_spent(move), -move.net)) if alike else best
+
+
+def _alike(one: Move, other: Move) -> bool:
+    difference = gain(one.after, other.after)
+    return difference.total < difference.error
+
+
+def _spent(move: Move) -> int:
+    return move.after.n_columns + sum(len(effect.searched) + len(effect.calibrations) for effect in move.after.effects)
+
+
+def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model with the nonlinear values of the effects at some places at their best, beside all others.
+
+    Values of a form that are left as they usually are open where that gains more than they are worth as guesses.
+    """
+    numbers = [number for number, effect in enumerate(fit.effects) if (effect.kind, effect.where) in places
+               and not effect.is_calibration and (effect.searched or effect.finer() != effect)]
+    if not numbers:
+        return fit
+    finer = [effect.finer() if number in numbers else effect for number, effect in enumerate(fit.effects)]
+    opened = sum(one != other for one, other in zip(finer, fit.effects, strict=True))
+    plain, open_ = (settled(with_effects(fit, effects), numbers) for effects in (fit.effects, finer))
+    options = [(0.0, fit)]
+    options += [(gain(fit, after).total - spent, after)
+                for after, spent in ((plain, 0.0), (open_, opened * math.log(max(len(kinds), 1))))
+                if all_plausible(fit, after)]
+    return max(options, key=lambda option: option[0])[1]
+
+
+def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model with the nonlinear values of each effect that was found searched anew beside all the others, where that
+    helps on unseen blocks."""
+    after = fit
+    for effect in fit.effects:
+        searches = tuple(dict(values) for values in effect.searches(
+            fit.body, fit.samples, effect.where, fit.residual))
+        if (effect.kind, effect.where) in fixed or effect.is_calibration or len(searches) < 2 \
+                or effect.start.values or not effect.searched:
+            continue
+        without = with_effects(after, [known for known in after.effects
+                                       if (known.kind, known.where) != (effect.kind, effect.where)])
+        trial = coarse_trial(without, Candidate(type(effect), effect.where, searches))
+        if trial is not None:
+            other = with_effects(without, [*without.effects, trial.effect])
+            after = other if other.loss < after.loss else after
+    after = declare(after, []) if after is not fit else fit
+    after = bent(after, [(effect.kind, effect.where) for effect in after.effects
+                         if (effect.kind, effect.where) not in fixed], kinds)
+    return after if after is not fit and all_plausible(fit, after) and gain(fit, after).total > fit.config.settled_gain \
+        else fit
+
+
+def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Fit:
+    """The model with one of the effects that were found at another place, or of a kind that is mistaken for it, where
+    that is better; the same model where none is."""
+    for effect in fit.effects:
+        if (effect.kind, effect.where) in fixed or usual(effect, fit):
+            continue
+        rest = declare(with_effects(fit, [known for known in fit.effects if known is not effect]), [])
+        names = {effect.kind, *effect.mistaken_for}
+        pool = [candidate for candidate in candidates(rest, {name: kinds[name] for name in names if name in kinds})
+                if (candidate.kind.kind, candidate.where) != (effect.kind, effect.where)]
+        ranking = _refined(rest, coarse(rest, pool, lambda words, share: None))[:fit.config.swapped]
+        cost = prices([effect], rest, kinds)
+        moves = [move._replace(gain=gain(fit, move.after, move.added[0].start_s), price=move.price - cost)
+                 for move in single_moves(rest, ranking, kinds)]
+        best = max((move for move in moves if move.good), key=lambda move: move.net, default=None)
+        if best is not None:
+            return best.after
+    return fit
+
+
+def usual(effect: Effect, fit: Fit) -> bool:
+    """Whether the model holds the kind at half of its other places or more."""
+    others = sum(known.kind == effect.kind for known in fit.effects if known is not effect)
+    return 2 * others >= max(len(effect.places(fit.body)) - 1, 1)
+
+
+def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model with the plainer effects of which some at these places are made up, unless blocks tell them apart."""
+    for effect in fit.effects:
+        plainer = list(effect.plainer()) if (effect.kind, effect.where) in places else []
+        rest = with_effects(fit, [known for known in fit.effects if known is not effect])
+        if not plainer or held(plainer) & held(rest.effects):
+            continue
+        simpler = declare(rest, plainer)
+        simpler = bent(simpler, [(part.kind, part.where) for part in plainer], kinds)
+        whole = Move((effect,), fit, gain(simpler, fit), prices([effect], rest, kinds))
+        if not whole.good:
+            fit = simpler
+    return fit
+
+
+def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model without the effects that the others make needless, the weakest first."""
+    while True:
+        weak = []
+        for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):
+            others = [known for known in fit.effects if known is not effect]
+            cost = price(effect, others, fit.body, kinds, fit.config)
+            sure = 1.0 if usual(effect, fit) else fit.config.sure
+            if (effect.kind, effect.where) not in fixed and each.total < max(cost, sure * each.error):
+                weak.append((each.total, number))
+        if not weak:
+            return fit
+        gone = {number for total, number in weak if total < 0.0} or {min(weak)[1]}
+        fit = declare(with_effects(fit, [effect for number, effect in enumerate(fit.effects) if number not in gone]), [])
+
+
+def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
+    """Those as good as the chosen move, with odds from a bootstrap of the blocks."""
+    generator, found, draws = np.random.default_rng(0), [], fit.config.bootstrap_draws
+    ours = Trial(chosen.added[0], chosen.after.residual, 1)
+    for move in moves:
+        known = {(effect.kind, effect.where) for effect in chosen.added}
+        if len(move.added) > 1 or (move.added[0].kind, move.added[0].where) in known:
+            continue
+        if overlap(fit, ours, Trial(move.added[0], move.after.residual, 1)) < fit.config.rival_overlap:
+            continue
+        gains = block_gains(chosen.after, move.after)
+        drawn = gains[generator.integers(len(gains), size=(draws, len(gains)))].sum(axis=1)
+        better = min(int((drawn > 0.0).sum()), draws - 1)
+        if better > 1:
+            found.append(Rival(move.added[0].kind, move.added[0].where, better / (draws - better)))
+    return tuple(found)
+
+
+def _over(step: Step) -> Step:
+    """The step without what only its own round needed, which is far larger than the rest where samples are many."""
+    step.before.forget()
+    return replace(step, added=tuple(trial.without_residual() for trial in step.added),
+                   ranking=tuple(trial.without_residual() for trial in step.ranking))
+
+
+def _in_round(progress: Progress, number: int) -> Progress:
+    def report(words: str, share: float) -> None:
+        progress(f'round {number}: {words}', share)
+    return report
 
 
 def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:
@@ -173,97 +369,3 @@ def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:
     scored = sorted((score(fit, trial, correlation) for trial in trials), key=lambda trial: trial.evidence)
     best = {(trial.effect.kind, trial.effect.where): trial for trial in scored}
     return sorted(best.values(), key=lambda trial: -trial.evidence)
-
-
-def next_step(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress) -> Step | None:
-    """The most credible effect (of efforts: the most credible of each joint), or None when nothing is left."""
-    ranking = [trial for trial in ranked(fit, kinds, progress) if trial.evidence > fit.config.least_evidence]
-    if not ranking:
-        return None
-    found, after = joint_offsets(fit, kinds, ranking) or ([], fit)
-    if len(found) > 1 and all_plausible(fit, after) and improves(fit, after) \
-            and found[0].evidence > ranking[0].evidence + tolerance(fit, found[0]):
-        return Step(added=tuple(found), rivals=((),) * len(found), ranking=tuple(ranking), before=fit, after=after)
-    first, after, ranking = _first_that_helps(fit, ranking, list(kinds))
-    if first is None:
-        return None
-    chosen, first_tried = [first], [first]
-    for at_joint in _other_joints(fit, first, ranking):
-        for trial in at_joint[:fit.config.tries_at_joint]:
-            again = retried(after, trial)
-            if again.physical and again.evidence > max(fit.config.least_evidence,
-                                                       fit.config.kept_share * trial.evidence):
-                further = declare(after, [again.effect])
-                if all_plausible(after, further) and improves(after, further):
-                    chosen, after = [*chosen, again], further
-                    first_tried.append(trial)
-                    break
-    rivals = [rivals_of(fit, trial, ranking) for trial in first_tried]
-    for trial, those in list(zip(chosen, rivals, strict=True)):
-        parts, simpler = in_parts(after, trial)
-        if parts and unseen_score(simpler) < unseen_score(fit):
-            at = chosen.index(trial)
-            names = {(part.effect.kind, part.effect.where) for part in parts}
-            those = tuple(rival for rival in those if (rival.kind, rival.where) not in names)
-            chosen[at:at + 1], rivals[at:at + 1], after = parts, [those] * len(parts), simpler
-    return Step(added=tuple(chosen), rivals=tuple(rivals), ranking=tuple(ranking), before=fit, after=after)
-
-
-def _first_that_helps(fit: Fit, ranking: list[Trial], order: Sequence[str]) -> tuple[Trial | None, Fit, list[Trial]]:
-    """The most credible trial whose model helps on unseen blocks, that model, and the ranking without those before it.
-
-    One that does not carry over says nothing of the next.
-    """
-    for _ in range(min(len(ranking), fit.config.most_tries)):
-        first = simplest(fit, ranking, order)
-        after = declare(fit, [first.effect])
-        if all_plausible(fit, after) and improves(fit, after):
-            return first, _own_form_settled(after, first.effect), ranking
-        ranking = [trial for trial in ranking if trial is not first]
-    return None, fit, ranking
-
-
-def _own_form_settled(fit: Fit, effect: Effect) -> Fit:
-    """The model with all nonlinear values of the effect just added at their best, where that helps on unseen blocks.
-
-    What they leave, others would take up.
-    """
-    if not effect.searched or effect.is_calibration:
-        return fit
-    numbers = [number for number, known in enumerate(fit.effects) if known.kind == effect.kind
-               and known.searched == effect.searched and known.start == effect.start][-1:]
-    finer = [known.finer() if number in numbers else known for number, known in enumerate(fit.effects)]
-    after = settled(with_effects(fit, finer), numbers)
-    return after if unseen_score(after) < unseen_score(fit) else fit
-
-
-def in_parts(fit: Fit, trial: Trial) -> tuple[list[Trial], Fit]:
-    """Plainer effects in place of one that the model holds, where they explain about as much; else none."""
-    effect = trial.effect
-    plainer = list(effect.plainer())
-    without = with_effects(fit, others(fit, effect))
-    if not plainer or held(plainer) & held(without.effects):
-        return [], fit
-    simpler = declare(without, plainer)
-    saved = trial.n_parameters - len(plainer) - 1
-    whole, parts = (score(without, Trial(effect, known.residual, n_parameters), fit.correlation)
-                    for known, n_parameters in ((fit, trial.n_parameters), (simpler, trial.n_parameters - saved)))
-    if whole.evidence - parts.evidence > tolerance(without, whole):
-        return [], fit
-    return [replace(trial, effect=part, leaves=simpler.residual, squares=None) for part in plainer], simpler
-
-
-def _other_joints(fit: Fit, first: Trial, ranking: list[Trial]) -> list[list[Trial]]:
-    """The trials of every joint but the first one's, best first, where all act on the efforts of single joints.
-
-    Each has a channel of its own, so one round can take them all; but what one joint lacks also bends the rigid
-    body's fit of the others, so each must show again what it is worth once the first is declared.
-    """
-    joints = fit.body.output_names
-    if fit.body.outputs != 'effort' or first.effect.where not in joints:
-        return []
-    at: dict[str | None, list[Trial]] = {}
-    for trial in ranking:
-        at.setdefault(trial.effect.where, []).append(trial)
-    return [trials for where, trials in at.items() if where in joints and where != first.effect.where
-            and not trials[0].effect.is_calibration]

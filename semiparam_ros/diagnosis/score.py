@@ -1,0 +1,205 @@
+"""The one score of a model: the log predictive density of blocks of the recording, each given all the others.
+
+For linear-Gaussian models it follows from products of the columns alone. With theta ~ N(m, S^2) and noise of variance
+s_k^2 in channel k, of which r_k neighbouring samples repeat each other,
+
+    log p(y_b | y_-b) = log Z(all) - log Z(all but b),
+    log Z = b' K^-1 b / 2 - log|K| / 2 - sum_k (w_k y_k' y_k + N_k log(2 pi s_k^2) / r_k) / 2,
+    K = I + S (sum_k w_k C_k' C_k) S,   b = S sum_k w_k C_k' y_k,   w_k = 1 / (s_k^2 r_k),
+
+with outputs y less those of the prior mean. A block of which the others say little is predicted with the variance that
+this leaves, and costs no more than that; a coefficient that helps nowhere costs its share of every block. Calibrations
+and the nonlinear values of effects that were found are columns too, linear near where they stand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.diagnosis.regression import Fit, with_effects
+from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.diagnosis.search.refit import calibrated_values, declare
+from semiparam_ros.effects.base import CALIBRATED
+
+
+class ChannelGrams(NamedTuple):
+    """Products of one channel, block by block: columns that act there, with one another and with the outputs."""
+
+    acting: Indices  # (p_k,)
+    gram: Array  # (B, p_k, p_k)
+    moment: Array  # (B, p_k)
+
+
+class Gain(NamedTuple):
+    """By how much [nat] one model's log density of unseen blocks exceeds another's, and its standard error."""
+
+    total: float
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class BlockGrams:
+    """Products of a model's columns with one another and with the outputs, block by block.
+
+    :param prior: (p,) standard deviations of the coefficients about their prior mean.
+    :param power: (B, n) squared outputs less those of the prior mean. :param counts: (B, n) how many count.
+    """
+
+    prior: Array
+    channels: list[ChannelGrams]
+    power: Array
+    counts: Array
+
+    def densities(self, scale: Array, correlation: Array, kept: Indices | None = None) -> Array:
+        """(B,) log predictive density of each block given the others, with the columns ``kept`` alone."""
+        normal, right = self._weighed(1.0 / (scale**2 * correlation), kept)
+        constant = self.power @ (1.0 / (scale**2 * correlation)) \
+            + (self.counts / correlation) @ np.log(2.0 * np.pi * scale**2)
+        all_normal, all_right = normal.sum(axis=0), right.sum(axis=0)
+        known = _log_evidence(all_normal, all_right) - _log_evidence(all_normal - normal, all_right - right)
+        return np.asarray(known - 0.5 * constant)
+
+    def scale_with(self, kept: Indices, scale: Array) -> Array:
+        """(n,) root mean square of what the columns ``kept`` leave, fitted with the weights of a ``scale`` (n,)."""
+        normal, right = self._weighed(scale**-2.0, kept)
+        solved = np.linalg.solve(normal.sum(axis=0) + np.eye(len(kept)), right.sum(axis=0)) * self.prior[kept]
+        theta = np.zeros(len(self.prior))
+        theta[kept] = solved
+        squares = [float(power) - 2.0 * own @ channel.moment.sum(axis=0) + own @ channel.gram.sum(axis=0) @ own
+                   for power, channel in zip(self.power.sum(axis=0), self.channels, strict=True)
+                   for own in [theta[channel.acting]]]
+        return np.asarray(np.sqrt(np.maximum(squares, 1e-12 * self.power.sum(axis=0)) / self.counts.sum(axis=0)))
+
+    def _weighed(self, weights: Array, kept: Indices | None) -> tuple[Array, Array]:
+        count = len(self.prior)
+        normal, right = np.zeros((len(self.power), count, count)), np.zeros((len(self.power), count))
+        for channel, weight in zip(self.channels, weights, strict=True):
+            normal[:, channel.acting[:, None], channel.acting] += weight * channel.gram
+            right[:, channel.acting] += weight * channel.moment
+        prior = self.prior
+        if kept is not None:
+            normal, right, prior = normal[:, kept[:, None], kept], right[:, kept], prior[kept]
+        return normal * prior[:, None] * prior, right * prior
+
+
+def _log_evidence(normal: Array, right: Array) -> Array:
+    """log Z without its terms that hold no column, of one or of many."""
+    whole = normal + np.eye(normal.shape[-1])
+    logarithm = np.log(np.diagonal(np.linalg.cholesky(whole), axis1=-2, axis2=-1)).sum(axis=-1)
+    solved = np.linalg.solve(whole, right[..., None])[..., 0]
+    return np.asarray(0.5 * (right * solved).sum(axis=-1) - logarithm)
+
+
+def block_grams(fit: Fit, edges: Array) -> BlockGrams:
+    """Those of a fitted model, where blocks end before the samples numbered ``edges`` (B - 1,)."""
+    further, spread, values = _open_columns(fit)
+    target = fit.at_prior + further @ values
+    blocks = len(edges) + 1
+    channels, power, counts = [], np.zeros((blocks, len(fit.scale))), np.zeros((blocks, len(fit.scale)))
+    for number, (used, felt, rows) in enumerate(zip(fit.in_use, fit.felt, fit.rows, strict=True)):
+        acting = np.flatnonzero(further[used, number].any(axis=0))
+        table = np.hstack([rows, further[used, number][:, acting]])
+        outputs, ends = target[used, number], [0, *np.searchsorted(used, edges).tolist(), len(used)]
+        gram, moment = np.empty((blocks, table.shape[1], table.shape[1])), np.empty((blocks, table.shape[1]))
+        for block, (start, end) in enumerate(pairwise(ends)):
+            part, left = table[start:end], outputs[start:end]
+            gram[block], moment[block] = part.T @ part, part.T @ left
+            power[block, number], counts[block, number] = left @ left, end - start
+        channels.append(ChannelGrams(np.append(felt, fit.n_columns + acting), gram, moment))
+    return BlockGrams(np.append(fit.prior_deviation, spread), channels, power, counts)
+
+
+def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
+    """(N, n, c) derivatives of the prediction by the calibrations, their prior deviations (c,) and their values."""
+    calibrated = [effect for effect in fit.effects if effect.is_calibration]
+    columns = [added_columns(fit, effect) for effect in calibrated]
+    spread = [CALIBRATED.get(unit, 1.0) for effect in calibrated for _, unit in effect.calibrations]
+    values = [calibrated_values(effect) for effect in calibrated]
+    return (np.concatenate([np.zeros((*fit.residual.shape, 0)), *columns], axis=2), np.array(spread),
+            np.concatenate([np.zeros(0), *values]))
+
+
+def block_edges(fit: Fit, start_s: float | None = None) -> Array:
+    """(B - 1,) sample numbers at which blocks begin: as many samples in use each; where something begins in between, half
+    of the blocks before that, half after."""
+    used, blocks = np.flatnonzero(fit.train_mask), fit.config.blocks
+    since = int(np.searchsorted(used, np.searchsorted(fit.samples.time, start_s))) if start_s is not None else 0
+    if not 0 < since < len(used):
+        return np.asarray(used[np.arange(1, blocks) * len(used) // blocks])
+    half = blocks // 2
+    before = np.arange(1, half) * since // half
+    after = since + np.arange(half) * (len(used) - since) // half
+    return np.asarray(used[np.append(before, after)])
+
+
+_known: WeakKeyDictionary[Fit, dict[bytes, BlockGrams]] = WeakKeyDictionary()
+"""Those asked for before; a fit that nobody needs any longer is not kept for them."""
+
+
+def grams_of(fit: Fit, edges: Array) -> BlockGrams:
+    """:func:`block_grams`, computed once."""
+    known = _known.setdefault(fit, {})
+    key = edges.tobytes()
+    if key not in known:
+        known[key] = block_grams(fit, edges)
+    return known[key]
+
+
+def gain(before: Fit, after: Fit, start_s: float | None = None) -> Gain:
+    """Of the second model over the first, with as many independent samples as the second one's residual leaves.
+
+    :param start_s: [s] when something begins that one of them has and the other lacks.
+    """
+    return summed(block_gains(before, after, start_s))
+
+
+def block_gains(before: Fit, after: Fit, start_s: float | None = None) -> Array:
+    """(B,) the same of each block."""
+    edges = block_edges(before, start_s)
+    first, second = (grams_of(fit, edges).densities(fit.scale, after.correlation) for fit in (before, after))
+    return np.asarray(second - first)
+
+
+def summed(gains: Array) -> Gain:
+    """The total of the gains of blocks (B,), and its standard error as the losses among them scatter.
+
+    What acts in few blocks gains in these alone; that they differ from the others says nothing against it. Where nothing
+    is gained, gains and losses scatter alike.
+    """
+    return Gain(float(gains.sum()), float(np.sqrt(2.0 * (np.minimum(gains, 0.0) ** 2).sum())))
+
+
+def worth(fit: Fit) -> list[Gain]:
+    """Of each effect of the model: what it gains over the model without it, nothing else searched anew."""
+    edges, correlation = block_edges(fit), fit.correlation
+    grams = grams_of(fit, edges)
+    whole = grams.densities(fit.scale, correlation)
+    gains = []
+    for effect, columns in zip(fit.effects, columns_of_effects(fit), strict=True):
+        if effect.is_calibration:  # linear near its value alone
+            rest = declare(with_effects(fit, [known for known in fit.effects if known is not effect]), [])
+            without = grams_of(rest, edges).densities(rest.scale, correlation)
+        else:
+            kept = np.setdiff1d(np.arange(len(grams.prior)), columns)
+            without = grams.densities(grams.scale_with(kept, fit.scale), correlation, kept)
+        gains.append(summed(whole - without))
+    return gains
+
+
+def columns_of_effects(fit: Fit) -> list[Indices]:
+    """Of each effect its columns' numbers in the block grams; a calibration's come last."""
+    found, end = [], fit.n_columns
+    for index, effect in enumerate(fit.effects):
+        if effect.is_calibration:
+            found.append(np.arange(end, end + len(effect.calibrations)))
+            end += len(effect.calibrations)
+        else:
+            block = fit.assembly.blocks[str(index)]
+            found.append(np.arange(block.start, block.stop))
+    return found
