@@ -12,10 +12,10 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.identifiability import unidentifiable
-from semiparam_ros.diagnosis.data.input_errors import with_error_columns, without_error_columns
+from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
+from semiparam_ros.diagnosis.search.input_errors import with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.data.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
+from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges

@@ -7,7 +7,7 @@ from semiparam_ros.bags import loading
 from semiparam_ros.bags.loading import STRETCHES, load_samples
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.data.preparation import for_stretches, in_whole_groups, most_samples, working_factor
+from semiparam_ros.diagnosis.preparation import for_stretches, in_whole_groups, most_samples, working_factor
 from semiparam_ros.settings import load_params
 
 MOST = 1000

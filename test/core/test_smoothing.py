@@ -8,7 +8,7 @@ import pytest
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.data.preparation import Inputs
+from semiparam_ros.diagnosis.preparation import Inputs
 from support.arms import smooth_motion
 from support.node_helpers import motion
 

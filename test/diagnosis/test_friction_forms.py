@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.diagnosis.data.preparation import averaged
+from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.data.splits import carries_over, improves
 from semiparam_ros.diagnosis.residual.contacts import contacts
 from semiparam_ros.diagnosis.search.delay_with_friction import with_leads

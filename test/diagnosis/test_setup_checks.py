@@ -13,7 +13,7 @@ from conftest import SHARED_DATA
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.diagnosis.data.identifiability import unidentifiable
+from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.data.outliers import excluded
 from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.diagnosis.data.preparation import Inputs
+from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
 from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
 from semiparam_ros.diagnosis.uncertainty import deviations

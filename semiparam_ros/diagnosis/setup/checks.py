@@ -23,7 +23,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, typical_step
-from semiparam_ros.diagnosis.data.preparation import Inputs, working_factor
+from semiparam_ros.diagnosis.preparation import Inputs, working_factor
 from semiparam_ros.diagnosis.setup.prior_misfit import channel_scale, dissipation, equations, misfit, nuisances
 
 DEGREE = float(np.pi / 180.0)

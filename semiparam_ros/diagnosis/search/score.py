@@ -160,10 +160,23 @@ def gain(before: Fit, after: Fit, start_s: float | None = None) -> Gain:
 
 
 def block_gains(before: Fit, after: Fit, start_s: float | None = None) -> Array:
-    """(B,) the same of each block."""
+    """(B,) the same of each block; where models have columns for errors of the inputs, with or without these, whichever
+    gains less: what only makes up for what they spoil explains nothing, nor does what only they do better."""
     edges = block_edges(before, start_s)
-    first, second = (grams_of(fit, edges).densities(fit.scale, after.correlation) for fit in (before, after))
-    return np.asarray(second - first)
+    found = [_densities(after, edges, after.correlation, taken) - _densities(before, edges, after.correlation, taken)
+             for taken in ((True,) if before.nuisance is None else (True, False))]
+    return min(found, key=lambda gains: float(gains.sum()))
+
+
+def _densities(fit: Fit, edges: Array, correlation: Array, nuisance: bool = True, without: Indices | None = None) -> Array:
+    """(B,) of a model, perhaps without its columns for errors of the inputs, or without some other columns."""
+    grams, gone = grams_of(fit, edges), np.zeros(0, dtype=int) if without is None else without
+    if fit.nuisance is not None and not nuisance:
+        gone = np.append(gone, fit.n_columns - 1 - np.arange(fit.nuisance.shape[2]))
+    if not len(gone):
+        return grams.densities(fit.scale, correlation)
+    kept = np.setdiff1d(np.arange(len(grams.prior)), gone)
+    return grams.densities(grams.scale_with(kept, fit.scale), correlation, kept)
 
 
 def summed(gains: Array) -> Gain:
@@ -177,18 +190,17 @@ def summed(gains: Array) -> Gain:
 
 def worth(fit: Fit) -> list[Gain]:
     """Of each effect of the model: what it gains over the model without it, nothing else searched anew."""
-    edges, correlation = block_edges(fit), fit.correlation
-    grams = grams_of(fit, edges)
-    whole = grams.densities(fit.scale, correlation)
-    gains = []
+    edges, gains = block_edges(fit), []
+    views = (True,) if fit.nuisance is None else (True, False)
+    whole = [_densities(fit, edges, fit.correlation, taken) for taken in views]
     for effect, columns in zip(fit.effects, columns_of_effects(fit), strict=True):
         if effect.is_calibration:  # linear near its value alone
             rest = declare(with_effects(fit, [known for known in fit.effects if known is not effect]), [])
-            without = grams_of(rest, edges).densities(rest.scale, correlation)
+            without = [_densities(rest, edges, fit.correlation, taken) for taken in views]
         else:
-            kept = np.setdiff1d(np.arange(len(grams.prior)), columns)
-            without = grams.densities(grams.scale_with(kept, fit.scale), correlation, kept)
-        gains.append(summed(whole - without))
+            without = [_densities(fit, edges, fit.correlation, taken, columns) for taken in views]
+        found = [one - other for one, other in zip(whole, without, strict=True)]
+        gains.append(summed(min(found, key=lambda each: float(each.sum()))))
     return gains
 
 

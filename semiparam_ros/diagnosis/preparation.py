@@ -22,8 +22,8 @@ from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, 
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.rest import counted_outputs
-from semiparam_ros.diagnosis.data.splits import fold_errors
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
+from semiparam_ros.diagnosis.search.score import block_edges, block_grams
 from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
@@ -90,18 +90,18 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     factor = working_factor(samples, config)
     possible = OPTIONS if samples.acceleration.any() else (*ESTIMATED, 'recorded')
     options = {name: Inputs(name, factor, config.smoothing_ends) for name in possible}
-    require_enough(config, *(inputs.mask(train_mask) for inputs in options.values()))
+    common = np.all([inputs.mask(train_mask) for inputs in options.values()], axis=0)
+    require_enough(config, common)
     outputs = samples.outputs[train_mask]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
-    losses: dict[str, float] = {}
+    scores: dict[str, float] = {}
     for name, inputs in options.items():
         prepared = inputs.prepare(samples)
-        fit = fit_model(body, prepared, effects, inputs.mask(train_mask), scale, config,
-                        counted_outputs(body, prepared, config))
-        if not losses:
-            scale = refit_weights(fit).scale
-        losses[name] = float((fold_errors(fit, scale) / scale**2).sum())
-    return options[min(losses, key=lambda name: losses[name])]
+        fit = refit_weights(fit_model(body, prepared, effects, common, scale, config,
+                                      counted_outputs(body, prepared, config)))
+        densities = block_grams(fit, block_edges(fit)).densities(fit.scale, np.ones(body.n_outputs))
+        scores[name] = float(densities.sum())
+    return options[max(scores, key=lambda name: scores[name])]
 
 
 def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> list[str]:
