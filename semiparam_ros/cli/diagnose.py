@@ -103,9 +103,9 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     from semiparam_ros.cli.evaluate import load_bags
     from semiparam_ros.core.samples import Samples
     from semiparam_ros.diagnosis.config import DEFAULTS
-    from semiparam_ros.diagnosis.preparation import for_stretches, in_whole_groups, most_samples
     from semiparam_ros.diagnosis.data.splits import leading_split
     from semiparam_ros.diagnosis.diagnose import diagnose
+    from semiparam_ros.diagnosis.preparation import for_stretches, in_whole_groups, most_samples
     from semiparam_ros.settings.build import build_rigid_body, declared_effects
 
     if args.split is not None and not 0.2 <= args.split <= 0.9:

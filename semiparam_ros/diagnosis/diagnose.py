@@ -12,29 +12,29 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
-from semiparam_ros.diagnosis.search.input_errors import with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
-from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in, split_off_refinements
+from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
+from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
 from semiparam_ros.diagnosis.regression import Fit, refit_weights
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
 from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
+from semiparam_ros.diagnosis.search.input_errors import with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts
+from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.uncertainty import Deviations, deviations
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
-from semiparam_ros.errors import SemiparamError, listed
+from semiparam_ros.errors import SemiparamError
 
 VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
 
@@ -69,7 +69,6 @@ class Diagnosis:
     config: DiagnosisConfig
     verdict: str
     findings: list[Finding]
-    refinements: list[Finding]  # what only takes up what the form of a finding leaves; the final model holds it
     steps: list[Step]
     first: Fit
     final: Fit
@@ -97,7 +96,7 @@ class Diagnosis:
         """The effects that were declared beforehand, with their fitted values."""
         offsets = own_offsets(self.first.body, self.recorded.samples)
         return [finding for finding in declared_findings(
-                    self.everything, [*self.findings, *self.refinements], self.deviations)
+                    self.everything, self.findings, self.deviations)
                 if finding.effect not in offsets]
 
     @property
@@ -134,7 +133,6 @@ class Diagnosis:
         return {'verdict': self.verdict, 'effects': [
                     finding.as_dict() | {'recordings': list(self.recordings_of(finding.effect))}
                     for finding in self.findings],
-                'refinements': [finding.as_dict() for finding in self.refinements],
                 'declared': [finding.as_dict() for finding in self.declared],
                 'recordings': list(self.names),
                 'before': self.before.as_dict(), 'after': self.after.as_dict(),
@@ -198,8 +196,6 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     before, *by_step = [evaluate_here(fit, held_out) if elsewhere is None
                         else evaluate_there(fit, elsewhere.samples, elsewhere.valid)
                         for fit in (first, *(step.after for step in steps))]
-    carried = that_carry_over([float(each.nmse.mean()) for each in (before, *by_step)], config)
-    steps, taken_back, by_step = steps[:carried], steps[carried:], by_step[:carried]
     final = steps[-1].after if steps else first
     progress('what is left', 0.0)
     structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config,
@@ -212,33 +208,20 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         refit = fitted_to_all(final, fitting | held_out, new)
         everything = refit if all_plausible(final, refit) else final
     sure = deviations(everything, new, inputs.disturbed(samples) if everything.effects else ())
-    found, refinements = split_off_refinements(findings(final, steps, everything, sure), steps)
+    found = findings(final, steps, everything, sure)
     touches = [] if setup else contacts(final)
     for fit in (first, final, everything):
         fit.forget()
     return Diagnosis(
         config=config, verdict=verdict(first, final, steps, structure, setup),
-        findings=found, refinements=refinements, steps=steps, first=first, final=final, everything=everything,
+        findings=found, steps=steps, first=first, final=final, everything=everything,
         deviations=sure, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *fast,
                *unidentifiable(body, samples, config), *_left_out(clean),
-               *_begun_in_gaps(found, samples, margin, config), *_taken_back(taken_back)],
+               *_begun_in_gaps(found, samples, margin, config)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
-
-
-def that_carry_over(errors: Sequence[float], config: DiagnosisConfig = DEFAULTS) -> int:
-    """How many rounds stay, of their held-out errors, that before all of them first: all, unless the last ones make it
-    worse than ``config.held_out_worse`` allows; then those up to the best."""
-    best = int(np.argmin(errors))
-    return best if errors[-1] > config.held_out_worse * errors[best] else len(errors) - 1
-
-
-def _taken_back(steps: Sequence[Step]) -> list[str]:
-    names = [place(trial.effect.kind, trial.effect.where) for step in steps for trial in step.added]
-    return [f'{listed(names)}: found last and taken back, for the held-out data are predicted worse with that.'
-            ] if names else []
 
 
 def _calibrated(fit: Fit) -> Fit:

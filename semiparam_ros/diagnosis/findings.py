@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.search.score import worth
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.uncertainty import Deviations
 from semiparam_ros.effects import Effect, kinds
@@ -43,12 +44,13 @@ class Finding:
 
 
 def findings(fit: Fit, steps: list[Step], everything: Fit, sure: Deviations) -> list[Finding]:
-    """Every effect that a step added and the final model still holds, in that order.
+    """Every effect that a step added and the final model still holds, in that order, with what each is worth there.
 
     :param everything: the final model fitted to all samples, its effects in the same order; the values are its own.
     :param sure: the deviations of these.
     """
-    return [Finding(everything.effects[index], number, steps[number - 1].added[place].evidence,
+    gains = worth(fit)
+    return [Finding(everything.effects[index], number, gains[index].total,
                     _parameters(everything, index, sure), steps[number - 1].rivals[place])
             for index, number, place in places_in(fit, steps)]
 
@@ -62,40 +64,6 @@ def places_in(fit: Fit, steps: list[Step]) -> list[tuple[int, int, int]]:
             if index is not None:
                 found.append((index, number, place))
     return found
-
-
-def split_off_refinements(found: list[Finding], steps: list[Step]) -> tuple[list[Finding], list[Finding]]:
-    """The findings, and those that only take up what the form of an earlier one left.
-
-    Those explain, at the same joint or of a kind that is mistaken for it, a small share of what the earlier one did.
-    """
-    refining = [any(_refines(one, other, steps) for other in found) for one in found]
-    return ([one for one, small in zip(found, refining, strict=True) if not small],
-            [one for one, small in zip(found, refining, strict=True) if small])
-
-
-def _refines(one: Finding, other: Finding, steps: list[Step]) -> bool:
-    together = {one.effect.kind, other.effect.kind} <= {'coulomb_friction', 'viscous_friction'}
-    plain = not one.effect.searched or together
-    if plain or one.effect.is_calibration or one.round_number <= other.round_number:
-        return False
-    body, config = steps[0].before.body, steps[0].before.config
-    same_place = one.effect.where == other.effect.where
-    related = one.effect.kind == other.effect.kind or one.effect.kind in other.effect.mistaken_for \
-        or other.effect.kind in one.effect.mistaken_for
-    at_joint = body.outputs == 'effort' and one.effect.where in body.output_names
-    if not related and not (same_place and at_joint):
-        return False
-    own = same_place and at_joint
-    channels = [body.output_names.index(str(one.effect.where))] if own else list(range(body.n_outputs))
-    later, earlier = (_explained(steps[finding.round_number - 1], channels) for finding in (one, other))
-    return later < (config.own_share if same_place else config.related_share) * earlier
-
-
-def _explained(step: Step, channels: list[int]) -> float:
-    """Share of the outputs' variance that a step explained of these channels, summed."""
-    variance = step.before.used(step.before.samples.outputs).var(axis=0) * step.before.counts
-    return float(((step.before.squares - step.after.squares) / variance)[channels].sum())
 
 
 def declared_findings(fit: Fit, found: list[Finding], sure: Deviations) -> list[Finding]:

@@ -32,7 +32,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
         lines += _doubts(diagnosis, finding) + _rivals(finding, diagnosis.config.better_odds)
     lines += [_declared(diagnosis, finding) for finding in diagnosis.declared]
     lines += [ONE_FREEDOM] if diagnosis.gain_and_mass_are_one else []
-    lines += _refinements(diagnosis) + _dropped(diagnosis)
+    lines += _dropped(diagnosis)
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
     if diagnosis.structure is not None and diagnosis.structure.significant:
@@ -122,7 +122,7 @@ def _finding(diagnosis: Diagnosis, finding: Finding) -> str:
 
 def remarks(diagnosis: Diagnosis, effect: Effect) -> list[str]:
     """What was found of an effect of the final model, its start aside: since when, its values, what it rests on."""
-    found = [finding for finding in (*diagnosis.findings, *diagnosis.refinements)
+    found = [finding for finding in diagnosis.findings
              if finding.effect.without_start() == effect.without_start()]
     if not found:
         return [f'{place(effect.kind, effect.where)}: {effect.sentence}. Declared before.']
@@ -230,12 +230,6 @@ def _likely(odds: float) -> str:
     if 0.8 < odds < 1.25:
         return 'as likely'
     return f'{max(odds, 1.0 / odds):.2g} times {"more" if odds > 1.0 else "less"} likely'
-
-
-def _refinements(diagnosis: Diagnosis) -> list[str]:
-    names = [place(finding.effect.kind, finding.effect.where) for finding in diagnosis.refinements]
-    return [f'What the form of these effects leaves is taken up by {", ".join(names)}: part of the model, but no '
-            'finding.'] if names else []
 
 
 def _dropped(diagnosis: Diagnosis) -> list[str]:

@@ -32,6 +32,8 @@ BRACKET = 2.5
 """A line search looks from a value over this factor to the value times it."""
 CALIBRATED = {'rad': 0.1, 's': 0.05, '': 0.3}
 """Prior standard deviation of a calibration about nothing, by its unit."""
+MOST_TIMES_PLAUSIBLE = 5.0
+"""Of what is plausible for the robot, a fifth of its own weight, the most that a load or a force may be."""
 STAMP_TOLERANCE_NS = 1000
 """A double holds today's stamps [s] to 0.24 us."""
 
@@ -202,6 +204,13 @@ class Effect:
     def physical(self, coefficients: Array) -> bool:
         """False for coefficients (c,) that this cause cannot have, such as a friction that drives the joint."""
         return True
+
+    def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
+        """False for coefficients (c,) and calibrations that no cause of this kind has on this robot: see
+        :meth:`physical`, :attr:`possible`, and for a force much more than the arm's own weight."""
+        too_large = self.bounded_by_weight and bool(np.any(
+            np.abs(coefficients) > MOST_TIMES_PLAUSIBLE * Effect.prior_scale(self, body)))
+        return self.possible and not too_large and self.physical(coefficients)
 
     @property
     def possible(self) -> bool:

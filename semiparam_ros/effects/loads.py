@@ -11,6 +11,7 @@ import numpy as np
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.frames import felt_links, links_beside, load_regressor, loaded_links, nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import size_of
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.application_point import AtPoint
@@ -64,6 +65,11 @@ class Payload(Effect):
 
     def physical(self, coefficients: Array) -> bool:
         return bool(coefficients[0] > 0.0)
+
+    def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
+        """Its centre is no farther from the link than the arm is long."""
+        reach = float(np.linalg.norm(coefficients[1:4])) <= size_of(body).length * float(coefficients[0])
+        return reach and super().conceivable(body, coefficients)
 
     def relocated(self, body: RigidBody, coefficients: Array) -> Effect:
         """At the link nearest to the load's centre of mass, unless something is known of it at this one."""

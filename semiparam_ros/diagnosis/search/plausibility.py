@@ -11,7 +11,6 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place
 from semiparam_ros.diagnosis.search.refit import declare
-from semiparam_ros.effects import Effect
 
 
 def all_plausible(before: Fit, after: Fit) -> bool:
@@ -40,10 +39,7 @@ def _plausible(fit: Fit, index: int) -> bool:
     effect = fit.effects[index]
     block = fit.assembly.blocks[str(index)]
     theta = fit.theta[block]
-    if not effect.possible or not effect.physical(theta):
-        return False
-    if effect.bounded_by_weight and np.any(np.abs(theta) > fit.config.most_times_plausible * Effect.prior_scale(
-            effect, fit.body)):
+    if not effect.conceivable(fit.body, theta):
         return False
     return not effect.is_load or (_weighs(fit, theta, block) and _is_a_body(fit, theta, block))
 

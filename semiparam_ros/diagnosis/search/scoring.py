@@ -16,8 +16,8 @@ from scipy.optimize import minimize_scalar
 
 from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects, with_values
 from semiparam_ros.diagnosis.data.correlation import correlation_times
+from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects, with_values
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start, predicted_with
 from semiparam_ros.diagnosis.search.in_some_recordings import in_some_recordings
 from semiparam_ros.diagnosis.search.refit import calibrated_values, gauss_newton, moved_by

@@ -15,10 +15,10 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.score import Gain, block_gains, gain, summed, worth
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, candidates, held
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.score import Gain, block_gains, gain, worth
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, overlap, refined, score
 from semiparam_ros.diagnosis.search.shapes import settled
 from semiparam_ros.effects import Effect
