@@ -141,6 +141,11 @@ class Effect:
         """
         return (NO_VALUES,)
 
+    @classmethod
+    def choices(cls, body: RigidBody, samples: Samples, where: str | None) -> int:
+        """Among how many clearly different values of its nonlinear parameters a search chooses."""
+        return max(len(cls.searches(body, samples, where, np.zeros((len(samples), body.n_outputs)))), 1)
+
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
         """Between which values a line search refines the nonlinear parameter ``name``; see :meth:`searches`."""
         value = self.value(name)

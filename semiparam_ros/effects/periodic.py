@@ -55,6 +55,11 @@ class PeriodicDisturbance(Effect):
                       for frequency in spectral_peaks(samples.time, signal)]
         return found
 
+    @classmethod
+    def choices(cls, body: RigidBody, samples: Samples, where: str | None) -> int:
+        """As many frequencies as the recording tells apart."""
+        return max(len(samples) // 2, 1)
+
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
         width = 0.5 / float(samples.time[-1] - samples.time[0])  # half the resolution of the spectrum
         return self.value(name) - width, self.value(name) + width

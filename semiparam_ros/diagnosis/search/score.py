@@ -126,8 +126,8 @@ def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
 
 
 def block_edges(fit: Fit, start_s: float | None = None) -> Array:
-    """(B - 1,) sample numbers at which blocks begin: as many samples in use each; where something begins in between, half
-    of the blocks before that, half after."""
+    """(B - 1,) sample numbers at which blocks begin: as many samples in use each; where something begins in between,
+    half of the blocks before that, half after."""
     used, blocks = np.flatnonzero(fit.train_mask), fit.config.blocks
     since = int(np.searchsorted(used, np.searchsorted(fit.samples.time, start_s))) if start_s is not None else 0
     if not 0 < since < len(used):
@@ -168,7 +168,8 @@ def block_gains(before: Fit, after: Fit, start_s: float | None = None) -> Array:
     return min(found, key=lambda gains: float(gains.sum()))
 
 
-def _densities(fit: Fit, edges: Array, correlation: Array, nuisance: bool = True, without: Indices | None = None) -> Array:
+def _densities(fit: Fit, edges: Array, correlation: Array, nuisance: bool = True,
+               without: Indices | None = None) -> Array:
     """(B,) of a model, perhaps without its columns for errors of the inputs, or without some other columns."""
     grams, gone = grams_of(fit, edges), np.zeros(0, dtype=int) if without is None else without
     if fit.nuisance is not None and not nuisance:
@@ -182,8 +183,8 @@ def _densities(fit: Fit, edges: Array, correlation: Array, nuisance: bool = True
 def summed(gains: Array) -> Gain:
     """The total of the gains of blocks (B,), and its standard error as the losses among them scatter.
 
-    What acts in few blocks gains in these alone; that they differ from the others says nothing against it. Where nothing
-    is gained, gains and losses scatter alike.
+    What acts in few blocks gains in these alone; that they differ from the others says nothing against it. Where
+    nothing is gained, gains and losses scatter alike.
     """
     return Gain(float(gains.sum()), float(np.sqrt(2.0 * (np.minimum(gains, 0.0) ** 2).sum())))
 

@@ -99,17 +99,19 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     return steps
 
 
-def price(effect: Effect, others: Sequence[Effect], body: RigidBody, kinds: Collection[str],
-          config: DiagnosisConfig = DEFAULTS) -> float:
+def price(effect: Effect, others: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
     """[nat] minus the log of an effect's prior probability beside others.
 
     Each kind is as unlikely as any other, at each of its places; one that is at k of n places already is there too with
-    probability (k + 1) / (n + 2) (Laplace's rule of succession). One that begins may do so at any time.
+    probability (k + 1) / (n + 2) (Laplace's rule of succession). One of several forms is as likely as any other, and
+    one that begins may do so at any time.
     """
-    places = max(len(effect.places(body)), 1)
+    config, places = fit.config, max(len(effect.places(fit.body)), 1)
     same = sum(other.kind == effect.kind for other in others)
-    where = math.log((places + 2) / (same + 1)) if same else math.log(config.odds * places * max(len(kinds), 1))
-    return where + (math.log(config.start_grid) if effect.start_s is not None else 0.0)
+    choices = effect.choices(fit.body, fit.samples, effect.where) if effect.searched else 1
+    starts = config.start_grid if effect.start_s is not None else 1
+    beforehand = (same + 1) / (places + 2) if same else 1.0 / (config.odds * places * max(len(kinds), 1))
+    return math.log(choices * starts / beforehand)
 
 
 def prices(added: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
@@ -117,7 +119,7 @@ def prices(added: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
     known = list(fit.effects)
     total = 0.0
     for effect in added:
-        total += price(effect, known, fit.body, kinds, fit.config)
+        total += price(effect, known, fit, kinds)
         known.append(effect)
     return total
 
@@ -271,8 +273,8 @@ def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
     after = declare(after, []) if after is not fit else fit
     after = bent(after, [(effect.kind, effect.where) for effect in after.effects
                          if (effect.kind, effect.where) not in fixed], kinds)
-    return after if after is not fit and all_plausible(fit, after) and gain(fit, after).total > fit.config.settled_gain \
-        else fit
+    better = after is not fit and all_plausible(fit, after) and gain(fit, after).total > fit.config.settled_gain
+    return after if better else fit
 
 
 def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Fit:
@@ -322,14 +324,15 @@ def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
         weak = []
         for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):
             others = [known for known in fit.effects if known is not effect]
-            cost = price(effect, others, fit.body, kinds, fit.config)
+            cost = price(effect, others, fit, kinds)
             sure = 1.0 if usual(effect, fit) else fit.config.sure
             if (effect.kind, effect.where) not in fixed and each.total < max(cost, sure * each.error):
                 weak.append((each.total, number))
         if not weak:
             return fit
         gone = {number for total, number in weak if total < 0.0} or {min(weak)[1]}
-        fit = declare(with_effects(fit, [effect for number, effect in enumerate(fit.effects) if number not in gone]), [])
+        kept = [effect for number, effect in enumerate(fit.effects) if number not in gone]
+        fit = declare(with_effects(fit, kept), [])
 
 
 def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
