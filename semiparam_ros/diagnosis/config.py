@@ -49,17 +49,7 @@ class DiagnosisConfig:
     """Cuts a recording into so many blocks to fit and to judge: long against the noise's memory (chosen)."""
     held_out_every: int = 3
     """Holds every so many-th block out for judging, so that two thirds fit (chosen)."""
-    folds: int = 10
-    """Predicts each of so many contiguous blocks from the others, the usual number of cross-validation."""
-    least_gain: float = 0.003
-    """Accepts an effect that lowers the folds' error by this share: of 48 recordings with nothing hidden the best
-    candidate gained 0.0013 (measured)."""
-    least_helped_over_harmed: float = 3.0
-    """Accepts an effect whose gain in the folds that it helps is this many times the loss in the others (chosen)."""
 
-    turned_speed_share: float = 0.1
-    """Asks of an effect that moves friction to help at joints faster than this share of their highest speed too: dry
-    friction has turned over there (the largest share that a search tries)."""
 
     # --- data: outliers ---
 
@@ -236,22 +226,11 @@ class DiagnosisConfig:
 
     most_rounds: int = 20
     """Stops the search after so many rounds (chosen; it ends before by itself)."""
-    held_out_worse: float = 1.02
-    """Takes back the last rounds where they raise the held-out error to more than so many times the best one's: what a
-    model of the wrong form leaves makes effects credible that no other motion shows (chosen)."""
     least_evidence: float = 12.0
     """Accepts an effect from this log evidence on [nat], odds of 160 000 to 1, because a hundred candidates are tried;
     with nothing hidden the best of 48 recordings reached 2.1 (measured)."""
-    most_tries: int = 8
-    """Tries so many candidates of a round on unseen blocks, the most credible first, before it gives up (chosen)."""
-    tries_at_joint: int = 3
-    """Tries so many candidates of each further joint in the same round (chosen)."""
-    kept_share: float = 0.5
-    """Adds a further joint's effect in the same round if it keeps this share of its evidence beside the first."""
     refined_candidates: int = 8
     """Refines so many of the best candidates of a round: the coarse order is nearly the final one (chosen)."""
-    refined_at_joint: int = 3
-    """Refines so many of the best candidates of each joint, since all joints may win in one round (chosen)."""
     refine_evaluations: int = 14
     """Spends so many evaluations on the line search of one value: its bracket then shrinks a thousandfold."""
     line_search_rounds: int = 6
@@ -283,9 +262,6 @@ class DiagnosisConfig:
     shortened_step: float = 0.1
     """Keeps the derivatives as long as each step is at most this share of the one before (chosen)."""
 
-    most_times_plausible: float = 5.0
-    """Refuses a load or a force of more than this many times what is plausible for the robot, a fifth of its own
-    weight (chosen)."""
     weight_shows: float = 18.5
     """Refuses a load whose mass and first moments lie nearer to none than this squared distance, in their own
     covariance: 1 in 1000 by chance with four of them."""
@@ -298,31 +274,9 @@ class DiagnosisConfig:
 
     # --- search: several joint offsets, delay beside friction, elimination ---
 
-    offset_felt: float = 1.0
-    """Tries the offset of a joint of which one radian changes the outputs by this many residual deviations."""
-    offsets_worth: float = 0.5
-    """Settles the offsets of all joints together if before that they reach this share of the best evidence."""
-    delay_rounds: int = 2
-    """Searches the shapes of all frictions beside a delay so many times, until they fit each other (chosen)."""
-    plain_gain: float = 0.005
-    """Takes friction and offset of all joints at once where the log of the unseen error falls by this much (chosen)."""
-    needless_score: float = 0.0015
-    """Leaves an effect out again only where the log of the unseen error rises by less (half of ``least_gain``)."""
-    clear_factor: float = 80.0
-    """Does not even fit without an effect whose coefficients over their covariance are worth this many times the least
-    evidence: that estimate is too large for large effects (chosen)."""
-    undoubted_factor: float = 20.0
-    """Asks no further about an effect that is worth this many times the least evidence, all else left as it is."""
 
     # --- search: ambiguity ---
 
-    rival_nats: float = 6.0
-    """Names effects as rivals that differ by less than this log evidence [nat], odds of 400 to 1 (chosen)."""
-    rival_share: float = 0.02
-    """Widens that by this share of the evidence for each further sample over which the residual stays correlated
-    (chosen)."""
-    most_rival_share: float = 0.2
-    """Widens it by no more than this share of the evidence (chosen)."""
     rival_overlap: float = 0.7
     """Calls effects rivals only if what they explain has this cosine: else they explain different things (chosen)."""
 
@@ -438,11 +392,6 @@ class DiagnosisConfig:
 
     # --- findings ---
 
-    own_share: float = 0.05
-    """Counts a later effect at the same joint, or of a kind mistaken for an earlier one at its place, as a refinement
-    of that one's form where it explains less than this share of what that one did (chosen)."""
-    related_share: float = 0.005
-    """Does the same elsewhere, where another cause is likelier (chosen)."""
 
     # --- verdict ---
 

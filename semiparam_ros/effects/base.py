@@ -31,7 +31,7 @@ STARTS = ('start_s', 'start_stamp_s')
 BRACKET = 2.5
 """A line search looks from a value over this factor to the value times it."""
 CALIBRATED = {'rad': 0.1, 's': 0.05, '': 0.3}
-"""Prior standard deviation of a calibration about nothing, by its unit."""
+"""What a calibration may be, by its unit."""
 MOST_TIMES_PLAUSIBLE = 5.0
 """Of what is plausible for the robot, a fifth of its own weight, the most that a load or a force may be."""
 STAMP_TOLERANCE_NS = 1000
@@ -175,6 +175,11 @@ class Effect:
         """
         size = size_of(body)
         return np.array([plausible(unit, size) for _, unit in self.coefficients(body)])
+
+    def calibration_scale(self, body: RigidBody) -> Array:
+        """(c,) prior standard deviations of the calibrations about zero, in their units."""
+        size = size_of(body)
+        return np.array([CALIBRATED.get(unit, CALIBRATED[''] * plausible(unit, size)) for _, unit in self.calibrations])
 
     def prior_mean(self, body: RigidBody) -> Array:
         """(c,) prior mean of each coefficient: zero, unless its value was declared."""

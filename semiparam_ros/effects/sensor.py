@@ -168,6 +168,10 @@ class SensorNonlinearity(Effect):
 CROSS = tuple((to, by) for to in CHANNELS for by in CHANNELS if to != by)
 
 
+HEARD = 0.2
+"""Of what a gain may be off, what crosstalk may be."""
+
+
 def _cross_unit(to: str, by: str) -> str:
     if to[0] == by[0]:
         return ''
@@ -185,6 +189,11 @@ class SensorCrosstalk(_Gains):
     calibrations: ClassVar[tuple[Coefficient, ...]] = (
         *(Coefficient(f'{to}_from_{by}', _cross_unit(to, by)) for to, by in CROSS),
         *(Coefficient(f'gain_{name}', '') for name in CHANNELS))
+
+    def calibration_scale(self, body: RigidBody) -> Array:
+        """A channel hears much less of the others than its own gain may be off."""
+        shares = np.array([HEARD if '_from_' in name else 1.0 for name, _ in self.calibrations])
+        return np.asarray(shares * super().calibration_scale(body))
 
     def matrix(self) -> Array:
         matrix = np.eye(N_CHANNELS) + np.diag([self.value(f'gain_{name}') for name in CHANNELS])

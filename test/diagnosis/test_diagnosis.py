@@ -16,18 +16,17 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.data.splits import folds, interleaved_split, leading_split, ranges
-from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose, that_carry_over
+from semiparam_ros.diagnosis.data.correlation import correlation_times
+from semiparam_ros.diagnosis.data.splits import interleaved_split, leading_split, ranges
+from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
-from semiparam_ros.diagnosis.residual.noise import correlation_times, noise_floor
-from semiparam_ros.diagnosis.search.ambiguity import Rival, simplest
+from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
-from semiparam_ros.diagnosis.search.elimination import without_needless
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
-from semiparam_ros.diagnosis.search.stepwise import worth_refining
+from semiparam_ros.diagnosis.search.stepwise import Rival, pruned, worth_refining
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import CHANNELS, Start
@@ -84,7 +83,7 @@ def test_friction_stands_alone_where_accelerations_are_estimated(kind):
                              accelerations=False))
     found = diagnose(body_of(made), samples_of(made))
     named = [(finding.effect.kind, finding.effect.where) for finding in found.findings]
-    assert named == [(kind, made.truth[0]['where'])] and found.refinements == []
+    assert named == [(kind, made.truth[0]['where'])]
 
 
 def test_both_shapes_of_sticking_friction_are_settled():
@@ -186,11 +185,10 @@ def test_an_effect_that_only_stood_in_for_others_goes(payload):
     fit = payload.final
     load = {(effect.kind, effect.where) for effect in fit.effects}
     needless = declare(fit, [kinds()['sensor_drift']()])
-    kept, dropped = without_needless(needless, set())
-    assert [effect.kind for effect in dropped] == ['sensor_drift']
+    kept = pruned(needless, set(), kinds('wrench'))
     assert {(effect.kind, effect.where) for effect in kept.effects} == load
-    assert without_needless(needless, {('sensor_drift', None)}) == (needless, ())  # the last one found stays
-    assert without_needless(fit, set()) == (fit, ())
+    assert pruned(needless, {('sensor_drift', None, None)}, kinds('wrench')) is needless
+    assert pruned(fit, set(), kinds('wrench')) is fit
 
 
 PAYLOAD = cache(lambda: hidden('payload', start_s=START_S))
@@ -647,12 +645,6 @@ def state_of(samples, effects=(), train_mask=EVERYTHING):
     return fit_model(BODY, samples, list(effects), train_mask, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1]))
 
 
-@pytest.mark.parametrize(('errors', 'stay'), [
-    ([1.0], 0), ([1.0, 0.5, 0.3], 2), ([1.0, 0.3, 0.302, 0.303], 3), ([1.0, 0.3, 0.29, 0.4, 0.33], 2), ([1.0, 1.1], 0)])
-def test_the_last_rounds_are_taken_back_where_the_held_out_data_are_predicted_worse_with_them(errors, stay):
-    assert that_carry_over(errors) == stay
-
-
 def test_blocks_cover_everything_and_held_out_ones_span_the_recording():
     train_mask = interleaved_split(1500)
     assert train_mask.mean() == pytest.approx(2.0 / 3.0)
@@ -661,14 +653,6 @@ def test_blocks_cover_everything_and_held_out_ones_span_the_recording():
     assert parts[0][0] < 300 and parts[-1][1] > 1200
     assert leading_split(10, 0.6).tolist() == [True] * 6 + [False] * 4
     assert ranges(np.array([True, False, False, True, True])) == [(0, 1), (3, 5)]
-
-
-def test_folds_are_contiguous_and_leave_out_what_is_not_in_use():
-    train_mask = interleaved_split(1000)
-    labels = folds(train_mask)
-    assert (labels[~train_mask] == -1).all()
-    assert set(labels[train_mask]) == set(range(DEFAULTS.folds))
-    assert (np.diff(labels[train_mask]) >= 0).all()
 
 
 def test_the_noise_floor_sees_white_noise_beside_slow_variation():
@@ -757,20 +741,6 @@ def test_parameters_cost_evidence_and_correlated_samples_count_less():
     assert score(fit, replace(trial, n_parameters=5), white).evidence == pytest.approx(one - 2.0 * np.log(2400))
     assert score(fit, trial, slow).evidence == pytest.approx(-6 * 40 * np.log(0.9) - 0.5 * np.log(240))
     assert score(fit, replace(trial, leaves=fit.residual), white).evidence < 0.0
-
-
-@pytest.mark.parametrize(('tilt', 'offset', 'named'), [
-    ((100.0, 1), (98.0, 1), 'joint_offset'),  # equal but for chance: the kind that comes first
-    ((100.0, 1), (93.0, 1), 'gravity_tilt'),  # more than chance
-    ((100.0, 2), (98.0, 1), 'joint_offset'),  # about as good with fewer values
-    ((100.0, 2), (96.0, 1), 'gravity_tilt'),  # odds of 55, which have charged for the values
-    ((100.0, 1), (98.0, 2), 'gravity_tilt')])
-def test_of_equal_explanations_the_plainest_and_then_the_commonest_is_named(tilt, offset, named):
-    fit = state_of(RECORDED)
-    noise = np.random.default_rng(0).standard_normal(fit.residual.shape)  # so that no correlation widens the choice
-    trials = [Trial(kinds()[kind](None, {}), noise, n_parameters, evidence=evidence)
-              for kind, (evidence, n_parameters) in (('gravity_tilt', tilt), ('joint_offset', offset))]
-    assert simplest(fit, trials, ['joint_offset', 'gravity_tilt']).effect.kind == named
 
 
 def test_errors_are_over_the_variance_and_over_the_horizon():

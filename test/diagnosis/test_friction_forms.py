@@ -7,12 +7,13 @@ import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.preparation import averaged
-from semiparam_ros.diagnosis.data.splits import carries_over, improves
 from semiparam_ros.diagnosis.residual.contacts import contacts
-from semiparam_ros.diagnosis.search.delay_with_friction import with_leads
+from semiparam_ros.diagnosis.search.plausibility import without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.score import gain
 from semiparam_ros.diagnosis.search.shapes import settled
-from semiparam_ros.diagnosis.search.stepwise import starting_fit
+from semiparam_ros.diagnosis.search.stepwise import bent, pruned, starting_fit
+from semiparam_ros.effects import kinds
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from semiparam_ros.effects.geometry import TimeDelay
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
@@ -20,6 +21,8 @@ from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
 COUNT, TURN = 1500, 0.02
 EVERYTHING = np.ones(COUNT, dtype=bool)
+FRICTION = [('coulomb_friction', joint, None) for joint in ODD_JOINTS]
+KINDS = kinds('effort')
 
 
 def rubbing(lead_s=0.0, delay_s=0.0):
@@ -37,6 +40,10 @@ def fitted(samples, delay_s=None, lead_s=None):
     delay = [] if delay_s is None else [TimeDelay(None, {'delay_s': delay_s})]
     return declare(starting_fit(BODY, samples, [], EVERYTHING),
                    [*(CoulombFriction(joint, dict(values)) for joint in BODY.joints), *delay])
+
+
+def with_leads(fit):
+    return bent(fit, FRICTION, KINDS)
 
 
 def test_a_working_sample_holds_the_mean_of_the_friction_within_it():
@@ -61,10 +68,11 @@ def test_friction_that_leads_is_no_delay_of_the_efforts():
     """MuJoCo's friction turns over up to 10 ms before its joint does: efforts were told to be 2 to 6 ms early."""
     bare = fitted(rubbing(lead_s=0.01))
     late = fitted(bare.samples, delay_s=0.0)
-    assert late.effects[-1].value('delay_s') < -0.001 and carries_over(bare, late)
-    assert not improves(bare, late)
-    leading = with_leads(bare, ())
+    assert late.effects[-1].value('delay_s') < -0.001
+    leading = with_leads(bare)
     assert [effect.value('lead_s') for effect in leading.effects] == pytest.approx([0.01] * 4, abs=5e-4)
+    both = declare(leading, [TimeDelay(None, {'delay_s': 0.0})])
+    assert pruned(both, FRICTION, KINDS).effects == leading.effects
 
 
 def test_friction_with_its_shape_anew_holds_no_impossible_value():
@@ -75,18 +83,16 @@ def test_friction_with_its_shape_anew_holds_no_impossible_value():
     viscous = [ViscousFriction(joint) for joint in BODY.joints[:2]]
     start = declare(start, viscous)
     assert not viscous[1].physical(start.theta[start.assembly.blocks['5']])
-    leading = with_leads(start, ())
-    assert [effect.value('lead_s') for effect in leading.effects[:4]] == pytest.approx([0.01] * 4, abs=1e-3)
+    leading = without_impossible(with_leads(start), ())
     assert viscous[1] not in leading.effects
-    assert viscous[1] in with_leads(start, {('viscous_friction', BODY.joints[1])}).effects
+    assert viscous[1] in without_impossible(start, {('viscous_friction', BODY.joints[1], None)}).effects
 
 
 def test_a_delay_that_every_output_shows_is_believed():
     bare = fitted(rubbing(delay_s=0.02))
     late = fitted(bare.samples, delay_s=0.0)
-    assert improves(bare, late)
-    asking = replace(late, config=replace(late.config, least_evidence=1e9))
-    assert carries_over(bare, asking) and not improves(bare, asking)
+    gained = gain(with_leads(bare), late)
+    assert gained.total > 100.0 and gained.total > 10.0 * gained.error
 
 
 def test_a_lead_of_friction_and_a_delay_are_settled_together():

@@ -13,10 +13,10 @@ from conftest import SHARED_DATA
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.data.outliers import excluded
 from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts
+from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 from support.arms import ICUB_OWN, ICUB_SENSOR, as_recorded, smooth_motion

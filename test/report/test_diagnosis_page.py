@@ -14,9 +14,8 @@ from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.dependence import Dependence
 from semiparam_ros.diagnosis.residual.formula import Formula, Summand
 from semiparam_ros.diagnosis.residual.structure import Structure
-from semiparam_ros.diagnosis.search.ambiguity import Rival
 from semiparam_ros.diagnosis.search.scoring import Trial
-from semiparam_ros.diagnosis.search.stepwise import Step
+from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Start

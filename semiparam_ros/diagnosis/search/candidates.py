@@ -21,8 +21,8 @@ DERIVATIVE_STEP = 1e-3
 """Half the difference [rad, s or 1] that stands for a derivative: dry friction that turns over between two samples is
 no smooth function of a delay, and a much smaller one would see it jump or not at all."""
 START_RIDGE = 1e-6
-Place = tuple[str, str | None]
-"""Kind and place of an effect."""
+Place = tuple[str, str | None, float | None]
+"""Kind and place of an effect, and when it began where several may come one after the other, as loads do."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,12 @@ def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
                     yield Candidate(kind, where, tuple(dict(values) for values in searches))
 
 
-def held(effects: Sequence[Effect]) -> set[Place]:
+def identity(effect: Effect) -> Place:
+    """What tells an effect from the others of a model."""
+    return effect.kind, effect.where, effect.start_s if effect.must_start else None
+
+
+def held(effects: Sequence[Effect]) -> set[tuple[str, str | None]]:
     """What a model with these effects holds already, as such or as a part of another one, and cannot hold twice."""
     return {(part.kind, part.where) for effect in effects if not effect.must_start
             for part in (effect, *effect.plainer())}
@@ -82,7 +87,7 @@ def _derivative(fit: Fit, effect: Effect, name: str, load: Array | None) -> Arra
 
 def others(fit: Fit, effect: Effect) -> list[Effect]:
     """The declared effects without the one of the same kind and place."""
-    return [known for known in fit.effects if (known.kind, known.where) != (effect.kind, effect.where)]
+    return [known for known in fit.effects if identity(known) != identity(effect)]
 
 
 def predicted_with(fit: Fit, effects: list[Effect]) -> Array:

@@ -9,15 +9,15 @@ from scipy.optimize import least_squares
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place
+from semiparam_ros.diagnosis.search.candidates import Place, identity
 from semiparam_ros.diagnosis.search.refit import declare
 
 
 def all_plausible(before: Fit, after: Fit) -> bool:
     """Whether no effect has impossible values in the second model that had none in the first."""
-    wrong = {(effect.kind, effect.where) for index, effect in enumerate(before.effects)
+    wrong = {identity(effect) for index, effect in enumerate(before.effects)
              if not _plausible(before, index)}
-    return all(_plausible(after, index) or (effect.kind, effect.where) in wrong
+    return all(_plausible(after, index) or identity(effect) in wrong
                for index, effect in enumerate(after.effects))
 
 
@@ -28,7 +28,7 @@ def without_impossible(fit: Fit, declared: Collection[Place]) -> Fit:
     """
     while True:
         blocks = fit.assembly.blocks
-        kept = [effect for index, effect in enumerate(fit.effects) if (effect.kind, effect.where) in declared
+        kept = [effect for index, effect in enumerate(fit.effects) if identity(effect) in declared
                 or effect.is_calibration or effect.physical(fit.theta[blocks[str(index)]])]
         if len(kept) == len(fit.effects):
             return fit

@@ -8,7 +8,7 @@ import numpy as np
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns, held
+from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
 from semiparam_ros.effects import Effect
 
 
@@ -18,9 +18,9 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     A step that would raise the loss is shortened, one that would hardly lower it is not taken. Derivatives are costly
     and are kept as long as they shorten the steps well.
     """
-    places, slopes, last = {(effect.kind, effect.where) for effect in moving}, None, np.inf
+    places, slopes, last = {identity(effect) for effect in moving}, None, np.inf
     for _ in range(fit.config.gauss_newton_steps):
-        moving = [effect for effect in fit.effects if (effect.kind, effect.where) in places]
+        moving = [effect for effect in fit.effects if identity(effect) in places]
         if slopes is None:
             slopes = [added_columns(fit, effect) for effect in moving]
         explained = fit.explain(np.concatenate(slopes, axis=2))
@@ -49,9 +49,9 @@ def _stepped(fit: Fit, moving: list[Effect], step: Array) -> Fit:
 def calibrations_moved(fit: Fit, moving: list[Effect], step: Array) -> list[Effect]:
     """The model's effects, the calibrations of some moved by a step (c,), one value after the other."""
     ends = np.cumsum([len(effect.calibrations) for effect in moving])[:-1]
-    moved = {(effect.kind, effect.where): moved_by(effect, part)
+    moved = {identity(effect): moved_by(effect, part)
              for effect, part in zip(moving, np.split(step, ends), strict=True)} if moving else {}
-    return [moved.get((effect.kind, effect.where), effect) for effect in fit.effects]
+    return [moved.get(identity(effect), effect) for effect in fit.effects]
 
 
 def calibrated_values(effect: Effect) -> Array:

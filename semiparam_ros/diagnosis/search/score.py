@@ -25,7 +25,6 @@ from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.refit import calibrated_values, declare
-from semiparam_ros.effects.base import CALIBRATED
 
 
 class ChannelGrams(NamedTuple):
@@ -119,10 +118,10 @@ def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
     """(N, n, c) derivatives of the prediction by the calibrations, their prior deviations (c,) and their values."""
     calibrated = [effect for effect in fit.effects if effect.is_calibration]
     columns = [added_columns(fit, effect) for effect in calibrated]
-    spread = [CALIBRATED.get(unit, 1.0) for effect in calibrated for _, unit in effect.calibrations]
+    spread = [effect.calibration_scale(fit.body) for effect in calibrated]
     values = [calibrated_values(effect) for effect in calibrated]
-    return (np.concatenate([np.zeros((*fit.residual.shape, 0)), *columns], axis=2), np.array(spread),
-            np.concatenate([np.zeros(0), *values]))
+    return (np.concatenate([np.zeros((*fit.residual.shape, 0)), *columns], axis=2),
+            np.concatenate([np.zeros(0), *spread]), np.concatenate([np.zeros(0), *values]))
 
 
 def block_edges(fit: Fit, start_s: float | None = None) -> Array:

@@ -15,7 +15,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, Place, candidates, held
+from semiparam_ros.diagnosis.search.candidates import Candidate, Place, candidates, held, identity
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.score import Gain, block_gains, gain, worth
@@ -81,17 +81,22 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
 
     :param hopeless: of a model with one more effect, whether to stop there.
     """
-    fixed = {(effect.kind, effect.where) for effect in fit.effects}
+    fixed = {identity(effect) for effect in fit.effects}
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
         step = _next_step(fit, kinds, fixed, _in_round(progress, len(steps) + 1))
         if step is None:
-            other = swapped(reshaped(fit, fixed, kinds), fixed, kinds)
-            if not steps or other is fit:
+            if not steps:
                 break
-            fit = pruned(other, fixed, kinds)
-            steps[-1] = replace(steps[-1], after=fit)
-            continue
+            shaped = reshaped(fit, fixed, kinds)
+            shaped = shaped if shaped is fit else pruned(shaped, fixed, kinds)
+            steps[-1] = replace(steps[-1], after=shaped)
+            step = swapped(shaped, fixed, kinds)
+            if step is None and shaped is fit:
+                break
+            fit = shaped
+            if step is None:
+                continue
         steps.append(_over(step))
         fit = step.after
         if hopeless(fit):
@@ -133,21 +138,29 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
     good = [move for move in moves if move.good]
     if not good:
         return None
-    best = _simplest(good)
-    added = [(effect.kind, effect.where) for effect in best.added]
+    step = _made(fit, _simplest(good), moves, ranking, fixed, kinds)
+    if step is not None:
+        names = [place(trial.effect.kind, trial.effect.where) for trial in step.added]
+        report(f'found {", ".join(names)}', 1.0)
+    return step
+
+
+def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial], fixed: Collection[Place],
+          kinds: Collection[str]) -> Step | None:
+    """The step that a move is, with what was added at its best and what it makes needless taken off."""
+    added = [identity(effect) for effect in best.added]
     after = bent(best.after, added, kinds)
     after = pruned(split(after, added, kinds), fixed, kinds)
-    before = {(effect.kind, effect.where) for effect in fit.effects}
-    names = {(effect.kind, effect.where) for effect in after.effects}
-    found = tuple(effect for effect in after.effects if (effect.kind, effect.where) not in before)
+    before = {identity(effect) for effect in fit.effects}
+    names = {identity(effect) for effect in after.effects}
+    found = tuple(effect for effect in after.effects if identity(effect) not in before)
     if not found:
         return None
     rivals = _rivals(fit, best, moves) if len(found) == 1 == len(best.added) else ()
-    report('found ' + ', '.join(place(effect.kind, effect.where) for effect in found), 1.0)
     return Step(
         added=tuple(Trial(effect, after.residual, 1, evidence=best.gain.total / len(found)) for effect in found),
         rivals=(rivals,) * len(found), ranking=tuple(ranking), before=fit, after=after,
-        dropped=tuple(effect for effect in fit.effects if (effect.kind, effect.where) not in names))
+        dropped=tuple(effect for effect in fit.effects if identity(effect) not in names))
 
 
 def coarse(fit: Fit, pool: Sequence[Candidate], report: Progress) -> list[Trial]:
@@ -172,18 +185,15 @@ def _refined(fit: Fit, trials: list[Trial]) -> list[Trial]:
 
 
 def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
-    """Those worth refining: the best, calibrations (which are linear only while small), the best of each kind with many
-    values, and of efforts each joint's."""
+    """Those worth refining: the best, calibrations (which are linear only while small), and the best of each kind with
+    many values."""
     config = fit.config
     chosen = trials[:config.refined_candidates]
     chosen += [trial for trial in trials[config.refined_candidates:]
                if trial.effect.is_calibration and trial.evidence > config.least_evidence]
-    best_of_kind: dict[str, Trial] = {}
-    for trial in trials:
-        if trial.many_valued:
-            best_of_kind.setdefault(trial.effect.kind, trial)
-    chosen += [trial for trial in best_of_kind.values()
-               if trial not in chosen and trial.evidence > config.least_evidence]
+    for kind in {trial.effect.kind for trial in trials if trial.many_valued}:
+        foremost = [trial for trial in trials if trial.many_valued and trial.effect.kind == kind][:config.swapped]
+        chosen += [trial for trial in foremost if trial not in chosen and trial.evidence > config.least_evidence]
     return chosen
 
 
@@ -193,11 +203,28 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
     for trial in ranking[:fit.config.tried]:
         after = declare(fit, [trial.effect])
         if trial.many_valued:
-            after = bent(after, [(trial.effect.kind, trial.effect.where)], kinds)
+            trial, after = _at_its_best(fit, trial, after, kinds)
         if all_plausible(fit, after):
             moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.start_s),
                               prices([trial.effect], fit, kinds)))
     return moves
+
+
+def _at_its_best(fit: Fit, trial: Trial, after: Fit, kinds: Collection[str]) -> tuple[Trial, Fit]:
+    """A trial of many nonlinear values and the model with it, searched one by one and all together in turn."""
+    known = {identity(effect) for effect in fit.effects}
+    for _ in range(fit.config.line_search_rounds):
+        moved = bent(after, [identity(trial.effect)], kinds)
+        own = [effect for effect in moved.effects if identity(effect) not in known]
+        if moved is after or len(own) != 1:
+            break
+        trial = refined(fit, replace(trial, effect=own[0], leaves=moved.residual, squares=moved.squares))
+        other = declare(fit, [trial.effect])
+        after = max(moved, other, key=lambda model: gain(fit, model).total)
+        if after is moved:
+            trial = replace(trial, effect=own[0])
+            break
+    return trial, after
 
 
 def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str]) -> list[Move]:
@@ -206,13 +233,15 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
     for trial in trials:
         if trial.effect.group and trial.effect.start_s is None:
             groups.setdefault(trial.effect.group, []).append(trial.effect)
-    known, moves = {(effect.kind, effect.where) for effect in fit.effects}, []
+    known, moves = {identity(effect) for effect in fit.effects}, []
+    order = [(kind, where) for kind in kinds for where in fit.body.joints]
     for effects in groups.values():
+        effects.sort(key=lambda effect: order.index((effect.kind, str(effect.where))))
         if len(effects) > 1:
             after = without_impossible(declare(fit, effects), fixed)
             after = reshaped(after, known, kinds) if any(effect.searched for effect in effects) else after
             after = pruned(after, {*fixed, *known}, kinds)
-            added = tuple(effect for effect in after.effects if (effect.kind, effect.where) not in known)
+            added = tuple(effect for effect in after.effects if identity(effect) not in known)
             if added:
                 moves.append(Move(added, after, gain(fit, after), prices(added, fit, kinds)))
     return moves
@@ -240,7 +269,7 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
 
     Values of a form that are left as they usually are open where that gains more than they are worth as guesses.
     """
-    numbers = [number for number, effect in enumerate(fit.effects) if (effect.kind, effect.where) in places
+    numbers = [number for number, effect in enumerate(fit.effects) if identity(effect) in places
                and not effect.is_calibration and (effect.searched or effect.finer() != effect)]
     if not numbers:
         return fit
@@ -261,27 +290,27 @@ def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
     for effect in fit.effects:
         searches = tuple(dict(values) for values in effect.searches(
             fit.body, fit.samples, effect.where, fit.residual))
-        if (effect.kind, effect.where) in fixed or effect.is_calibration or len(searches) < 2 \
+        if identity(effect) in fixed or effect.is_calibration or len(searches) < 2 \
                 or effect.start.values or not effect.searched:
             continue
         without = with_effects(after, [known for known in after.effects
-                                       if (known.kind, known.where) != (effect.kind, effect.where)])
+                                       if identity(known) != identity(effect)])
         trial = coarse_trial(without, Candidate(type(effect), effect.where, searches))
         if trial is not None:
             other = with_effects(without, [*without.effects, trial.effect])
             after = other if other.loss < after.loss else after
     after = declare(after, []) if after is not fit else fit
-    after = bent(after, [(effect.kind, effect.where) for effect in after.effects
-                         if (effect.kind, effect.where) not in fixed], kinds)
+    after = bent(after, [identity(effect) for effect in after.effects
+                         if identity(effect) not in fixed], kinds)
     better = after is not fit and all_plausible(fit, after) and gain(fit, after).total > fit.config.settled_gain
     return after if better else fit
 
 
-def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Fit:
-    """The model with one of the effects that were found at another place, or of a kind that is mistaken for it, where
-    that is better; the same model where none is."""
+def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Step | None:
+    """The step to one of the effects that were found at another place, or of a kind that is mistaken for it, where that
+    is better."""
     for effect in fit.effects:
-        if (effect.kind, effect.where) in fixed or usual(effect, fit):
+        if identity(effect) in fixed or usual(effect, fit):
             continue
         rest = declare(with_effects(fit, [known for known in fit.effects if known is not effect]), [])
         names = {effect.kind, *effect.mistaken_for}
@@ -292,9 +321,10 @@ def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) 
         moves = [move._replace(gain=gain(fit, move.after, move.added[0].start_s), price=move.price - cost)
                  for move in single_moves(rest, ranking, kinds)]
         best = max((move for move in moves if move.good), key=lambda move: move.net, default=None)
-        if best is not None:
-            return best.after
-    return fit
+        step = None if best is None else _made(fit, best, moves, ranking, fixed, kinds)
+        if step is not None:
+            return step
+    return None
 
 
 def usual(effect: Effect, fit: Fit) -> bool:
@@ -306,12 +336,12 @@ def usual(effect: Effect, fit: Fit) -> bool:
 def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
     """The model with the plainer effects of which some at these places are made up, unless blocks tell them apart."""
     for effect in fit.effects:
-        plainer = list(effect.plainer()) if (effect.kind, effect.where) in places else []
+        plainer = list(effect.plainer()) if identity(effect) in places else []
         rest = with_effects(fit, [known for known in fit.effects if known is not effect])
         if not plainer or held(plainer) & held(rest.effects):
             continue
         simpler = declare(rest, plainer)
-        simpler = bent(simpler, [(part.kind, part.where) for part in plainer], kinds)
+        simpler = bent(simpler, [identity(part) for part in plainer], kinds)
         whole = Move((effect,), fit, gain(simpler, fit), prices([effect], rest, kinds))
         if not whole.good:
             fit = simpler
@@ -326,7 +356,7 @@ def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
             others = [known for known in fit.effects if known is not effect]
             cost = price(effect, others, fit, kinds)
             sure = 1.0 if usual(effect, fit) else fit.config.sure
-            if (effect.kind, effect.where) not in fixed and each.total < max(cost, sure * each.error):
+            if identity(effect) not in fixed and each.total < max(cost, sure * each.error):
                 weak.append((each.total, number))
         if not weak:
             return fit
@@ -340,8 +370,8 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
     generator, found, draws = np.random.default_rng(0), [], fit.config.bootstrap_draws
     ours = Trial(chosen.added[0], chosen.after.residual, 1)
     for move in moves:
-        known = {(effect.kind, effect.where) for effect in chosen.added}
-        if len(move.added) > 1 or (move.added[0].kind, move.added[0].where) in known:
+        known = {identity(effect) for effect in chosen.added}
+        if len(move.added) > 1 or identity(move.added[0]) in known:
             continue
         if overlap(fit, ours, Trial(move.added[0], move.after.residual, 1)) < fit.config.rival_overlap:
             continue
@@ -370,5 +400,5 @@ def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:
     """The best of each kind at each place; refinement may have led several to one place."""
     correlation = correlation_of(fit, trials)
     scored = sorted((score(fit, trial, correlation) for trial in trials), key=lambda trial: trial.evidence)
-    best = {(trial.effect.kind, trial.effect.where): trial for trial in scored}
+    best = {identity(trial.effect): trial for trial in scored}
     return sorted(best.values(), key=lambda trial: -trial.evidence)
