@@ -87,6 +87,13 @@ class Products(NamedTuple):
     shared: Array
 
 
+class Prior(NamedTuple):
+    """What is known of the coefficients of further columns beforehand: (c,) mean and precision, in scaled units."""
+
+    mean: Array
+    precision: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The declared model fitted to the samples where ``train_mask`` is true.
@@ -264,10 +271,10 @@ class Fit:
         grow = np.sqrt(self.train_mask.sum() / self.counts)
         return residual_scale(self.used(residual) * grow, self.used(self.samples.outputs) * grow)
 
-    def explain(self, columns: Array) -> Explained:
+    def explain(self, columns: Array, prior: Prior | None = None) -> Explained:
         """Regress the residual on columns (N, n, c), the declared ones refitted along."""
         products = self._products(columns)
-        coefficients, covariance, rank, cross, _ = self._regressed(products, columns.shape[2])
+        coefficients, covariance, rank, cross, _ = self._regressed(products, columns.shape[2], prior)
         refit = -cross @ coefficients
         left = self.squares.copy()
         for channel, felt in enumerate(self.felt):
@@ -316,7 +323,8 @@ class Fit:
                                          rows.T @ used))
         return products
 
-    def _regressed(self, products: list[Products], count: int) -> tuple[Array, Array, int, Array, Array]:
+    def _regressed(self, products: list[Products], count: int,
+                   prior: Prior | None = None) -> tuple[Array, Array, int, Array, Array]:
         """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.n_columns, count))
@@ -325,6 +333,8 @@ class Fit:
             inner[np.ix_(each.acting, each.acting)] += weight * each.inner
             right[each.acting] += weight * each.right
             shared[np.ix_(self.felt[each.channel], each.acting)] += weight * each.shared
+        if prior is not None:
+            inner, right = inner + np.diag(prior.precision), right + prior.precision * prior.mean
         cross = cho_solve(self.factor, shared)
         power = np.diag(inner).copy()
         solved = _solve(inner - shared.T @ cross, right, power, self.config.absorbed_share)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
+from semiparam_ros.diagnosis.regression import Fit, Prior, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
 from semiparam_ros.effects import Effect
 
 
 def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
-    """Move the calibrations of the effects ``moving`` to the least squares, all together.
+    """Move the calibrations of the effects ``moving`` to their most likely values, all together.
 
     A step that would raise the loss is shortened, one that would hardly lower it is not taken. Derivatives are costly
     and are kept as long as they shorten the steps well.
@@ -23,15 +24,15 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
         moving = [effect for effect in fit.effects if identity(effect) in places]
         if slopes is None:
             slopes = [added_columns(fit, effect) for effect in moving]
-        explained = fit.explain(np.concatenate(slopes, axis=2))
+        explained = fit.explain(np.concatenate(slopes, axis=2), prior_of_steps(fit, moving))
         if fit.counts @ (1.0 - explained.squares / np.maximum(fit.squares, 1e-300)) < fit.config.settled_gain:
             break
         step = explained.coefficients
         after = _stepped(fit, moving, step)
-        while after.loss > fit.loss and np.abs(step).max() > fit.config.settled_step:
+        while objective(after) > objective(fit) and np.abs(step).max() > fit.config.settled_step:
             step = step * fit.config.backtracking
             after = _stepped(fit, moving, step)
-        if after.loss > fit.loss:
+        if objective(after) > objective(fit):
             break
         fit, size = after, float(np.abs(step).max())
         if size < fit.config.settled_step:
@@ -40,6 +41,21 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
             slopes = None
         last = size
     return fit
+
+
+def objective(fit: Fit) -> float:
+    """Twice the negative log posterior of a model's calibrations, but for a constant: what it leaves, and how far they
+    are from nothing."""
+    prior = prior_of_steps(fit, [effect for effect in fit.effects if effect.is_calibration])
+    return fit.loss + float(prior.precision @ prior.mean**2)
+
+
+def prior_of_steps(fit: Fit, moving: Sequence[Effect]) -> Prior:
+    """That of further changes of calibrations, which are about zero beforehand. Neighbouring samples repeat each other,
+    so it weighs as much more."""
+    values = np.concatenate([np.zeros(0), *(calibrated_values(effect) for effect in moving)])
+    spread = np.concatenate([np.ones(0), *(effect.calibration_scale(fit.body) for effect in moving)])
+    return Prior(-values, float(fit.correlation.mean()) * spread**-2.0)
 
 
 def _stepped(fit: Fit, moving: list[Effect], step: Array) -> Fit:

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, predicted, with_effects
+from semiparam_ros.diagnosis.regression import Fit, Prior, predicted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns
-from semiparam_ros.diagnosis.search.refit import calibrations_moved, declare
+from semiparam_ros.diagnosis.search.refit import calibrations_moved, declare, objective, prior_of_steps
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
 
@@ -70,13 +70,16 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
             break
         calibrations = [effect for effect in fit.effects if effect.is_calibration]
         slopes = [shape_columns(fit, shapes), *(added_columns(fit, effect) for effect in calibrations)]
-        steps = fit.explain(np.concatenate(slopes, axis=2)).coefficients
+        known = prior_of_steps(fit, calibrations)
+        free = np.zeros(len(shapes))
+        prior = Prior(np.append(free, known.mean), np.append(free, known.precision))
+        steps = fit.explain(np.concatenate(slopes, axis=2), prior).coefficients
         moved = next((moved for share in (1.0, fit.config.backtracking, fit.config.backtracking**2)
-                      if (moved := _moved(fit, shapes, calibrations, share * steps)).loss < fit.loss
+                      if objective(moved := _moved(fit, shapes, calibrations, share * steps)) < objective(fit)
                       and _possible(moved, found)), None)
         if moved is None:
             break
-        gained, fit = fit.loss - moved.loss, moved
+        gained, fit = objective(fit) - objective(moved), moved
         if gained < fit.config.settled_gain:
             break
     return declare(fit, [])

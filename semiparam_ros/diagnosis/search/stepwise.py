@@ -200,7 +200,7 @@ def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
 def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
     """Each of the foremost trials by itself."""
     moves = []
-    for trial in ranking[:fit.config.tried]:
+    for trial in [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]:
         after = declare(fit, [trial.effect])
         if trial.many_valued:
             trial, after = _at_its_best(fit, trial, after, kinds)
