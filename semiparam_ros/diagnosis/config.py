@@ -246,6 +246,8 @@ class DiagnosisConfig:
     """Moves a point of application by at most so many Gauss-Newton steps (chosen)."""
     longest_lever_m: float = 0.3
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
+    reweighted: float = 0.5
+    """Settles calibrations once more where what is left of a channel fell below this share (chosen)."""
     gauss_newton_steps: int = 4
     """Settles calibrations in at most so many Gauss-Newton steps (chosen)."""
     shape_steps: int = 12

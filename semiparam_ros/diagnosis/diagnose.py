@@ -19,14 +19,14 @@ from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
-from semiparam_ros.diagnosis.regression import Fit, refit_weights
+from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
 from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
 from semiparam_ros.diagnosis.search.input_errors import with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
-from semiparam_ros.diagnosis.search.refit import gauss_newton
+from semiparam_ros.diagnosis.search.refit import calibrated
 from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts
@@ -226,8 +226,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
 
 def _calibrated(fit: Fit) -> Fit:
     """The declared model, with those calibrations at the least squares that were declared without a value."""
-    bare = [effect for effect in fit.effects if effect.is_calibration and not effect.parameters]
-    return refit_weights(gauss_newton(fit, bare)) if bare else fit
+    return calibrated(fit, [effect for effect in fit.effects if effect.is_calibration and not effect.parameters])
 
 
 def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[SetupProblem],

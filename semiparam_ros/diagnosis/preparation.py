@@ -23,7 +23,7 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
-from semiparam_ros.diagnosis.search.score import block_edges, block_grams
+from semiparam_ros.diagnosis.search.score import block_edges, block_grams, summed
 from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
@@ -34,7 +34,8 @@ SMOOTHED = {'smoothed': (2, 4), 'smoothed more': (2, 6), 'smoothed from position
 ESTIMATED = ('smoothed', 'smoothed more', 'smoothed from positions')
 MEASURED = ('recorded', BUT_ACCELERATIONS, 'smoothed with accelerations', 'smoothed more, with accelerations')
 """Those that use the accelerations of a recording."""
-OPTIONS = (*ESTIMATED, *MEASURED)
+OPTIONS = (*MEASURED[2:], *ESTIMATED, *MEASURED[:2])
+"""All of them, first those that leave the least noise in the motion."""
 
 
 class Inputs(NamedTuple):
@@ -83,25 +84,27 @@ def _prepared(inputs: Inputs, samples: Samples) -> Samples:
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
                 config: DiagnosisConfig = DEFAULTS) -> Inputs:
-    """The motion with which the declared model predicts unseen blocks best, and the factor to the working rate.
+    """The motion with which the declared model predicts unseen blocks best (of several that no block tells apart the
+    first of OPTIONS), and the factor to the working rate.
 
     Raises SemiparamError when too few samples are left to work with.
     """
     factor = working_factor(samples, config)
     possible = OPTIONS if samples.acceleration.any() else (*ESTIMATED, 'recorded')
-    options = {name: Inputs(name, factor, config.smoothing_ends) for name in possible}
+    options = {name: Inputs(name, factor, config.smoothing_ends) for name in OPTIONS if name in possible}
     common = np.all([inputs.mask(train_mask) for inputs in options.values()], axis=0)
     require_enough(config, common)
     outputs = samples.outputs[train_mask]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
-    scores: dict[str, float] = {}
+    densities: dict[str, Array] = {}
     for name, inputs in options.items():
         prepared = inputs.prepare(samples)
         fit = refit_weights(fit_model(body, prepared, effects, common, scale, config,
                                       counted_outputs(body, prepared, config)))
-        densities = block_grams(fit, block_edges(fit)).densities(fit.scale, np.ones(body.n_outputs))
-        scores[name] = float(densities.sum())
-    return options[max(scores, key=lambda name: scores[name])]
+        densities[name] = block_grams(fit, block_edges(fit)).densities(fit.scale, np.ones(body.n_outputs))
+    best = max(densities, key=lambda name: float(densities[name].sum()))
+    lost = {name: summed(densities[best] - densities[name]) for name in options}
+    return options[next(name for name in options if lost[name].total <= lost[name].error)]
 
 
 def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> list[str]:

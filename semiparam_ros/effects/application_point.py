@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.robot.frames import FrameMotion, felt_links, frame_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import size_of
+from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import Effect
@@ -29,7 +29,7 @@ class AtPoint(Effect):
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
         """It acts no farther from the link than the arm is long."""
         lever = float(np.linalg.norm([self.value(axis) for axis in POINT]))
-        return lever <= size_of(body).length and super().conceivable(body, coefficients)
+        return lever <= reach_of(body) and super().conceivable(body, coefficients)
 
     def motion(self, body: RigidBody, samples: Samples) -> FrameMotion:
         """How the point moves, and what a force there does."""

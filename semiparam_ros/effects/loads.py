@@ -11,7 +11,7 @@ import numpy as np
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.frames import felt_links, links_beside, load_regressor, loaded_links, nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import size_of
+from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.application_point import AtPoint
@@ -68,7 +68,7 @@ class Payload(Effect):
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
         """Its centre is no farther from the link than the arm is long."""
-        reach = float(np.linalg.norm(coefficients[1:4])) <= size_of(body).length * float(coefficients[0])
+        reach = float(np.linalg.norm(coefficients[1:4])) <= reach_of(body) * float(coefficients[0])
         return reach and super().conceivable(body, coefficients)
 
     def relocated(self, body: RigidBody, coefficients: Array) -> Effect:

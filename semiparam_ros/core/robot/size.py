@@ -41,6 +41,13 @@ def size_of(body: RigidBody) -> Size:
     return Size(max(found.mass, LEAST_MASS), max(found.length, LEAST_LENGTH))
 
 
+@lru_cache(maxsize=16)
+def reach_of(body: RigidBody) -> float:
+    """[m] how long the whole arm is when stretched out, whatever of it the outputs feel."""
+    steps = [float(np.linalg.norm(placement.translation)) for placement in body.arm.jointPlacements]
+    return max(sum(steps), LEAST_LENGTH)
+
+
 @lru_cache(maxsize=256)
 def size_beyond(body: RigidBody, joint: str) -> Size:
     """The size of what a joint carries, and ``LEAST_PART`` of the whole arm at least."""

@@ -92,8 +92,16 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
         known = [one for one in fit.effects if not held([one]) & parts]
         fit = with_effects(fit, [*known, effect])
     fit = _with_own_load(_relocated(refit_weights(fit)))
-    calibrations = [effect for effect in fit.effects if effect.is_calibration]
-    return refit_weights(gauss_newton(fit, calibrations)) if calibrations else fit
+    return calibrated(fit, [effect for effect in fit.effects if effect.is_calibration])
+
+
+def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
+    """The model with these calibrations settled, and the weights those of what that leaves."""
+    while calibrations:
+        scale, fit = fit.scale, refit_weights(gauss_newton(fit, calibrations))
+        if np.all(fit.scale > fit.config.reweighted * scale):
+            break  # else the prior was weighed against noise that there is not
+    return fit
 
 
 def _with_own_load(fit: Fit) -> Fit:

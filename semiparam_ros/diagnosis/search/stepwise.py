@@ -17,7 +17,7 @@ from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, candidates, held, identity
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
-from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.refit import declare, moved_by
 from semiparam_ros.diagnosis.search.score import Gain, block_gains, gain, worth
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, overlap, refined, score
 from semiparam_ros.diagnosis.search.shapes import settled
@@ -25,6 +25,8 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
 Progress = Callable[[str, float], None]
+MOVED = (-0.4, -0.2, 0.0, 0.2, 0.4)
+"""Of what a calibration may be, where its search begins beside other forms of what it moves."""
 
 
 class Rival(NamedTuple):
@@ -84,7 +86,8 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     fixed = {identity(effect) for effect in fit.effects}
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
-        step = _next_step(fit, kinds, fixed, _in_round(progress, len(steps) + 1))
+        late = bool(steps) and len(steps[-1].added) > 1  # what moves in time bends what was just found at many places
+        step = _next_step(fit, kinds, fixed, late, _in_round(progress, len(steps) + 1))
         if step is None:
             if not steps:
                 break
@@ -129,12 +132,17 @@ def prices(added: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
     return total
 
 
-def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place],
+def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place], late: bool,
                report: Progress) -> Step | None:
-    """The best move and what it makes needless."""
+    """The best move and what it makes needless.
+
+    :param late: tries what moves all inputs beside other forms of what is known; as where nothing else is good.
+    """
     trials = coarse(fit, list(candidates(fit, kinds)), report)
     ranking = _refined(fit, trials)
     moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds)]
+    if late or not any(move.good for move in moves):
+        moves += moving_moves(fit, fixed, kinds)
     good = [move for move in moves if move.good]
     if not good:
         return None
@@ -247,6 +255,27 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
     return moves
 
 
+def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> list[Move]:
+    """Calibrations that move what the effects depend on, each with all forms of these searched anew beside it.
+
+    Efforts that come late make dry friction seem to bend before it slides: each of the two hides the other.
+    """
+    formed = [effect for effect in fit.effects if effect.searched and not effect.is_calibration]
+    known, moves = {effect.kind for effect in fit.effects}, []
+    for kind in kinds.values():
+        if formed and kind.moves_friction and kind.kind not in known and None in kind.places(fit.body):
+            nothing = kind(None, {coefficient.name: 0.0 for coefficient in kind.calibrations})
+            spread = nothing.calibration_scale(fit.body)
+            starts = [moved_by(nothing, share * spread) for share in MOVED]
+            tried = [formed_anew(with_effects(fit, [*fit.effects, start]), fixed) for start in starts]
+            after = declare(min(tried, key=lambda model: model.loss), [])
+            after = reshaped(without_impossible(after, fixed), fixed, kinds)
+            added = next(effect for effect in after.effects if effect.kind == kind.kind)
+            if added.is_noticeable(fit.samples) and all_plausible(fit, after):
+                moves.append(Move((added,), after, gain(fit, after), prices([added], fit, kinds)))
+    return moves
+
+
 def _simplest(moves: Sequence[Move]) -> Move:
     """Of the moves that no block tells from the best one, that of the fewest values."""
     best = max(moves, key=lambda move: move.net)
@@ -286,6 +315,16 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
 def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
     """The model with the nonlinear values of each effect that was found searched anew beside all the others, where that
     helps on unseen blocks."""
+    after = formed_anew(fit, fixed)
+    after = declare(after, []) if after is not fit else fit
+    after = bent(after, [identity(effect) for effect in after.effects
+                         if identity(effect) not in fixed], kinds)
+    better = after is not fit and all_plausible(fit, after) and gain(fit, after).total > fit.config.settled_gain
+    return after if better else fit
+
+
+def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
+    """The model with each effect that was found at the best of its coarse forms beside all the others."""
     after = fit
     for effect in fit.effects:
         searches = tuple(dict(values) for values in effect.searches(
@@ -299,11 +338,7 @@ def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
         if trial is not None:
             other = with_effects(without, [*without.effects, trial.effect])
             after = other if other.loss < after.loss else after
-    after = declare(after, []) if after is not fit else fit
-    after = bent(after, [identity(effect) for effect in after.effects
-                         if identity(effect) not in fixed], kinds)
-    better = after is not fit and all_plausible(fit, after) and gain(fit, after).total > fit.config.settled_gain
-    return after if better else fit
+    return after
 
 
 def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Step | None:
