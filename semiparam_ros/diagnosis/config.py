@@ -213,6 +213,9 @@ class DiagnosisConfig:
 
     blocks: int = 24
     """Scores a model by so many blocks of the recording, each predicted from the others (chosen)."""
+    coarseness: float = 1e4
+    """Counts no more than so many independent outputs, however long the recording: a model is true to about a per cent
+    of its noise, not to the last digit (chosen)."""
     sure: float = 2.5
     """Asks of a gain that it is so many times its standard error over the blocks: 1 in 160 by chance."""
     odds: float = 1000.0

@@ -161,10 +161,18 @@ def gain(before: Fit, after: Fit, start_s: float | None = None) -> Gain:
 def block_gains(before: Fit, after: Fit, start_s: float | None = None) -> Array:
     """(B,) the same of each block; where models have columns for errors of the inputs, with or without these, whichever
     gains less: what only makes up for what they spoil explains nothing, nor does what only they do better."""
-    edges = block_edges(before, start_s)
-    found = [_densities(after, edges, after.correlation, taken) - _densities(before, edges, after.correlation, taken)
+    edges, repeated = block_edges(before, start_s), repetition(after)
+    found = [_densities(after, edges, repeated, taken) - _densities(before, edges, repeated, taken)
              for taken in ((True,) if before.nuisance is None else (True, False))]
     return min(found, key=lambda gains: float(gains.sum()))
+
+
+def repetition(fit: Fit) -> Array:
+    """(n,) how many samples of each channel count as one: those over which the model's residual stays alike, and more
+    of them the more samples there are. No model of a robot is exactly true, so its evidence does not grow without limit
+    (coarsened posterior; Miller and Dunson 2019, Journal of the American Statistical Association 114)."""
+    independent = float((fit.counts / fit.correlation).sum())
+    return np.asarray(fit.correlation * (1.0 + independent / fit.config.coarseness))
 
 
 def _densities(fit: Fit, edges: Array, correlation: Array, nuisance: bool = True,
@@ -190,15 +198,15 @@ def summed(gains: Array) -> Gain:
 
 def worth(fit: Fit) -> list[Gain]:
     """Of each effect of the model: what it gains over the model without it, nothing else searched anew."""
-    edges, gains = block_edges(fit), []
+    edges, repeated, gains = block_edges(fit), repetition(fit), []
     views = (True,) if fit.nuisance is None else (True, False)
-    whole = [_densities(fit, edges, fit.correlation, taken) for taken in views]
+    whole = [_densities(fit, edges, repeated, taken) for taken in views]
     for effect, columns in zip(fit.effects, columns_of_effects(fit), strict=True):
         if effect.is_calibration:  # linear near its value alone
             rest = declare(with_effects(fit, [known for known in fit.effects if known is not effect]), [])
-            without = [_densities(rest, edges, fit.correlation, taken) for taken in views]
+            without = [_densities(rest, edges, repeated, taken) for taken in views]
         else:
-            without = [_densities(fit, edges, fit.correlation, taken, columns) for taken in views]
+            without = [_densities(fit, edges, repeated, taken, columns) for taken in views]
         found = [one - other for one, other in zip(whole, without, strict=True)]
         gains.append(summed(min(found, key=lambda each: float(each.sum()))))
     return gains
