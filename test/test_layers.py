@@ -2,9 +2,12 @@
 
 import ast
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+
+from semiparam_ros.effects import kinds
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'semiparam_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
@@ -102,6 +105,29 @@ def test_offline_parts_run_without_ros(path):
 def test_every_room_says_what_it_is(path):
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding='utf-8'))) or ''
     assert docstring.split('\n\n')[0].endswith('.')
+
+
+def rooms(path: Path) -> set[str]:
+    """Folders and single modules of the diagnosis that a module of it imports."""
+    inside = [name.split('.')[2:] for name in imports(path) if name.startswith('semiparam_ros.diagnosis.')]
+    return {parts[0] for parts in inside if parts}
+
+
+def test_no_folder_of_the_diagnosis_leads_back_to_itself():
+    known: dict[str, set[str]] = {}
+    for path in within('diagnosis'):
+        parts = path.relative_to(PACKAGE / 'diagnosis').parts
+        known.setdefault(parts[0].removesuffix('.py'), set()).update(rooms(path))
+    order = TopologicalSorter({room: beneath - {room} for room, beneath in known.items()})
+    assert list(order.static_order())
+
+
+def test_no_kind_is_named_outside_the_effects():
+    names = {name for name in kinds() if '_' in name}
+    for path in within('diagnosis'):
+        texts = {node.value for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
+                 if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+        assert not texts & names, path
 
 
 def test_the_rule_catches_an_upward_import(tmp_path, monkeypatch):

@@ -97,6 +97,8 @@ class Effect:
     may_start: ClassVar[bool] = False
     must_start: ClassVar[bool] = False
     of_one_recording: ClassVar[bool] = False
+    own_in_each_recording: ClassVar[bool] = False
+    """True for what every model has, and each of several recordings for itself: a sensor's offset."""
     of_sensor: ClassVar[bool] = False
     refine_link: ClassVar[bool] = False
     is_load: ClassVar[bool] = False

@@ -52,6 +52,7 @@ class SensorOffset(ChannelEffect):
     """A jump of the bias; the constant bias of a recording is part of every model with a wrench."""
 
     kind: ClassVar[str] = 'sensor_offset'
+    own_in_each_recording: ClassVar[bool] = True
     shows_against: ClassVar[Axis] = 'time'
     sentence: ClassVar[str] = "the sensor's bias jumped, as after a knock, a re-zeroing or a pinched cable"
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'external_force', 'sensor_drift')

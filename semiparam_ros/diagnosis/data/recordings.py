@@ -46,11 +46,9 @@ def alone(samples: Samples, part: slice) -> Samples:
 
 def own_offsets(body: RigidBody, samples: Samples) -> list[Effect]:
     """The offset of a wrench in each recording after the first, whose offset belongs to the model."""
-    if body.outputs != 'wrench' or not samples.breaks:
-        return []
     times = [(stamp - samples.origin) * 1e-9 for stamp in samples.breaks]
-    return [kinds()['sensor_offset'](start=Start(start, end_s=end))
-            for start, end in zip(times, [*times[1:], None], strict=True)]
+    return [kind(start=Start(start, end_s=end)) for kind in kinds(body.outputs).values() if kind.own_in_each_recording
+            for start, end in zip(times, [*times[1:], None], strict=False)]
 
 
 def spans(samples: Samples) -> Iterator[Start]:

@@ -1,0 +1,154 @@
+"""The score of a model: what it is, what it costs an effect, and what no sum of samples makes up for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.score import (
+    BlockGrams,
+    ChannelGrams,
+    block_edges,
+    block_grams,
+    gain,
+    repetition,
+    summed,
+    worth,
+)
+from semiparam_ros.diagnosis.search.stepwise import price, pruned, starting_fit
+from semiparam_ros.effects import kinds
+from semiparam_ros.effects.base import Start
+from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+
+BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+COUNT = 1200
+KINDS = kinds('effort')
+
+
+def moving(seed=0, noise=0.01):
+    motion = smooth_motion(4, COUNT, seed=seed, speed=0.5)
+    exact = BODY.regressors(motion) @ BODY.base_parameters
+    errors = noise * exact.std(axis=0) * np.random.default_rng(seed).standard_normal(exact.shape)
+    return replace(motion, outputs=exact + errors)
+
+
+def fitted(samples, effects=()):
+    return declare(starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool)), list(effects))
+
+
+def grams(columns, outputs, prior, blocks):
+    """Of columns (n, B, m, p) and outputs (n, B, m)."""
+    channels = [ChannelGrams(np.arange(len(prior)), np.swapaxes(own, 1, 2) @ own,
+                             np.einsum('bmp,bm->bp', own, left)) for own, left in zip(columns, outputs, strict=True)]
+    counts = np.full((blocks, len(outputs)), float(outputs.shape[2]))
+    return BlockGrams(prior, channels, np.sum(outputs**2, axis=2).T, counts)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 2), st.integers(2, 4), st.integers(1, 5))
+def test_a_density_is_that_of_the_block_given_all_the_others(seed, n, blocks, p):
+    rng = np.random.default_rng(seed)
+    columns, outputs = rng.standard_normal((n, blocks, 6, p)), 3.0 * rng.standard_normal((n, blocks, 6))
+    prior, scale = rng.uniform(0.1, 3.0, p), rng.uniform(0.3, 2.0, n)
+    table, values = (np.swapaxes(each, 0, 1).reshape(blocks, n * 6, -1) for each in (columns, outputs))
+    noise = np.repeat(scale**2, 6)
+
+    def logarithm(chosen):
+        rows, left = np.concatenate(table[chosen]), np.concatenate(values[chosen])[:, 0]
+        spread = (rows * prior**2) @ rows.T + np.diag(np.tile(noise, len(chosen)))
+        return multivariate_normal(np.zeros(len(left)), spread).logpdf(left)
+
+    whole = list(range(blocks))
+    wanted = [logarithm(whole) - logarithm([each for each in whole if each != block]) for block in whole]
+    known = grams(columns, outputs, prior, blocks)
+    np.testing.assert_allclose(known.densities(scale, np.ones(n)), wanted, rtol=1e-7, atol=1e-7)
+    kept = np.arange(p // 2, p)
+    fewer = grams(columns[..., kept], outputs, prior[kept], blocks)
+    np.testing.assert_allclose(known.densities(scale, np.ones(n), kept), fewer.densities(scale, np.ones(n)),
+                               rtol=1e-9, atol=1e-9)
+
+
+def test_the_grams_of_a_model_are_those_of_its_columns():
+    fit = fitted(moving(), [KINDS['viscous_friction']('turn'), KINDS['joint_offset']('grip', {'offset': 0.0})])
+    edges = block_edges(fit)
+    found = block_grams(fit, edges)
+    assert len(found.prior) == fit.n_columns + 1 and found.counts.sum() == 4 * COUNT
+    assert len(edges) + 1 == fit.config.blocks and np.ptp(np.diff(edges)) <= 1
+    np.testing.assert_allclose(found.power.sum(axis=0), np.sum(
+        (fit.at_prior + fit.effects[1].value('offset') * offset_columns(fit)) ** 2, axis=0))
+    kept = np.arange(fit.n_columns)
+    assert found.scale_with(kept, fit.scale) == pytest.approx(fit.scale, rel=0.05)
+
+
+def offset_columns(fit):
+    from semiparam_ros.diagnosis.search.candidates import added_columns
+
+    return added_columns(fit, fit.effects[1])[:, :, 0]
+
+
+def test_blocks_lie_on_both_sides_of_a_start():
+    fit = fitted(moving())
+    start = 0.9 * fit.samples.time[-1]
+    edges = block_edges(fit, start)
+    assert len(edges) == fit.config.blocks - 1
+    assert np.sum(fit.samples.time[edges] < start) == fit.config.blocks // 2 - 1
+
+
+def test_an_effect_that_is_there_gains_and_one_that_is_not_costs():
+    samples = moving()
+    rubbing = replace(samples, outputs=samples.outputs + 0.3 * samples.velocity)
+    true, other = KINDS['viscous_friction']('turn'), KINDS['rotor_inertia']('grip')
+    fit = fitted(rubbing)
+    gained, nothing = (gain(fit, fitted(rubbing, [effect])) for effect in (true, other))
+    assert gained.total > 100.0 > 10.0 * gained.error and nothing.total < 5.0
+    both = fitted(rubbing, [true, other])
+    first, second = worth(both)
+    assert first.total > 100.0 and second.total < 5.0
+    assert [effect.kind for effect in pruned(both, (), KINDS).effects] == ['viscous_friction']
+
+
+def test_only_losses_speak_against_a_gain():
+    few = summed(np.array([50.0, 40.0, *[0.0] * 10]))
+    assert few == (90.0, 0.0)
+    chance = np.random.default_rng(0).standard_normal(10_000)
+    assert summed(chance).error == pytest.approx(np.sqrt(10_000), rel=0.05)
+
+
+def test_evidence_does_not_grow_without_limit():
+    fit = fitted(moving())
+    long = replace(fit, config=replace(fit.config, coarseness=100.0))
+    independent = float((fit.counts / fit.correlation).sum())
+    assert repetition(fit) == pytest.approx(fit.correlation * (1.0 + independent / 1e4))
+    assert float((fit.counts / repetition(long)).sum()) < 100.0
+
+
+def test_a_kind_that_is_elsewhere_costs_less_and_a_start_more():
+    fit = fitted(moving()[:COUNT])
+    friction = [KINDS['viscous_friction'](joint) for joint in ODD_JOINTS]
+    costs = [price(friction[3], friction[:known], fit, KINDS) for known in range(4)]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[0] == pytest.approx(np.log(fit.config.odds * 4 * len(KINDS)))
+    assert costs[3] == pytest.approx(np.log(6 / 4))
+    offset = KINDS['effort_offset']('turn')
+    late = replace(offset, start=Start(3.0))
+    assert price(late, (), fit, KINDS) - price(offset, (), fit, KINDS) == pytest.approx(np.log(fit.config.start_grid))
+
+
+def test_priors_of_the_robots_size_hold_what_the_other_blocks_leave_open():
+    """Of a joint that moves in one block alone the others say nothing: it is predicted with the prior's variance."""
+    samples = moving()
+    still = samples.position.copy(), samples.velocity.copy(), samples.acceleration.copy()
+    for values in still:
+        values[:COUNT - 100, 1] = 0.0
+    motion = replace(samples, position=still[0], velocity=still[1], acceleration=still[2])
+    motion = replace(motion, outputs=BODY.regressors(motion) @ BODY.base_parameters
+                     + 0.01 * np.random.default_rng(0).standard_normal((COUNT, 4)))
+    fit = fit_model(BODY, motion, [], np.ones(COUNT, dtype=bool), np.full(4, 0.01))
+    densities = block_grams(fit, block_edges(fit)).densities(fit.scale, np.ones(4))
+    assert densities.min() > densities.max() - 100.0
