@@ -416,3 +416,21 @@ def test_averaged_variants_live_as_any_other(tmp_path, monkeypatch):
     life.moves(40)
     life.comes_to_rest()
     assert life.learner.estimator.weights
+
+
+def test_priors_and_friction_are_switched_and_back(tmp_path, monkeypatch):
+    monkeypatch.setattr('semiparam_ros.online.worker.OLDER', 1)
+    life = EffortLives()
+    life.begin()
+    life.chooses('SPK-ML')
+    life.moves(40)
+    life.comes_to_rest()
+    for priors, joint_friction in (('paper', True), ('paper', False), ('physical', True)):
+        life.holds_beforehand(priors, joint_friction)
+        life.moves(5)
+        life.comes_to_rest()
+        columns = life.learner.estimator.columns
+        assert (columns.physical, columns.has_friction) == (priors == 'physical', joint_friction)
+        save(tmp_path / 's.npz', life.learner.state())
+        life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, life.body))
+        life.comes_to_rest()
