@@ -143,8 +143,9 @@ def judged(pair: Pair, variant: str, features: int, seconds: float | None) -> di
         said = [prediction for part in parts for prediction in _predicted(deepcopy(learner), part, learn)]
         measured = np.array([each.sample.outputs for each in said])
         errors = measured - np.array([each.mean for each in said])
-        bands = np.abs(errors) <= BAND * np.array([each.std for each in said])
-        found[name] = {'nmse': nmse(errors, measured), 'band': float(bands.mean()),
+        over_std = errors / np.array([each.std for each in said])
+        found[name] = {'nmse': nmse(errors, measured), 'band': float((np.abs(over_std) <= BAND).mean()),
+                       'rms_over_std': float(np.sqrt((over_std**2).mean())),
                        'log_density': float(np.mean([each.log_density for each in said]))}
     if learner.estimator.ready:
         found['feedforward'] = feedforward(learner, pair)
@@ -184,7 +185,8 @@ def row(result: dict[str, Any]) -> list[str]:
     frozen, learning, ahead = result['frozen'], result['learning'], result.get('feedforward')
     seconds = 'all' if result['seconds'] is None else f'{result["seconds"]:g} s'
     cells = [result['pair'], seconds, result['variant'], f'{result["description"]:.3f}', f'{result["plain"]:.4f}',
-             f'{frozen["nmse"]:.4f}', f'{frozen["nmse"] / result["plain"]:.2f}', f'{frozen["band"]:.1%}',
+             f'{frozen["nmse"]:.4f}', f'{frozen["nmse"] / result["plain"]:.2f}',
+             f'{frozen["band"]:.1%} ({frozen["rms_over_std"]:.2f})', f'{frozen["log_density"]:.2f}',
              f'{learning["nmse"]:.4f}']
     if ahead is None:
         return [*cells, '', '', '']
@@ -193,7 +195,8 @@ def row(result: dict[str, Any]) -> list[str]:
             '' if worst is None else f'{worst:.2%}']
 
 
-HEADINGS = ('A to B', 'learnt', 'variant', 'description', 'plain', 'frozen', 'over plain', 'band', 'learning',
+HEADINGS = ('A to B', 'learnt', 'variant', 'description', 'plain', 'frozen', 'over plain', 'band (rms over std)',
+            'log density', 'learning',
             'feedforward', 'valid (covered)', 'beyond 3 std where valid')
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol, TypeAlias
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from semiparam_ros.core.robot.joint_friction import KINDS, fill_friction, fricti
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample, Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 OFFSET_PRIOR_SCALE = 100.0
@@ -23,6 +24,15 @@ Memories: TypeAlias = Sequence[tuple[Memory, Memory]] | None
 
 APPROACH_NS = 100_000_000
 """How long a desired state has moved on at its own velocity, for what remembers the way travelled."""
+
+
+class JointColumns(NamedTuple):
+    """Of J blocks alike: each acts on one joint's effort, by that joint's motion alone."""
+
+    joints: Indices  # (J,)
+    outputs: Indices  # (J,) which outputs their efforts are
+    functions: Callable[[Array, Array, Array], Array]
+    """(J, c) columns of positions, velocities and accelerations (J,)."""
 
 
 class ColumnBlock(Protocol):
@@ -41,6 +51,14 @@ class ColumnBlock(Protocol):
     @property
     def is_load(self) -> bool:
         """Whether it is a body that a link carries: what shapes psi shapes its columns too."""
+
+    @property
+    def only_adds(self) -> bool:
+        """Whether :meth:`correct` and :meth:`transform` change nothing."""
+
+    def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> JointColumns | None:
+        """What :meth:`columns` of ``blocks``, itself among them, give of one sample; None where
+        that is not to be had at once."""
 
     def prior_scale(self, body: RigidBody) -> Array:
         """(c,) prior standard deviation of each coefficient over gamma, in its unit; as many as there are columns."""
@@ -66,6 +84,7 @@ class Absent:
 
     of_sensor = False
     is_load = False
+    only_adds = True
 
     def __init__(self, effect: ColumnBlock) -> None:
         self._effect = effect
@@ -93,6 +112,9 @@ class Absent:
         """(N, n, c) zeros."""
         return np.zeros((len(samples), body.n_outputs, len(self.prior_scale(body)))), None
 
+    def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> None:
+        """They are all zero, and not those of another kind."""
+
     def desired(self) -> ColumnBlock:
         """Absent too."""
         return self
@@ -117,7 +139,9 @@ class CoupledColumns:
         self.has_offset = body.outputs == 'wrench' or self.has_friction
         n = body.n_outputs
         self._offset = np.eye(n)[:, :n * self.has_offset]
-        self._without_effects = np.hstack([np.zeros((n, body.n_parameters + self._n_friction)), self._offset])
+        self._constant = np.zeros((n, self.n_columns))
+        self._constant[:, self.blocks['offset']] = self._offset
+        self._no_memories: list[tuple[Memory, Memory]] = [(None, None)] * len(self.effects)
 
     def without_effects(self) -> CoupledColumns:
         """The same without any effect."""
@@ -182,15 +206,81 @@ class CoupledColumns:
 
     def one(self, sample: Sample, origin: int, memory: Memories = None) -> tuple[Array, Memories]:
         """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]: where time starts."""
-        if not self.effects:
-            columns = self._without_effects.copy()
-            if self.has_friction:
-                fill_friction(self.body, sample.velocity, columns)
-            return self.body.regressor(sample.position, sample.velocity, sample.acceleration, out=columns), None
-        columns, memory = self.batch(Samples(np.array([sample.stamp]), sample.position[None], sample.velocity[None],
-                                             sample.acceleration[None], sample.outputs[None], origin,
-                                             temperature=sample.temperature[None]), memory)
-        return columns[0], memory
+        columns, past = self._constant.copy(), memory or self._no_memories
+        if self.only_add:
+            self.body.regressor(sample.position, sample.velocity, sample.acceleration, out=columns)
+            self._fill_joints(sample, columns)
+            if self._by_themselves:
+                past = self._fill_others(self.body, _alone(sample, origin), past, columns)
+            return columns, past if self.effects else None
+        body, rows, corrected = self.corrected(_alone(sample, origin), [entry[0] for entry in past])
+        columns[:, :body.n_parameters] = self.rigid(body, rows)[0]
+        self._fill_joints(rows[0], columns)
+        past = self._fill_others(body, rows, past, columns)
+        return columns, [(moved, entry[1]) for moved, entry in zip(corrected, past, strict=True)]
+
+    def _fill_joints(self, sample: Sample, columns: Array) -> None:
+        """Friction, and effects that are computed at once, into the columns (n, p) of a sample."""
+        if self.has_friction:
+            fill_friction(self.body, sample.velocity, columns)
+        for (joints, _, functions), places in self._at_once:
+            motion = sample.position[joints], sample.velocity[joints], sample.acceleration[joints]
+            columns.reshape(-1)[places] = functions(*motion)
+
+    def _fill_others(self, body: RigidBody, rows: Samples, past: Sequence[tuple[Memory, Memory]],
+                     columns: Array) -> list[tuple[Memory, Memory]]:
+        """Those of all other effects, from one corrected sample; what is remembered of it."""
+        after = list(past)
+        for index, block in self._by_themselves:
+            found, remembered = self._of_effect(index, body, rows, past[index][1])
+            columns[:, block], after[index] = found[0], (past[index][0], remembered)
+        return after
+
+    @cached_property
+    def only_add(self) -> bool:
+        """Whether no effect moves the inputs or shapes other columns, which then stand first."""
+        return all(effect.only_adds for effect in self.effects)
+
+    @cached_property
+    def _groups(self) -> list[list[int]]:
+        """Effects whose columns of a sample can be computed at once, by their numbers."""
+        groups: list[list[int]] = []
+        for index in range(len(self.effects)):
+            group = next((group for group in groups if self._joint_columns([*group, index])), None)
+            if group is not None:
+                group.append(index)
+            elif self._joint_columns([index]):
+                groups.append([index])
+        return groups
+
+    @cached_property
+    def _at_once(self) -> list[tuple[JointColumns, Indices]]:
+        """Of each group its columns, and where (J, c) these stand in all of a sample by rows."""
+        found = []
+        for members in self._groups:
+            joint_columns = self._joint_columns(members)
+            assert joint_columns is not None
+            starts = joint_columns.outputs * self.n_columns
+            starts += [self.blocks[str(index)].start for index in members]
+            count = len(self._effect_scales[members[0]])
+            found.append((joint_columns, starts[:, None] + np.arange(count)))
+        return found
+
+    @cached_property
+    def _by_themselves(self) -> list[tuple[int, slice]]:
+        """All other effects, and where their columns stand."""
+        grouped = {index for members in self._groups for index in members}
+        alone = [index for index in range(len(self.effects)) if index not in grouped]
+        return [(index, self.blocks[str(index)]) for index in alone]
+
+    def _joint_columns(self, members: Sequence[int]) -> JointColumns | None:
+        """See :meth:`ColumnBlock.joint_columns`; a wrong shape is left to :meth:`_of_effect`."""
+        shape = len(members), len(self._effect_scales[members[0]])
+        blocks = [self.effects[index] for index in members]
+        found = blocks[0].joint_columns(self.body, blocks)
+        if found is None or found.functions(*np.zeros((3, len(members)))).shape != shape:
+            return None
+        return found
 
     def batch(self, samples: Samples, memory: Memories = None) -> tuple[Array, Memories]:
         """(N, n, p) columns of consecutive samples and what the effects remember after the last one."""
@@ -252,19 +342,32 @@ class CoupledColumns:
         The state has no past. What remembers the way travelled (hysteresis, play, presliding) starts at rest and
         follows a straight way at the state's own velocity, so nothing measured mixes with it and it stays bounded.
         """
-        rows = Samples(np.array([now - APPROACH_NS, now]),
-                       np.array([position - APPROACH_NS * 1e-9 * velocity, position]), np.array([velocity] * 2),
-                       np.array([acceleration] * 2), np.full((2, self.body.n_outputs), np.nan), origin,
-                       temperature=np.array([temperature] * 2))
-        acting = [effect.desired() for effect in self.effects]
-        shown = CoupledColumns(self.body, acting, self.has_friction).batch(rows)[0][-1]
-        needed = shown.copy()
-        if any(effect.of_sensor for effect in self.effects):
-            own = [Absent(effect) if effect.of_sensor else effect for effect in acting]
-            needed = CoupledColumns(self.body, own, self.has_friction).batch(rows)[0][-1]
+        unknown = np.full(self.body.n_outputs, np.nan)
+        state = Sample(now, position, velocity, acceleration, unknown, temperature)
+        start = position - APPROACH_NS * 1e-9 * velocity
+        before = state._replace(stamp=now - APPROACH_NS, position=start)
+        acting, own = self._desired
+        shown = acting._after(before, state, origin)
+        needed = shown.copy() if own is None else own._after(before, state, origin)
         if self.body.outputs == 'wrench':  # that of an effort is needed to hold the joint
             needed[:, self.blocks['offset']] = 0.0
         return shown, needed
+
+    def _after(self, before: Sample, state: Sample, origin: int) -> Array:
+        """(n, p) columns of a state; what effects remember begins with the one before it."""
+        memory = None
+        if self._by_themselves or not self.only_add:
+            _, memory = self.one(before, origin)
+        return self.one(state, origin, memory)[0]
+
+    @cached_property
+    def _desired(self) -> tuple[CoupledColumns, CoupledColumns | None]:
+        """As the effects act on a desired state, and without those of the sensor if any are."""
+        acting, own = [effect.desired() for effect in self.effects], None
+        if any(effect.of_sensor for effect in self.effects):
+            needed = [Absent(effect) if effect.of_sensor else effect for effect in acting]
+            own = CoupledColumns(self.body, needed, self.has_friction)
+        return CoupledColumns(self.body, acting, self.has_friction), own
 
     def corrected(self, samples: Samples, past: Sequence[Memory] = ()) -> tuple[RigidBody, Samples, list[Memory]]:
         """Body and inputs after the corrections of every effect, and what they remember of them."""
@@ -273,3 +376,10 @@ class CoupledColumns:
             body, inputs, remembered = effect.correct(body, inputs, memory)
             future.append(remembered)
         return body, inputs, future
+
+
+def _alone(sample: Sample, origin: int) -> Samples:
+    """One sample as samples; ``origin`` [ns]: where time starts."""
+    position, velocity, acceleration, outputs, temperature = (values[None] for values in sample[1:])
+    return Samples(np.array([sample.stamp]), position, velocity, acceleration, outputs, origin,
+                   temperature=temperature)

@@ -160,7 +160,9 @@ class Estimator(SingleEstimator):
         """What the other members say."""
         plain = seen
         if self.columns.effects:
-            plain = seen._replace(columns=self._without_effects.one(seen.sample, 0)[0])
+            own = seen.columns[:, :self.columns.n_own] if self.columns.only_add else \
+                self._without_effects.one(seen.sample, 0)[0]
+            plain = seen._replace(columns=np.ascontiguousarray(own))
         return [other._answer(seen if other.columns.effects else plain) for other in self._others]
 
     def finish_window(self, draft: bool = False, learn: bool = True) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from semiparam_ros.core.random_features import input_scaling
+from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 
@@ -34,8 +35,8 @@ class LearntInputs:
         self._count, self._stride, self._passed = 0, 1, 0
         self._metric: tuple[tuple[int, int], Array, Array, Array, float] | None = None
 
-    def add(self, x: Array) -> None:
-        """One more was learnt, (m,)."""
+    def add(self, sample: Sample) -> None:
+        """One more was learnt."""
         self._passed += 1
         if self._passed % self._stride:
             return
@@ -44,7 +45,7 @@ class LearntInputs:
             self._count, self._stride = ROOM // 2, 2 * self._stride
             if self._passed % self._stride:
                 return
-        self._kept[self._count] = x
+        self._kept[self._count] = sample.inputs
         self._count += 1
 
     def distance(self, x: Array) -> float:

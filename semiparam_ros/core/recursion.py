@@ -42,6 +42,8 @@ LEAST_COMPARED_S = 1.0
 """Of those seconds so many must have been seen."""
 
 QR_BLOCK = 8
+TOGETHER = 3
+"""Rows that a reflection takes in at a time."""
 
 DISCOUNT, KEPT = 0.99, 1000.0
 """A change of the robot: the past is forgotten at this factor until it counts as so many samples. Over the samples
@@ -375,6 +377,56 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
     return s
 
 
+@compiled(MATRIX, MATRIX, INTEGER)
+def _triangular(information: Array, rows: Array, n: int) -> None:
+    """R as ``information`` with ``n`` further rows, after which ``TOGETHER - 1`` of zeros stand.
+
+    A reflection takes only the rows that are not zero in its column, so many at a time.
+    """
+    size = len(information)
+    along, used = np.empty(size), np.empty(len(rows), dtype=np.int64)
+    for c in range(size):
+        below, count = 0.0, 0
+        for k in range(n):
+            if rows[k, c] != 0.0:
+                below += rows[k, c] * rows[k, c]
+                used[count] = k
+                count += 1
+        if below == 0.0:
+            continue
+        pivot = information[c]
+        corner = pivot[c]
+        radius = -np.copysign(np.sqrt(corner * corner + below), corner)
+        share, unit = (radius - corner) / radius, 1.0 / (corner - radius)
+        pivot[c] = radius
+        if count == 1:
+            row = rows[used[0]]
+            factor = row[c] * unit
+            for j in range(c + 1, size):
+                step = (pivot[j] + factor * row[j]) * share
+                pivot[j] -= step
+                row[j] -= factor * step
+            continue
+        used[count], used[count + 1] = n, n + 1
+        for j in range(c + 1, size):
+            along[j] = pivot[j]
+        for g in range(0, count, TOGETHER):
+            one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
+            first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
+            for j in range(c + 1, size):
+                along[j] += first * one[j] + second * two[j] + third * three[j]
+        for j in range(c + 1, size):
+            along[j] *= share
+            pivot[j] -= along[j]
+        for g in range(0, count, TOGETHER):
+            one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
+            first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
+            for j in range(c + 1, size):
+                one[j] -= first * along[j]
+                two[j] -= second * along[j]
+                three[j] -= third * along[j]
+
+
 @compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
           INTEGER, VECTOR, MATRIX, returns=INTEGER, calls=(wait,))
 def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Array, sigma: float, information: Array,
@@ -391,44 +443,17 @@ def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Ar
                   s, inflation, places, placed)
     if size == 1:
         return placed
-    rows, along = np.empty((n, size)), np.empty(size)
+    rows = np.zeros((n + TOGETHER - 1, size))  # those beyond n stay zero
     for k in range(n):
         weight = 1.0 / (np.sqrt(s) * scale[k])
         for c in range(size - 1):
             rows[k, size - 2 - c] = weight * innovations[k, c]
         rows[k, size - 1] = weight * innovations[k, size - 1]
-    for c in range(size):
-        below = 0.0
-        for k in range(n):
-            below += rows[k, c] * rows[k, c]
-        if below == 0.0:
-            continue
-        pivot = information[c]
-        corner = pivot[c]
-        radius = -np.copysign(np.sqrt(corner * corner + below), corner)
-        share = (radius - corner) / radius
-        pivot[c] = radius
-        for j in range(c + 1, size):
-            along[j] = pivot[j]
-        for k in range(n):
-            rows[k, c] /= corner - radius
-            row = rows[k]
-            factor = row[c]
-            if factor != 0.0:
-                for j in range(c + 1, size):
-                    along[j] += factor * row[j]
-        for j in range(c + 1, size):
-            along[j] *= share
-            pivot[j] -= along[j]
-        for k in range(n):
-            row = rows[k]
-            factor = row[c]
-            if factor != 0.0:
-                for j in range(c + 1, size):
-                    row[j] -= factor * along[j]
+    _triangular(information, rows, n)
+    backward = np.empty(size - 1)
     for c in range(size - 2, -1, -1):
         value = information[c, size - 1]
         for j in range(c + 1, size - 1):
-            value -= information[c, j] * theta[size - 2 - j]
-        theta[size - 2 - c] = value / information[c, c]
+            value -= information[c, j] * backward[j]
+        backward[c] = theta[size - 2 - c] = value / information[c, c]
     return placed

@@ -383,7 +383,7 @@ class SingleEstimator:
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
         complete = self._take_in(prediction, learn)
         if learn:
-            self.kept.add(sample.inputs)
+            self.kept.add(sample)
             self._charge_left_out(prediction)
         self._compare(prediction)
         if learn and not self.ready and not self.window.full:

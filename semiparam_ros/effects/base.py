@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock as Acting
-from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.columns import JointColumns, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_of
 from semiparam_ros.core.samples import Samples
@@ -284,6 +284,16 @@ class Effect:
         """The same effect, there from the beginning."""
         return replace(self, start=ALWAYS)
 
+    @property
+    def only_adds(self) -> bool:
+        """Whether it leaves inputs and regressors as they are."""
+        kind = type(self)
+        return kind.correct is Effect.correct and kind.transform is Effect.transform
+
+    def joint_columns(self, body: RigidBody, blocks: Sequence[Acting]) -> JointColumns | None:
+        """None: each effect's columns are computed by themselves, unless a kind says otherwise."""
+        return None
+
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         """Inputs are left as they are unless a kind says otherwise."""
         return body, samples, None
@@ -328,7 +338,7 @@ class Effect:
 
     def value(self, name: str, default: float = 0.0) -> float:
         """A parameter or an option, ``default`` when it is not set."""
-        return float(self.parameters.get(name, self.options.get(name, default)))
+        return self.parameters.get(name, self.options.get(name, default))
 
     @property
     def searched(self) -> tuple[str, ...]:

@@ -161,6 +161,7 @@ class TransmissionRipple(JointEffect):
     mistaken_for: ClassVar[tuple[str, ...]] = ('periodic_disturbance', 'joint_spring')
     separated_by: ClassVar[str] = 'the same path at two speeds: a ripple follows the angle, not the clock'
     parameter_units: ClassVar[dict[str, str]] = {'order': '1/rad'}
+    values_by_row: ClassVar[bool] = True
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('sin', 'N m'), Coefficient('cos', 'N m'))
 
     @classmethod

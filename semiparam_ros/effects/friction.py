@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 
-from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.columns import ColumnBlock, JointColumns, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_beyond
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import Axis, Coefficient, Effect, Self, Values, channel_index, joint_index, on_joint
+from semiparam_ros.effects.base import (
+    ALWAYS,
+    Axis,
+    Coefficient,
+    Effect,
+    Self,
+    Values,
+    channel_index,
+    joint_index,
+    on_joint,
+)
 from semiparam_ros.effects.hysteresis import Way, bristle, sticking_bristle
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
@@ -33,6 +44,8 @@ class JointEffect(Effect):
     names: ClassVar[tuple[Coefficient, ...]] = ()
     resists: ClassVar[bool] = False
     """True when the coefficients add up to a resistance, which cannot be negative."""
+    values_by_row: ClassVar[bool] = False
+    """True when parameters may be arrays (N,) in :meth:`functions`, one for each row."""
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
@@ -52,6 +65,30 @@ class JointEffect(Effect):
         """(N, c) columns of the joint from its motion (N,)."""
         raise NotImplementedError
 
+    @property
+    def of_motion_alone(self) -> bool:
+        """Whether :meth:`functions` say all: nothing is remembered, and it was always there."""
+        return type(self).basis is JointEffect.basis and self.start == ALWAYS
+
+    def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> JointColumns | None:
+        alike = [each for each in blocks if isinstance(each, JointEffect) and self._is_like(each)]
+        if len(alike) < len(blocks):
+            return None
+        values: dict[str, Any] = {name: np.array([each.parameters[name] for each in alike])
+                                  for name in self.parameters}
+        by_row = {name: given for name, given in values.items() if np.ptp(given) > 0.0}
+        if by_row and not self.values_by_row:
+            return None
+        common = replace(self, parameters={**self.parameters, **by_row})
+        joints, outputs = (np.array([index(body, each.where) for each in alike])
+                           for index in (joint_index, channel_index))
+        return JointColumns(joints, outputs, common.functions)
+
+    def _is_like(self, other: JointEffect) -> bool:
+        """Whether they differ in place and values alone, and are of their joint's motion alone."""
+        return type(self) is type(other) and self.of_motion_alone and other.of_motion_alone and (
+            self.parameters.keys() == other.parameters.keys() and self.options == other.options)
+
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         joint = joint_index(body, self.where)
         motion = (samples.position[:, joint], samples.velocity[:, joint], samples.acceleration[:, joint])
@@ -68,6 +105,7 @@ class _Sliding(JointEffect):
                                                  'lead_s': 's'}
     positive: ClassVar[tuple[str, ...]] = ('turn_speed', 'presliding', 'stribeck_speed')
     resists: ClassVar[bool] = True
+    values_by_row: ClassVar[bool] = True
 
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
@@ -90,10 +128,15 @@ class _Sliding(JointEffect):
         if 'presliding' in self.parameters:
             return bristle(_way(samples, joint), self.value('presliding'), memory)
         velocity, change = samples.velocity[:, joint], samples.acceleration[:, joint]
-        ahead, turn = velocity + self.value('lead_s') * change, self.value('turn_speed', 0.01)
         if samples.averaged_s > 0.0:
+            ahead, turn = velocity + self.value('lead_s') * change, self.value('turn_speed', 0.01)
             return _mean_tanh(ahead, 0.5 * samples.averaged_s * np.abs(change), turn), None
-        return np.tanh(ahead / turn), None
+        return self._direction_now(velocity, change), None
+
+    def _direction_now(self, velocity: Array, acceleration: Array) -> Array:
+        """(N,) that of the velocity."""
+        ahead = velocity + self.value('lead_s') * acceleration
+        return np.asarray(np.tanh(ahead / self.value('turn_speed', 0.01)))
 
     def doubt(self, body: RigidBody, samples: Samples) -> str:
         if 'presliding' in self.parameters:
@@ -110,10 +153,22 @@ class _Sliding(JointEffect):
         """(N, c) columns from the direction of sliding and the velocity (N,)."""
         raise NotImplementedError
 
-    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        joint = joint_index(body, self.where)
+    def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        return self.sliding(self._direction_now(velocity, acceleration), velocity)
+
+    @property
+    def of_motion_alone(self) -> bool:
+        own = type(self).basis is _Sliding.basis
+        return own and self.start == ALWAYS and 'presliding' not in self.parameters
+
+    def _states(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
+        """(N, c) columns of the joint."""
         direction, memory = self.direction(samples, joint, memory)
-        return on_joint(body, self.where, self.sliding(direction, samples.velocity[:, joint])), memory
+        return self.sliding(direction, samples.velocity[:, joint]), memory
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        states, memory = self._states(samples, joint_index(body, self.where), memory)
+        return on_joint(body, self.where, states), memory
 
 
 def _mean_tanh(velocity: Array, reach: Array, turn: float) -> Array:
@@ -191,14 +246,12 @@ class StribeckFriction(_Sliding):
         parameters = {name: value for name, value in self.parameters.items() if name not in sticking}
         return (CoulombFriction(self.where, parameters, start=self.start),)
 
-    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+    def _states(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
         if 'presliding' not in self.parameters:
-            return super().basis(body, samples, memory)
-        joint = joint_index(body, self.where)
+            return super()._states(samples, joint, memory)
         slip = self.value('presliding')
-        states, memory = sticking_bristle(_way(samples, joint), slip, self.value('presliding_stuck', slip),
-                                          self.value('stribeck_speed', 0.1), memory)
-        return on_joint(body, self.where, states), memory
+        return sticking_bristle(_way(samples, joint), slip, self.value('presliding_stuck', slip),
+                                self.value('stribeck_speed', 0.1), memory)
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
         fading = np.exp(-((velocity / self.value('stribeck_speed', 0.1)) ** 2))

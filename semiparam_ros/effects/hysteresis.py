@@ -8,7 +8,15 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import (
+    AVAILABLE,
+    INTEGER,
+    INTEGERS,
+    MATRIX,
+    NUMBER,
+    VECTOR,
+    compiled,
+)
 from semiparam_ros.core.types import Array, Stamps
 
 MOST_APART = 0.1
@@ -99,8 +107,17 @@ class Way(NamedTuple):
         changes its sign the joint went on and came back: dry friction turns over there, not where the net travel ends.
         Where positions and velocities disagree, the travel is even.
         """
-        stamp, place, speed = cast('tuple[int, float, float]', past) if past is not None else (
-            int(self.stamps[0]), float(self.position[0]), float(self.velocity[0]))
+        begin = cast('tuple[int, float, float]', past) if past is not None else self._sample(0)
+        if AVAILABLE:
+            travel, speeds = np.empty((2, len(self.stamps) * PARTS))
+            _follow_way(*map(np.array, self), *begin, _HALF, travel, speeds)
+            return travel, speeds, self._sample(-1)
+        return (*self._followed(*begin), self._sample(-1))
+
+    def _sample(self, index: int) -> tuple[int, float, float]:
+        return int(self.stamps[index]), float(self.position[index]), float(self.velocity[index])
+
+    def _followed(self, stamp: int, place: float, speed: float) -> tuple[Array, Array]:
         step = np.diff(self.stamps, prepend=stamp) * 1e-9
         net, after = np.diff(self.position, prepend=place), self.velocity * step
         before = np.append(speed, self.velocity[:-1]) * step
@@ -109,8 +126,7 @@ class Way(NamedTuple):
         parts = _in_parts(before, 6.0 * net - 4.0 * before - 2.0 * after, 3.0 * (before + after) - 6.0 * net)
         travel, lengths = np.diff(parts.travel, axis=1), np.diff(parts.time, axis=1) * step[:, None]
         speeds = np.divide(travel, lengths, out=np.zeros_like(travel), where=lengths > 0.0)
-        return travel.ravel(), speeds.ravel(), (
-            int(self.stamps[-1]), float(self.position[-1]), float(self.velocity[-1]))
+        return travel.ravel(), speeds.ravel()
 
 
 class _Parts(NamedTuple):
@@ -129,6 +145,37 @@ def _in_parts(start: Array, rise: Array, bend: Array) -> _Parts:
     middle = np.where(outside, np.divide(root, bend, out=np.full_like(start, 0.5), where=outside), middle)[:, None]
     time = np.hstack([middle * _HALF, middle + (1.0 - middle) * _HALF[1:]])
     return _Parts(time, time * (start[:, None] + time * (rise[:, None] / 2.0 + time * bend[:, None] / 3.0)))
+
+
+@compiled(INTEGERS, VECTOR, VECTOR, INTEGER, NUMBER, NUMBER, VECTOR, VECTOR, VECTOR)
+def _follow_way(stamps: Stamps, position: Array, velocity: Array, stamp: int, place: float,
+                speed: float, shares: Array, travel: Array, speeds: Array) -> None:
+    """See :meth:`Way.followed`; ``shares`` is _HALF."""
+    halves = len(shares) - 1
+    for i in range(len(stamps)):
+        step = (stamps[i] - stamp) * 1e-9
+        net, start, end = position[i] - place, speed * step, velocity[i] * step
+        if not abs(net - 0.5 * (start + end)) < MOST_APART * (abs(start) + abs(end)):
+            start = end = net
+        rise, bend = 6.0 * net - 4.0 * start - 2.0 * end, 3.0 * (start + end) - 6.0 * net
+        inner = max(rise * rise - 4.0 * bend * start, 0.0)
+        root = -0.5 * (rise + np.copysign(np.sqrt(inner), rise))
+        middle = 0.5
+        if start * (start + rise + bend) < 0.0 and root != 0.0:
+            middle = start / root
+        if middle < 0.0 or middle > 1.0:  # the other zero
+            middle = root / bend
+        before = gone = 0.0
+        for part in range(2 * halves):
+            late = part >= halves
+            share = shares[part + 1 - halves * late]
+            time = middle + (1.0 - middle) * share if late else middle * share
+            there = time * (start + time * (rise / 2.0 + time * bend / 3.0))
+            length, index = (time - before) * step, 2 * halves * i + part
+            travel[index] = there - gone
+            speeds[index] = travel[index] / length if length > 0.0 else 0.0
+            before, gone = time, there
+        stamp, place, speed = stamps[i], position[i], velocity[i]
 
 
 def _dahl(steps: Array, slip: float, state: Array) -> Array:

@@ -15,6 +15,10 @@ class Nothing:
 
     scale = np.zeros(0)
     is_load = False
+    only_adds = False
+
+    def joint_columns(self, body, blocks):
+        return None
 
     def check(self, body):
         pass

@@ -402,6 +402,10 @@ def test_the_time_of_an_effect_starts_with_the_first_sample_also_when_it_was_not
     class Ramp:
         seen: list = []  # noqa: RUF012
         is_load = False
+        only_adds = True
+
+        def joint_columns(self, body, blocks):
+            return None
 
         def check(self, body):
             pass

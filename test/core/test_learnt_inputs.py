@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.learnt_inputs import ROOM, LearntInputs
+from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 
 M = 6
@@ -14,10 +15,16 @@ def together(rng, count):
     return rng.uniform(-1.0, 1.0, (count, 1)) * np.arange(1.0, M + 1.0) + 0.01 * rng.standard_normal((count, M))
 
 
+def as_sample(x):
+    """Whose inputs are x (m,)."""
+    nothing = np.zeros(0)
+    return Sample(0, x, nothing, nothing, nothing)
+
+
 def test_a_state_within_every_range_may_be_far_from_what_was_learnt():
     rng, learnt = np.random.default_rng(0), LearntInputs(M)
     for x in together(rng, 2000):
-        learnt.add(x)
+        learnt.add(as_sample(x))
     seen = [learnt.distance(x) for x in together(rng, 500)]
     assert np.mean(np.array(seen) <= 1.0) > 0.98
     assert learnt.distance(0.5 * np.arange(1.0, M + 1.0) * (1, -1, 1, -1, 1, -1)) > 3.0
@@ -27,7 +34,7 @@ def test_a_state_within_every_range_may_be_far_from_what_was_learnt():
 def test_what_is_kept_is_spread_over_all_that_was_learnt(count):
     learnt = LearntInputs(1)
     for index in range(count):
-        learnt.add(np.array([float(index)]))
+        learnt.add(as_sample(np.array([float(index)])))
     kept = learnt.state()['kept'].ravel()
     steps = np.diff(kept)
     assert len(kept) <= ROOM and (not len(steps) or (np.ptp(steps) == 0.0 and steps[0] > 0.0))
@@ -38,19 +45,19 @@ def test_what_is_kept_is_spread_over_all_that_was_learnt(count):
 def test_nothing_learnt_is_infinitely_far_and_one_input_is_no_fault():
     learnt = LearntInputs(M)
     assert learnt.distance(np.zeros(M)) == np.inf
-    learnt.add(np.zeros(M))
+    learnt.add(as_sample(np.zeros(M)))
     assert np.isfinite(learnt.distance(np.ones(M))) and learnt.distance(np.zeros(M)) == 0.0
 
 
 def test_a_state_goes_on_bit_for_bit_and_another_one_is_refused():
     rng, learnt, twin = np.random.default_rng(0), LearntInputs(M), LearntInputs(M)
     for x in together(rng, 3 * ROOM + 5):
-        learnt.add(x)
+        learnt.add(as_sample(x))
     twin.restore(learnt.state())
     later = together(rng, ROOM)
     for x in later:
-        learnt.add(x)
-        twin.add(x)
+        learnt.add(as_sample(x))
+        twin.add(as_sample(x))
         assert learnt.distance(later[0]) == twin.distance(later[0])
     for spoilt in ({'kept': np.zeros((3, M + 1))}, {'kept': np.full((3, M), np.nan)}, {'counts': np.array([0, 5])}):
         with pytest.raises(SemiparamError, match='saved inputs'):

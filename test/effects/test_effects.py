@@ -23,7 +23,8 @@ from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, effects_to_parameters, kinds, registry
 from semiparam_ros.effects.application_point import AtPoint
-from semiparam_ros.effects.base import CHANNELS, Start
+from semiparam_ros.effects.base import CHANNELS, Coefficient, Start
+from semiparam_ros.effects.friction import JointEffect
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report.documented_effects import BEGIN, END, with_tables
@@ -344,6 +345,56 @@ def test_a_day_later_at_1_khz_columns_are_finite_and_one_at_a_time_they_are_the_
         rows.append(row)
     scale = np.maximum(np.abs(expected).max(axis=(0, 1)), 1e-6)  # what is less, at rest, is rounding
     np.testing.assert_allclose(np.array(rows) / scale, expected / scale, rtol=0, atol=1e-9)
+
+
+JOINT_FORMS = {'viscous_friction': ({}, {}),
+               'coulomb_friction': ({'turn_speed': 0.01}, {'turn_speed': 0.03}),
+               'stribeck_friction': ({'turn_speed': 0.01, 'stribeck_speed': 0.1},
+                                     {'turn_speed': 0.02, 'stribeck_speed': 0.3}),
+               'asymmetric_friction': ({'turn_speed': 0.01, 'lead_s': 0.01},
+                                       {'turn_speed': 0.1, 'lead_s': 0.02}),
+               'rotor_inertia': ({}, {}), 'joint_spring': ({}, {}), 'effort_offset': ({}, {}),
+               'transmission_ripple': ({'order': 3.0}, {'order': 40.0})}
+APART = ('coulomb_friction@elbow{"presliding": 0.01}', 'effort_offset@elbow{"start_s": 0.5}',
+         'load_friction@elbow', 'temperature_friction@elbow', 'backlash@elbow{"gap": 0.01}')
+
+
+def test_effects_of_many_joints_are_computed_at_once_to_the_last_digit():
+    """18 declared frictions and offsets take the time of a few; each states its formula once."""
+    body = BODIES['effort']
+    together = [kinds()[kind](joint, values[index % 2]) for kind, values in JOINT_FORMS.items()
+                for index, joint in enumerate(body.joints)]
+    apart = [effect_from_text(text) for text in APART]
+    columns = CoupledColumns(body, [*together, *apart], joint_friction=True)
+    groups = {tuple(found.joints) for found, _ in columns._at_once}
+    assert groups == {tuple(range(body.n_joints))} and len(columns._at_once) == len(JOINT_FORMS)
+    assert [effect for effect, _ in columns._by_themselves] == [*range(len(together), len(columns.effects))]
+    memory, memories = None, [None] * len(columns.effects)
+    for sample in MOTION:
+        found, memory = columns.one(sample, MOTION.origin, memory)
+        row = MOTION[np.array([np.flatnonzero(MOTION.stamps == sample.stamp)[0]])]
+        for index, effect in enumerate(columns.effects):
+            expected, memories[index] = effect.columns(body, row, memories[index])
+            np.testing.assert_array_equal(found[:, columns.blocks[str(index)]], expected[0])
+
+
+def test_a_kind_whose_functions_take_single_values_is_computed_by_itself_where_these_differ():
+    class Own(JointEffect):
+        kind, names = 'own', (Coefficient('size', 'N m'),)
+        parameter_units = {'size': ''}  # noqa: RUF012
+
+        def functions(self, position, velocity, acceleration):
+            return (position if float(self.value('size')) > 0.0 else velocity)[:, None]
+
+    body = BODIES['effort']
+    for sizes, groups in (((1.0, 1.0), 1), ((1.0, -1.0), 2)):
+        effects = [Own(joint, {'size': size})
+                   for joint, size in zip(body.joints, sizes, strict=False)]
+        columns = CoupledColumns(body, effects)
+        assert len(columns._at_once) == groups
+        found, _ = columns.one(MOTION[3], MOTION.origin)
+        expected = [MOTION[3].position[0], (MOTION[3].position if groups == 1 else MOTION[3].velocity)[1]]
+        np.testing.assert_array_equal(found[[0, 1], [-2, -1]], expected)
 
 
 def test_without_a_start_an_effect_is_always_there():

@@ -18,6 +18,7 @@ from hypothesis import Phase
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from semiparam_ros.core.single_estimator import PRIORS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.learner import Learner
@@ -25,35 +26,50 @@ from semiparam_ros.online.learning import Learning, learning_of, observe
 from semiparam_ros.online.model_switcher import State, same_model
 from semiparam_ros.online.state_file import load, save
 from semiparam_ros.online.worker import known_of, new_estimator
-from support.node_helpers import BODY, PERIOD_NS, SETTINGS, DelayedBackground, motion
+from semiparam_ros.settings.build import build_rigid_body
+from support.node_helpers import BODY, JOINTS, PERIOD_NS, SETTINGS, DelayedBackground, motion
 
-SMALL = replace(SETTINGS, features_count=4, initial_samples=20, horizon_length=3, variant='P')
+SMALL = replace(SETTINGS, features_count=4, initial_samples=20, horizon_length=3, variant='P',
+                temperatures=('ft',))
 MOTION = motion(400)
 VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS', 'auto')
 EFFECTS = ('sensor_drift', 'payload@ft', 'payload@ft{"start_s": 0.5}', 'time_delay{"delay_s": 0.005}',
            'temperature_drift', 'sensor_gain{"fx": 0.1}', 'periodic_disturbance{"frequency_hz": 1.3}',
            'viscous_drag@ft')
-FAST = [sample._replace(velocity=8.0 * sample.velocity, acceleration=64.0 * sample.acceleration,
-                        outputs=BODY.regressor(sample.position, 8.0 * sample.velocity, 64.0 * sample.acceleration)
-                        @ (1.2 * BODY.base_parameters)) for sample in MOTION]
+EFFORT_EFFECTS = ('viscous_friction@a', 'coulomb_friction@b{"turn_speed": 0.02}', 'payload@ft',
+                  'coulomb_friction@a{"presliding": 0.01}', 'effort_offset@b{"start_s": 0.5}',
+                  'time_delay{"delay_s": 0.005}', 'temperature_friction@a', 'effort_gain@b{"gain": 0.1}')
+
+
+def fast(motion, body):
+    """The same places at eight times the speed."""
+    return [sample._replace(velocity=8.0 * sample.velocity, acceleration=64.0 * sample.acceleration,
+                            outputs=body.regressor(sample.position, 8.0 * sample.velocity,
+                                                   64.0 * sample.acceleration) @ (1.2 * body.base_parameters))
+            for sample in motion]
+
+
 YEAR_NS = 365 * 86400 * 10**9
 
 
 class Lives(RuleBasedStateMachine):
     """Listens to the learner as the node does, and keeps what the active model has been given."""
 
+    settings, body, motion, fast = SMALL, BODY, MOTION, fast(MOTION, BODY)
+    effects = EFFECTS
+
     def __init__(self):
         super().__init__()
         self.background = DelayedBackground()
         self.offered, self.answers, self.given, self.saved = [], [], [], []
-        self.stamp, self.place, self.warmth = MOTION[0].stamp, 0, np.nan
+        self.stamp, self.place, self.warmth = self.motion[0].stamp, 0, np.nan
         self.learner, self.feedforward = None, Feedforward()
         self.kept = False  # hyperparameters of a draft, as the window after it failed
 
     @initialize(count=st.sampled_from([4, 'auto']), every=st.sampled_from([1, 3]), gain=st.sampled_from([0.0, 0.1]))
     def begin(self, count=4, every=1, gain=0.0):
-        settings = replace(SMALL, temperatures=('ft',), features_count=count, learn_every=every, learn_least_gain=gain)
-        self.learner = Learner(settings, BODY, self.background, self)
+        settings = replace(self.settings, features_count=count, learn_every=every, learn_least_gain=gain)
+        self.learner = Learner(settings, self.body, self.background, self)
 
     # What the learner tells
 
@@ -85,37 +101,44 @@ class Lives(RuleBasedStateMachine):
 
     # Samples
 
+    def now(self, sample):
+        """The sample as it comes next."""
+        warmth = np.full(len(self.settings.temperatures), self.warmth)
+        return sample._replace(stamp=self.stamp + PERIOD_NS, temperature=warmth)
+
     def offer(self, sample):
-        self.stamp += PERIOD_NS
+        sample = self.now(sample)
+        self.stamp = sample.stamp
         self.place += 1
-        sample = sample._replace(stamp=self.stamp, temperature=np.array([self.warmth]))
         self.offered.append(sample.stamp)
         self.learner.offer(sample)
 
     @rule(count=st.integers(1, 40))
     def moves(self, count):
         for _ in range(count):
-            self.offer(MOTION[self.place % len(MOTION)])
+            self.offer(self.motion[self.place % len(self.motion)])
 
     @rule(count=st.integers(1, 60))
     def moves_fast(self, count):
         """Other motion than in the window: the hyperparameters are estimated again."""
         for _ in range(count):
-            self.offer(FAST[self.place % len(FAST)])
+            self.offer(self.fast[self.place % len(self.fast)])
 
     @rule(count=st.integers(1, 25))
     def moves_with_a_dead_sensor(self, count):
         """A window of it gives no hyperparameters."""
         for _ in range(count):
-            self.offer(MOTION[self.place % len(MOTION)]._replace(outputs=np.full(6, 1.0)))
+            dead = np.full(self.body.n_outputs, 1.0)
+            self.offer(self.motion[self.place % len(self.motion)]._replace(outputs=dead))
 
     @rule(count=st.integers(1, 100))
     def rests(self, count):
         """The same place, with a noise of the sensor: for more than a second it is not learnt."""
         rng = np.random.default_rng(count)
         for _ in range(count):
-            self.offer(MOTION[self.place % len(MOTION)]._replace(
-                position=MOTION[7].position, outputs=MOTION[7].outputs + 0.01 * rng.standard_normal(6)))
+            self.offer(self.motion[self.place % len(self.motion)]._replace(
+                position=self.motion[7].position,
+                outputs=self.motion[7].outputs + 0.01 * rng.standard_normal(self.body.n_outputs)))
 
     @rule(warmth=st.sampled_from([20.0, 21.5, 40.0]))
     def warms(self, warmth):
@@ -141,7 +164,10 @@ class Lives(RuleBasedStateMachine):
     def chooses(self, variant):
         self.change(variant=variant)
 
-    @rule(effects=st.lists(st.sampled_from(EFFECTS), max_size=2, unique=True))
+    @rule(chosen=st.lists(st.integers(0, len(EFFECTS) - 1), max_size=2, unique=True))
+    def declares_some(self, chosen):
+        self.declares([self.effects[index] for index in chosen])
+
     def declares(self, effects):
         self.change(effects=tuple(effects))
 
@@ -149,6 +175,10 @@ class Lives(RuleBasedStateMachine):
           noise=st.sampled_from(['one', 'output']))
     def tunes(self, forgetting, horizon, noise):
         self.change(forgetting=forgetting, horizon_length=horizon, noise=noise)
+
+    @rule(priors=st.sampled_from(PRIORS), joint_friction=st.booleans())
+    def holds_beforehand(self, priors, joint_friction):
+        self.change(priors=priors, joint_friction=joint_friction)
 
     @rule(shadows=st.lists(st.sampled_from(VARIANTS), max_size=2, unique=True))
     def shadows(self, shadows):
@@ -168,7 +198,7 @@ class Lives(RuleBasedStateMachine):
             assert 'withheld' in str(error) and before == 'withhold' and not self.learner.estimator.ready, error
         else:
             assert np.isfinite([*found.outputs, *found.outputs_std, *found.efforts_std]).all()
-            assert (np.abs(found.efforts) <= BODY.effort_limits).all()
+            assert (np.abs(found.efforts) <= self.body.effort_limits).all()
 
     @rule(ago=st.integers(0, 60))
     def applies_a_diagnosis(self, ago):
@@ -242,7 +272,7 @@ class Lives(RuleBasedStateMachine):
         assert learner.switcher.successor is None
         assert same_model(learner.built, learner.settings)
         known = known_of(learner.estimator) if learner.switcher.renewed else None  # of a window chosen at some time
-        fresh = new_estimator(learner.built, BODY, known, learner.history.origin)
+        fresh = new_estimator(learner.built, self.body, known, learner.history.origin)
         for sample, learning in self.given:
             observe(fresh, fresh.predict(sample), learning)
         assert fresh.ready == learner.estimator.ready
@@ -250,8 +280,8 @@ class Lives(RuleBasedStateMachine):
             return  # the provisional model has also learnt from windows that gave no hyperparameters
         if known and any(learning == Learning.AFTER_CHANGE for _, learning in self.given):
             return  # a later window's model learns nothing from before a change
-        for sample in MOTION[::80]:
-            sample = sample._replace(stamp=self.stamp + PERIOD_NS, temperature=np.array([self.warmth]))
+        for sample in self.motion[::80]:
+            sample = self.now(sample)
             expected, found = fresh.predict(sample), learner.estimator.predict(sample)
             np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-6, atol=1e-6)
             np.testing.assert_allclose(found.std, expected.std, rtol=1e-6, atol=1e-6)
@@ -261,14 +291,28 @@ class Lives(RuleBasedStateMachine):
             self.comes_to_rest()
 
 
-Lives.TestCase.settings = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 5,
-                                              stateful_step_count=40, deadline=None,
-                                              phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
-                                              suppress_health_check=list(hypothesis.HealthCheck))
-for name, value in {'core.recursion.KEPT': 20.0, 'online.worker.KEPT': 20.0, 'online.renewal.LEAST_DRAFT': 1,
-                    'online.worker.OLDER': 1}.items():  # a fresh estimator learns all
-    Lives.TestCase.runTest = patch(f'semiparam_ros.{name}', value)(Lives.TestCase.runTest)
+class EffortLives(Lives):
+    """The same with the efforts of the joints, which have friction."""
+
+    settings = replace(SMALL, outputs='effort', sensor_frame='', temperatures=JOINTS)
+    body = build_rigid_body(settings)
+    motion = motion(400, body=body)
+    fast = fast(motion, body)
+    effects = EFFORT_EFFECTS
+
+
+LIVES = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 5,
+                            stateful_step_count=40, deadline=None,
+                            phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
+                            suppress_health_check=list(hypothesis.HealthCheck))
+PATCHES = {'core.recursion.KEPT': 20.0, 'online.worker.KEPT': 20.0, 'online.renewal.LEAST_DRAFT': 1,
+           'online.worker.OLDER': 1}  # a fresh estimator learns all
+for kind in (Lives, EffortLives):
+    kind.TestCase.settings = LIVES
+    for name, value in PATCHES.items():
+        kind.TestCase.runTest = patch(f'semiparam_ros.{name}', value)(kind.TestCase.runTest)
 TestLives = pytest.mark.timeout(3600)(Lives.TestCase)  # the full form takes minutes
+TestEffortLives = pytest.mark.timeout(3600)(EffortLives.TestCase)
 
 
 def with_a_window():
@@ -372,3 +416,21 @@ def test_averaged_variants_live_as_any_other(tmp_path, monkeypatch):
     life.moves(40)
     life.comes_to_rest()
     assert life.learner.estimator.weights
+
+
+def test_priors_and_friction_are_switched_and_back(tmp_path, monkeypatch):
+    monkeypatch.setattr('semiparam_ros.online.worker.OLDER', 1)
+    life = EffortLives()
+    life.begin()
+    life.chooses('SPK-ML')
+    life.moves(40)
+    life.comes_to_rest()
+    for priors, joint_friction in (('paper', True), ('paper', False), ('physical', True)):
+        life.holds_beforehand(priors, joint_friction)
+        life.moves(5)
+        life.comes_to_rest()
+        columns = life.learner.estimator.columns
+        assert (columns.physical, columns.has_friction) == (priors == 'physical', joint_friction)
+        save(tmp_path / 's.npz', life.learner.state())
+        life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, life.body))
+        life.comes_to_rest()
