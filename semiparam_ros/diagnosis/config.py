@@ -222,6 +222,8 @@ class DiagnosisConfig:
     """Takes a kind of effect for so unlikely that odds of it before the recording are one to this (chosen)."""
     swapped: int = 3
     """Tries so many other kinds and places in place of each effect that was found (chosen)."""
+    worth_swapping: float = 0.5
+    """Tries those that, coarse as they are, reach this share of its evidence (chosen)."""
     tried: int = 8
     """Scores so many of the candidates of a round, the most credible first (chosen)."""
 
@@ -236,7 +238,7 @@ class DiagnosisConfig:
     """Refines so many of the best candidates of a round: the coarse order is nearly the final one (chosen)."""
     refine_evaluations: int = 14
     """Spends so many evaluations on the line search of one value: its bracket then shrinks a thousandfold."""
-    line_search_rounds: int = 6
+    line_search_rounds: int = 4
     """Searches three values and more so many times in turn, for the best one depends on the others; in the second half
     of the rounds, the point of application too (chosen)."""
     start_grid: int = 60

@@ -83,8 +83,8 @@ def verdict_with(drifting, **changed):
 
 @pytest.mark.parametrize(('changed', 'expected'), [
     ({}, ('effect_found', ['sensor_drift'])),
-    ({'least_evidence': 1e6}, ('nothing_missing', [])),
-    ({'least_gain': 1.1}, ('nothing_missing', [])),
+    ({'odds': 1e300}, ('nothing_missing', [])),
+    ({'coarseness': 0.01}, ('nothing_missing', [])),
     ({'most_rounds': 0}, ('nothing_missing', [])),
     ({'most_rounds': 0, 'structure_least_samples': 100, 'structure_share': 0.0, 'structure_deviations': -9.0,
       'beyond_chance': -99.0}, ('unexplained', [])),

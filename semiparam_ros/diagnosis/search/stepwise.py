@@ -164,7 +164,10 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
     found = tuple(effect for effect in after.effects if identity(effect) not in before)
     if not found:
         return None
-    rivals = _rivals(fit, best, moves) if len(found) == 1 == len(best.added) else ()
+    alone = len(found) == 1 == len(best.added)
+    rivals = _rivals(fit, best, moves) if alone else ()
+    if alone:  # a load may have moved to the link nearest to its centre
+        ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial for trial in ranking]
     return Step(
         added=tuple(Trial(effect, after.residual, 1, evidence=best.gain.total / len(found)) for effect in found),
         rivals=(rivals,) * len(found), ranking=tuple(ranking), before=fit, after=after,
@@ -290,7 +293,11 @@ def _alike(one: Move, other: Move) -> bool:
 
 
 def _spent(move: Move) -> int:
-    return move.after.n_columns + sum(len(effect.searched) + len(effect.calibrations) for effect in move.after.effects)
+    return sum(_values(effect, move.after) for effect in move.after.effects)
+
+
+def _values(effect: Effect, fit: Fit) -> int:
+    return len(effect.coefficients(fit.body)) + len(effect.searched) + len(effect.calibrations)
 
 
 def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
@@ -351,7 +358,10 @@ def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) 
         names = {effect.kind, *effect.mistaken_for}
         pool = [candidate for candidate in candidates(rest, {name: kinds[name] for name in names if name in kinds})
                 if (candidate.kind.kind, candidate.where) != (effect.kind, effect.where)]
-        ranking = _refined(rest, coarse(rest, pool, lambda words, share: None))[:fit.config.swapped]
+        own = score(rest, Trial(effect, fit.residual, _values(effect, fit)), fit.correlation).evidence
+        trials = [trial for trial in coarse(rest, pool, lambda words, share: None)
+                  if trial.evidence > fit.config.worth_swapping * own]
+        ranking = _refined(rest, trials[:fit.config.swapped])
         cost = prices([effect], rest, kinds)
         moves = [move._replace(gain=gain(fit, move.after, move.added[0].start_s), price=move.price - cost)
                  for move in single_moves(rest, ranking, kinds)]
