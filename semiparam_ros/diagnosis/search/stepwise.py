@@ -167,7 +167,8 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
     alone = len(found) == 1 == len(best.added)
     rivals = _rivals(fit, best, moves) if alone else ()
     if alone:  # a load may have moved to the link nearest to its centre
-        ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial for trial in ranking]
+        ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial
+                   for trial in ranking]
     return Step(
         added=tuple(Trial(effect, after.residual, 1, evidence=best.gain.total / len(found)) for effect in found),
         rivals=(rivals,) * len(found), ranking=tuple(ranking), before=fit, after=after,
