@@ -224,6 +224,8 @@ class DiagnosisConfig:
     """Tries so many other kinds and places in place of each effect that was found (chosen)."""
     worth_swapping: float = 0.5
     """Tries those that, coarse as they are, reach this share of its evidence (chosen)."""
+    moved: tuple[float, ...] = (-0.4, -0.2, 0.0, 0.2, 0.4)
+    """Begins at these shares of what a calibration may be, where it moves what other effects depend on (chosen)."""
     tried: int = 8
     """Scores so many of the candidates of a round, the most credible first (chosen)."""
 

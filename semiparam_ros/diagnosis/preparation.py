@@ -28,14 +28,14 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
 BUT_ACCELERATIONS = 'smoothed, accelerations recorded'
-SMOOTHED = {'smoothed': (2, 4), 'smoothed more': (2, 6), 'smoothed from positions': (1, 4),
-            'smoothed with accelerations': (3, 4), 'smoothed more, with accelerations': (3, 6)}
+SMOOTHED = {'smoothed with accelerations': (3, 4), 'smoothed more, with accelerations': (3, 6), 'smoothed': (2, 4),
+            'smoothed more': (2, 6), 'smoothed from positions': (1, 4)}
 """How many of positions, velocities and accelerations the smoother uses, and which derivative it takes for white."""
 ESTIMATED = ('smoothed', 'smoothed more', 'smoothed from positions')
-MEASURED = ('recorded', BUT_ACCELERATIONS, 'smoothed with accelerations', 'smoothed more, with accelerations')
-"""Those that use the accelerations of a recording."""
-OPTIONS = (*MEASURED[2:], *ESTIMATED, *MEASURED[:2])
+OPTIONS = (*SMOOTHED, 'recorded', BUT_ACCELERATIONS)
 """All of them, first those that leave the least noise in the motion."""
+MEASURED = tuple(name for name in OPTIONS if name not in ESTIMATED)
+"""Those that use the accelerations of a recording."""
 
 
 class Inputs(NamedTuple):

@@ -83,7 +83,7 @@ def verdict_with(drifting, **changed):
 
 @pytest.mark.parametrize(('changed', 'expected'), [
     ({}, ('effect_found', ['sensor_drift'])),
-    ({'odds': 1e300}, ('nothing_missing', [])),
+    ({'odds': np.inf}, ('nothing_missing', [])),
     ({'coarseness': 0.01}, ('nothing_missing', [])),
     ({'most_rounds': 0}, ('nothing_missing', [])),
     ({'most_rounds': 0, 'structure_least_samples': 100, 'structure_share': 0.0, 'structure_deviations': -9.0,

@@ -25,8 +25,6 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
 Progress = Callable[[str, float], None]
-MOVED = (-0.4, -0.2, 0.0, 0.2, 0.4)
-"""Of what a calibration may be, where its search begins beside other forms of what it moves."""
 
 
 class Rival(NamedTuple):
@@ -270,7 +268,7 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
         if formed and kind.moves_friction and kind.kind not in known and None in kind.places(fit.body):
             nothing = kind(None, {coefficient.name: 0.0 for coefficient in kind.calibrations})
             spread = nothing.calibration_scale(fit.body)
-            starts = [moved_by(nothing, share * spread) for share in MOVED]
+            starts = [moved_by(nothing, share * spread) for share in fit.config.moved]
             tried = [formed_anew(with_effects(fit, [*fit.effects, start]), fixed) for start in starts]
             after = declare(min(tried, key=lambda model: model.loss), [])
             after = reshaped(without_impossible(after, fixed), fixed, kinds)
