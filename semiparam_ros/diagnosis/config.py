@@ -181,25 +181,9 @@ class DiagnosisConfig:
     """Takes a ratio within this factor of a unit for it: a real UR3's efforts are 1.7 times the description's."""
     friction_share: float = 0.5
     """Lets the direction of friction settle a sign when its shares of the joints' efforts sum to this (chosen)."""
-    pushing_share: float = -0.85
-    """Doubts the sign of a joint's effort when this share of it goes against all friction: a delay or a resonance of
-    size 3 can push as much, but then brakes no other joint (measured)."""
-    braking_share: float = 0.3
-    """Asks also that friction is this share of the other joints' median effort: a real UR3's are 0.42 to 0.98."""
-    bad_fit: float = 0.03
-    """Looks for a wrong label only when the recording as declared misfits the description by this (measured: mistakes
-    put into real recordings make the misfit grow twice to seventy times)."""
-    far_better: float = 0.6
-    """Accepts another label that lowers the misfit to this share of it: with any effect of size 3 the best wrong one
-    keeps 1.04 of it (117 recordings), on real arms 0.98 (measured)."""
-    better: float = 0.9
-    """Accepts opposite signs of the efforts that oppose the prediction when they lower the misfit to this share: of a
-    real UR3 and Franka arm, right signs of one to three joints lower it to 0.19 to 0.81 (measured)."""
     opposed_effort: float = 0.4
     """Doubts the sign of an effort below minus this correlation with the description's prediction, if at least as many
     joints exceed it: on a real Franka arm the base turns with 0.44, its dry friction taken off (measured)."""
-    good_fit: float = 0.25
-    """Accepts another label only when the misfit with it is below this (measured, as before)."""
     no_match_share: float = 0.4
     """Doubts the robot description when the best inertias leave this share of variance: the worst effect of size 3
     leaves 0.32, other arms' descriptions and sensor frames 0.43 to 1 (measured)."""

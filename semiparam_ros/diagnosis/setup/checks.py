@@ -5,8 +5,8 @@ signal over a fraction of a second is compared with the integral of its declared
 signs, order and clock are right. Measured: 0.92 to 0.97 on a real iCub (its velocities lag), 1.00 on a UR3, 1.02 on a
 Franka arm.
 
-Orders, directions and axes: what would the recording say if it had been labelled otherwise? An alternative is reported
-only if the recording as declared fits badly (J of ``prior_misfit``), and the alternative fits far better and well.
+Orders, directions and axes: what would the recording say if it had been labelled otherwise? The likeliest alternative is
+reported if the evidence of ``prior_misfit`` is far larger with it than as declared.
 """
 
 from __future__ import annotations
@@ -24,7 +24,15 @@ from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, typical_step
 from semiparam_ros.diagnosis.data.preparation import Inputs, working_factor
-from semiparam_ros.diagnosis.setup.prior_misfit import channel_scale, dissipation, equations, misfit, nuisances
+from semiparam_ros.diagnosis.setup.prior_misfit import (
+    Equations,
+    channel_scale,
+    dissipation,
+    equations,
+    evidence,
+    misfit,
+    nuisances,
+)
 
 DEGREE = float(np.pi / 180.0)
 MOTION_UNITS = {1.0 / DEGREE: ('position', 'degrees', DEGREE), DEGREE: ('velocity', 'degrees per second', DEGREE),
@@ -287,11 +295,7 @@ def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) 
         found += [best.problem, *best.further]
         body, samples = best.body or body, best.samples
     left = misfit(equations(body, samples, config), samples.outputs, body.outputs == 'wrench').left
-    if left > config.no_match_share:
-        return [_no_match(body, left)]
-    if body.outputs == 'effort' and left < config.good_fit:
-        found += friction_problems(body, samples, config)
-    return found
+    return [_no_match(body, left)] if left > config.no_match_share else found
 
 
 def _no_match(body: RigidBody, left: float) -> SetupProblem:
@@ -303,33 +307,27 @@ def _no_match(body: RigidBody, left: float) -> SetupProblem:
 
 
 class Alternative(NamedTuple):
-    """The samples as they would be, and what to say if that is how they are; the body where it is another one.
-
-    ``likely``: something else speaks for it too, so a smaller gain will do.
-    """
+    """The samples as they would be, and what to say if that is how they are; the body where it is another one."""
 
     samples: Samples
     problem: SetupProblem
     body: RigidBody | None = None
-    likely: bool = False
     further: tuple[SetupProblem, ...] = ()
 
 
 def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Alternative | None:
-    """The alternative that fits far better than the samples as they are, if these fit badly."""
-    wrench = body.outputs == 'wrench'
+    """The likeliest alternative, where the recording is far likelier with it than as declared."""
     equal = equations(body, samples, config)
-    declared = misfit(equal, samples.outputs, wrench).total
-    if declared < config.bad_fit:
-        return None
-    best, least = None, config.good_fit
-    for alternative in _alternatives(body, samples, config):
+
+    def of(alternative: Alternative) -> tuple[Equations, Array]:
         same = alternative.samples.position is samples.position and alternative.body is None
-        there = equal if same else equations(alternative.body or body, alternative.samples, config)
-        total = misfit(there, alternative.samples.outputs, wrench).total
-        if total < min(least, declared * (config.better if alternative.likely else config.far_better)):
-            best, least = alternative, total
-    return best
+        return (equal if same else equations(alternative.body or body, alternative.samples, config),
+                alternative.samples.outputs)
+
+    best = max(_alternatives(body, samples, config), key=lambda alternative: evidence(*of(alternative)).log)
+    share = evidence(*of(best)).independent
+    gain = evidence(*of(best), share).log - evidence(equal, samples.outputs, share).log
+    return best if gain > config.least_evidence else None
 
 
 def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
@@ -342,6 +340,7 @@ def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) ->
         yield Alternative(samples, problem, mounted)
     yield from _other_directions(body, samples)
     yield from _other_orders(body, samples)
+    yield from _exchanged_outputs(body, samples)
     if np.abs(samples.position).max() > config.degrees_beyond:
         yield _radians(samples)
 
@@ -395,7 +394,7 @@ def _opposite_efforts(body: RigidBody, samples: Samples, config: DiagnosisConfig
         'most other joints follow it: negate it in the driver.'))
         for name, like, flag in zip(body.output_names, likeness, opposed, strict=True) if flag]
     negated = replace(samples, outputs=samples.outputs * np.where(opposed, -1.0, 1.0))
-    yield Alternative(negated, problems[0], likely=True, further=tuple(problems[1:]))
+    yield Alternative(negated, problems[0], further=tuple(problems[1:]))
 
 
 def effort_likeness(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
@@ -434,8 +433,7 @@ def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Alternative
 
 def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
     for one, other in combinations(range(body.n_joints), 2):
-        order = np.arange(body.n_joints)
-        order[[one, other]] = other, one
+        order = _exchange(body.n_joints, one, other)
         swapped = replace(samples, position=samples.position[:, order], velocity=samples.velocity[:, order],
                           acceleration=samples.acceleration[:, order])
         if body.outputs == 'effort':
@@ -447,6 +445,27 @@ def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
             f"The recording fits the robot description far better with '{body.joints[one]}' and "
             f"'{body.joints[other]}' exchanged: correct the names in the joint states (for a bag: semiparam convert "
             '--joint NAME=NEW) or the parameter joints.')))
+
+
+def _exchanged_outputs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+    """Any two efforts, or channels of the wrench, in each other's place."""
+    wrench = body.outputs == 'wrench'
+    for one, other in combinations(range(body.n_outputs), 2):
+        first, second = body.output_names[one], body.output_names[other]
+        what = f"The channels {first} and {second} of '{body.sensor_frame}' are" if wrench else \
+            f"The efforts of '{first}' and '{second}' are"
+        where = "the sensor's driver (or in the columns of the text table)" if wrench else 'the driver'
+        exchanged = samples.outputs[:, _exchange(body.n_outputs, one, other)]
+        yield Alternative(replace(samples, outputs=exchanged), SetupProblem(
+            'wrench_order' if wrench else 'effort_order', first, (
+                f"{what} swapped: the recording fits the robot description far better with them in each other's place; "
+                f'correct their order in {where}.')))
+
+
+def _exchange(count: int, one: int, other: int) -> Stamps:
+    order = np.arange(count)
+    order[[one, other]] = other, one
+    return order
 
 
 def _negated(values: Array, column: int) -> Array:
@@ -561,13 +580,3 @@ def _unit(body: RigidBody, name: str, unit: float) -> SetupProblem:
     return SetupProblem('output_units', body.sensor_frame, (
         f'The {name} is {unit:.3g} times what the robot description predicts, as if it were in {OUTPUT_UNITS[unit]}: '
         f'publish it in {right}.'))
-
-
-def friction_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
-    """Joints whose effort would drive them where friction holds them back."""
-    share = dissipation(body, samples, config)
-    others = np.array([np.median(np.delete(share, joint)) if len(share) > 1 else 0.0 for joint in range(len(share))])
-    wrong = (share < config.pushing_share) & (others > config.braking_share)
-    return [SetupProblem('effort_sign', name, (
-        f"The effort of '{name}' goes with its motion as no friction can: it has the opposite sign of its velocity's; "
-        'negate it in the driver.')) for name, flag in zip(body.output_names, wrong, strict=True) if flag]
