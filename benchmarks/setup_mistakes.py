@@ -13,7 +13,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -53,20 +53,22 @@ class Mistake(NamedTuple):
 def mistakes(body: RigidBody, samples: Samples) -> Iterator[Mistake]:
     """All swaps and signs."""
     wrench = body.outputs == 'wrench'
-    for role, what in (('position', 'position_order'), ('velocity', 'velocity_order')):
-        yield from _swaps(samples, role, what, body.joints)
-    yield from _swaps(samples, 'outputs', 'wrench_order' if wrench else 'effort_order', body.output_names)
+    rates = ('velocity',) if wrench else ('velocity', 'acceleration')  # only the iCub's accelerations are measured
+    yield from _swaps(samples, ('position',), 'position_order', body.joints)
+    yield from _swaps(samples, rates, 'velocity_order', body.joints)
+    yield from _swaps(samples, ('outputs',), 'wrench_order' if wrench else 'effort_order', body.output_names)
     if wrench:
         for one, other in combinations(range(3), 2):
             order = _exchanged(3, one, other)
             yield Mistake('axes swapped', f'{"xyz"[one]}, {"xyz"[other]}', replace(
                 samples, outputs=samples.outputs[:, [*order, *(3 + order)]]), 'wrench_axes', (body.sensor_frame,))
     for channel, name in enumerate(body.output_names):
-        yield Mistake('a sign of an output', name, _times(samples, 'outputs', channel, -1.0),
+        yield Mistake('a sign of an output', name, _times(samples, ('outputs',), channel, -1.0),
                       'wrench_sign' if wrench else 'effort_sign', (name,))
     for joint, name in enumerate(body.joints):
-        yield Mistake('a sign of a velocity', name, _times(samples, 'velocity', joint, -1.0), 'velocity_sign', (name,))
-        yield Mistake('a sign of a position', name, _times(samples, 'position', joint, -1.0), 'position_sign', (name,))
+        yield Mistake('a sign of a velocity', name, _times(samples, rates, joint, -1.0), 'velocity_sign', (name,))
+        yield Mistake('a sign of a position', name, _times(samples, ('position',), joint, -1.0), 'position_sign',
+                      (name,))
 
 
 def effects(body: RigidBody, samples: Samples) -> Iterator[Mistake]:
@@ -74,7 +76,7 @@ def effects(body: RigidBody, samples: Samples) -> Iterator[Mistake]:
     wrench = body.outputs == 'wrench'
     for factor in GAINS:
         for channel, name in enumerate(body.output_names):
-            yield Mistake(f'one gain, x{factor:g}', name, _times(samples, 'outputs', channel, factor),
+            yield Mistake(f'one gain, x{factor:g}', name, _times(samples, ('outputs',), channel, factor),
                           'sensor_gain' if wrench else 'effort_gain', (None if wrench else name,), True)
     for joint, name in enumerate(body.joints):
         position = samples.position.copy()
@@ -85,12 +87,11 @@ def effects(body: RigidBody, samples: Samples) -> Iterator[Mistake]:
     yield Mistake('20 ms late', '', replace(samples, outputs=outputs), 'time_delay', (None,), True)
 
 
-def _swaps(samples: Samples, role: str, what: str, names: Any) -> Iterator[Mistake]:
-    values: Array = getattr(samples, role)
-    for one, other in combinations(range(values.shape[1]), 2):
-        order = _exchanged(values.shape[1], one, other)
-        yield Mistake(f'{role} swapped', f'{names[one]}, {names[other]}', replace(samples, **{role: values[:, order]}),
-                      what, (names[one], names[other]))
+def _swaps(samples: Samples, roles: Sequence[str], what: str, names: Sequence[str]) -> Iterator[Mistake]:
+    for one, other in combinations(range(len(names)), 2):
+        order = _exchanged(len(names), one, other)
+        yield Mistake(f'{roles[0]} swapped', f'{names[one]}, {names[other]}', replace(
+            samples, **{role: getattr(samples, role)[:, order] for role in roles}), what, (names[one], names[other]))
 
 
 def _exchanged(count: int, one: int, other: int) -> Array:
@@ -99,10 +100,9 @@ def _exchanged(count: int, one: int, other: int) -> Array:
     return order
 
 
-def _times(samples: Samples, role: str, column: int, factor: float) -> Samples:
-    values = getattr(samples, role).copy()
-    values[:, column] *= factor
-    return replace(samples, **{role: values})
+def _times(samples: Samples, roles: Sequence[str], column: int, factor: float) -> Samples:
+    factors = np.where(np.arange(getattr(samples, roles[0]).shape[1]) == column, factor, 1.0)
+    return replace(samples, **{role: getattr(samples, role) * factors for role in roles})
 
 
 def told(body: RigidBody, mistake: Mistake) -> tuple[bool, str]:
@@ -149,8 +149,8 @@ def main() -> None:
             rows.append({'recording': recording.name, 'group': mistake.group, 'name': mistake.name, 'right': right,
                          'told': said})
             if not right:
-                console.print(f'{recording.name}, {mistake.group}, {mistake.name}: {said or "nothing"}', highlight=False,
-                              soft_wrap=True)
+                console.print(f'{recording.name}, {mistake.group}, {mistake.name}: {said or "nothing"}',
+                              highlight=False, soft_wrap=True)
     table = Table('mistake', *dict.fromkeys(row['recording'] for row in rows), 'all')
     for group in [*dict.fromkeys(row['group'] for row in rows), '']:
         own = [row for row in rows if group in ('', row['group'])]

@@ -9,8 +9,9 @@ robot description:
 with free nuisances N: the sensor's offset, or each joint's offset, friction and rotor inertia.
 
 Two labellings of one recording compare by their evidence, the likelihood with theta ~ N(theta_urdf, W^-2) and the
-nuisances integrated out, the noise of each channel at its most likely size, at the number of samples whose residuals
-are independent. Friction takes energy out of a joint: that is part of the prior.
+nuisances integrated out, at the number of samples whose residuals are independent. The noise of each channel has its
+most likely size, beside a share of the channel's variance by which any description is wrong. Friction takes energy out
+of a joint, but for what that share could put in: that is part of the prior.
 """
 
 from __future__ import annotations
@@ -28,9 +29,6 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.config import DiagnosisConfig
 
 RIDGE = 1e-10
-NOISE_ROUNDS = 6
-LEAST_NOISE = 1e-3
-"""Of a channel's deviation: no description of an arm is truer."""
 
 
 class Equations(NamedTuple):
@@ -40,6 +38,9 @@ class Equations(NamedTuple):
     mean: Array  # (c,) the description's base parameters, then zeros
     precision: Array  # (c, c) of the parameters about the mean; zero for the nuisances
     price: float  # of one deviation from the mean, as a share of the outputs' variance
+    wrong: float  # share of an output's variance by which the description may be wrong
+    rounds: int  # in which the noise is fitted
+    speed: Array  # (n,) root mean square speed of the joints; (0,) of a wrench
     power: Array  # (n, c) mean power of each joint's friction; (0, c) of a wrench
 
 
@@ -57,12 +58,14 @@ def equations(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Equ
     mean, precision = np.zeros(columns.shape[2]), np.zeros((columns.shape[2],) * 2)
     mean[:own], precision[:own, :own] = body.base_parameters, _precision(body, config.inertia_deviation)
     if body.outputs == 'wrench':
-        return Equations(columns, mean, precision, config.wrench_price, np.zeros((0, len(mean))))
+        return Equations(columns, mean, precision, config.wrench_price, config.model_error, config.noise_rounds,
+                         np.zeros(0), np.zeros((0, len(mean))))
     count, power = body.n_outputs, np.zeros((body.n_outputs, len(mean)))
     moved = samples.velocity[:, body.output_index]
     friction = slice(own + count, own + 3 * count)  # viscous, then dry
     power[:, friction] = np.mean(columns[:, :, friction] * moved[:, :, None], axis=0)
-    return Equations(columns, mean, precision, config.effort_price, power)
+    return Equations(columns, mean, precision, config.effort_price, config.model_error, config.noise_rounds,
+                     np.sqrt(np.mean(moved**2, axis=0)), power)
 
 
 def misfit(equal: Equations, outputs: Array, wrench: bool) -> Misfit:
@@ -70,54 +73,6 @@ def misfit(equal: Equations, outputs: Array, wrench: bool) -> Misfit:
     change, residual = _solved(equal, outputs, wrench)
     squares = float(residual @ residual)
     return Misfit(squares + equal.price * float(change @ equal.precision @ change), squares)
-
-
-class Evidence(NamedTuple):
-    """Log evidence [nat] of the outputs, and the share of the samples whose residuals are independent."""
-
-    log: float
-    independent: float
-
-
-def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> Evidence:
-    """Of outputs (N, n) when ``share`` of the samples count."""
-    deviation = outputs.std(axis=0)
-    telling = deviation > 0.0
-    size = np.sqrt(np.max(np.mean(equal.columns**2, axis=0), axis=0))
-    size = np.where(size > 0.0, size, 1.0)
-    precision = equal.precision + np.diag(_nuisance_precision(equal, size, deviation))
-    left, noise = (outputs - equal.columns @ equal.mean)[:, telling], deviation[telling]
-    columns = equal.columns[:, telling]
-    for _ in range(NOISE_ROUNDS):
-        weight = np.sqrt(share) / noise
-        rows = (columns * weight[:, None]).reshape(-1, columns.shape[2]) / size
-        normal = rows.T @ rows + precision / np.outer(size, size)
-        factor = cho_factor(normal)
-        change = cho_solve(factor, rows.T @ (left * weight).ravel()) / size
-        residual = left - columns @ change
-        noise = np.sqrt(np.mean(residual**2, axis=0) + (LEAST_NOISE * deviation[telling]) ** 2)
-    likelihood = -share * len(outputs) * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
-    likelihood += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(factor[0]) * size).sum())
-    after, before = residual[1:], residual[:-1]
-    alike = np.clip(np.sum(after * before, axis=0) / np.sum(residual**2, axis=0), 0.0, 1.0)
-    return Evidence(likelihood + _braking(equal.power, change, factor, size),
-                    float(np.mean((1.0 - alike) / (1.0 + alike))))
-
-
-def _nuisance_precision(equal: Equations, size: Array, deviation: Array) -> Array:
-    """(c,) that of nuisances which may be as large as what their channel shows; zero for the others."""
-    free = np.diag(equal.precision) == 0.0
-    channel = np.abs(equal.columns).max(axis=0).argmax(axis=0)
-    return np.where(free, (size / np.maximum(deviation[channel], 1e-12 * deviation.max())) ** 2, 0.0)
-
-
-def _braking(power: Array, change: Array, factor: tuple[Array, bool], size: Array) -> float:
-    """Log of how much likelier friction takes energy than before the outputs were known, over all joints."""
-    if not len(power):
-        return 0.0
-    spread = np.sqrt(np.maximum(np.sum(power.T / size[:, None] * cho_solve(factor, power.T / size[:, None]), axis=0),
-                                1e-300))
-    return float(np.sum(np.log(2.0) + log_ndtr(power @ change / spread)))
 
 
 def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Array]:
@@ -133,13 +88,50 @@ def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Arra
     return change, left - rows @ change
 
 
-def dissipation(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
-    """(n,) how much of each joint's effort is friction that goes with its velocity: 1 all of it, -1 all of it
-    with the opposite sign, which would feed energy into the joint."""
-    equal, moved = equations(body, samples, config), samples.velocity[:, body.output_index]
-    change, _ = _solved(equal, samples.outputs, False)
-    power = samples.outputs.std(axis=0) * np.sqrt(np.mean(moved**2, axis=0))
-    return np.divide(equal.power @ change, power, out=np.zeros(body.n_outputs), where=power > 1e-12)
+class Evidence(NamedTuple):
+    """Log evidence [nat] of the outputs, and the share of the samples whose residuals are independent."""
+
+    log: float
+    independent: float
+
+
+def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> Evidence:
+    """Of outputs (N, n) when ``share`` of the samples count."""
+    deviation, telling = channel_scale(outputs, not len(equal.power)), np.ptp(outputs, axis=0) > 0.0
+    size = np.sqrt(np.max(np.mean(equal.columns**2, axis=0), axis=0))
+    size = np.where(size > 0.0, size, 1.0)
+    precision = equal.precision + np.diag(_nuisance_precision(equal, size, deviation))
+    left, noise = (outputs - equal.columns @ equal.mean)[:, telling], deviation[telling]
+    columns = equal.columns[:, telling]
+    for _ in range(equal.rounds):
+        weight = np.sqrt(share) / noise
+        rows = (columns * weight[:, None]).reshape(-1, columns.shape[2]) / size
+        normal = rows.T @ rows + precision / np.outer(size, size)
+        factor = cho_factor(normal)
+        change = cho_solve(factor, rows.T @ (left * weight).ravel()) / size
+        residual = left - columns @ change
+        noise = np.sqrt(np.mean(residual**2, axis=0) + equal.wrong * deviation[telling] ** 2)
+    likelihood = -share * len(outputs) * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
+    likelihood += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(factor[0]) * size).sum())
+    after, before = residual[1:], residual[:-1]
+    alike = np.clip(np.sum(after * before, axis=0) / np.sum(residual**2, axis=0), 0.0, 1.0)
+    return Evidence(likelihood + _braking(equal, change, deviation, factor, size),
+                    float(np.mean((1.0 - alike) / (1.0 + alike))))
+
+
+def _nuisance_precision(equal: Equations, size: Array, deviation: Array) -> Array:
+    """(c,) that of nuisances which may be as large as what their channel shows; zero for the others."""
+    free = np.diag(equal.precision) == 0.0
+    channel = np.abs(equal.columns).max(axis=0).argmax(axis=0)
+    return np.where(free, (size / deviation[channel]) ** 2, 0.0)
+
+
+def _braking(equal: Equations, change: Array, deviation: Array, factor: tuple[Array, bool], size: Array) -> float:
+    """Log of how much likelier friction takes energy than before the outputs were known, over all joints."""
+    power = equal.power.T / size[:, None]
+    variance = np.sum(power * cho_solve(factor, power), axis=0) if power.size else np.zeros(0)
+    variance = variance + equal.wrong * (deviation[:len(variance)] * equal.speed) ** 2 + 1e-300
+    return float(np.sum(np.log(2.0) + log_ndtr(equal.power @ change / np.sqrt(variance))))
 
 
 def _turn(velocity: Array, config: DiagnosisConfig) -> Array:
