@@ -111,7 +111,8 @@ def told(body: RigidBody, mistake: Mistake) -> tuple[bool, str]:
         found = diagnose(body, mistake.samples)
         problems = [(problem.what, problem.where) for problem in found.setup]
         named = [(one.effect.kind, one.effect.where) for one in found.findings]
-        right = not problems and any((mistake.what, place) in named for place in mistake.where)
+        kinds = (mistake.what, 'sensor_crosstalk') if mistake.what == 'sensor_gain' else (mistake.what,)
+        right = not problems and any((kind, place) in named for kind in kinds for place in mistake.where)
         return right, ' '.join(f'{what}@{where}' for what, where in [*problems, *named])
     told = setup_problems(body, mistake.samples)
     right = len(told) == 1 and told[0].what == mistake.what and told[0].where in mistake.where

@@ -188,7 +188,7 @@ def _put_right(body: RigidBody, samples: Samples, right: Samples, belongings: It
     """Whether the velocities are wrong, or the positions, by which of them makes the outputs likelier."""
     problems = []
     for belonging in belongings:
-        velocities, positions = belonging.with_velocities(right, config), belonging.with_positions(right)
+        velocities, positions = belonging.with_velocities(right, config=config), belonging.with_positions(right)
         ready = [_smoothed(samples, one, config) for one in (velocities, positions)]
         likely = [evidence(equations(body, one, config), one.outputs).log for one in ready] \
             if len(ready[0]) >= config.setup_least_samples else [0.0, 0.0]
