@@ -32,7 +32,12 @@ ENCODER = 2e-5
 
 @dataclass(frozen=True)
 class Setting:
-    """One simulated robot and how it is moved and recorded. ``friction``: dry [N m] at each joint; viscous follows."""
+    """One simulated robot and how it is moved and recorded.
+
+    ``friction``: dry [N m] at each joint; viscous follows. ``stiffness``: of a cable along each joint [N m/rad], slack
+    at home. ``gains``: by how much of itself each effort is read too large. ``rest_s``: the arm stops for so long after
+    a third of the motion and after two thirds.
+    """
 
     name: str
     urdf: str
@@ -52,6 +57,9 @@ class Setting:
     payload_kg: float = 0.0
     carrier: str = 'panda_hand'
     zeros: tuple[float, ...] = ()
+    stiffness: tuple[float, ...] = ()
+    gains: tuple[float, ...] = ()
+    rest_s: float = 0.0
     sensor: tuple[str, str] | None = None
     seed: int = 0
 
@@ -117,6 +125,7 @@ def recorded(setting: Setting, robot: Robot, take: int = 0) -> Samples:
     data = mujoco.MjData(model)
     dofs = [model.joint(name).dofadr[0] for name in setting.joints]
     wanted = MOTIONS[setting.motion](setting, rng) + np.array(setting.home)
+    wanted = _with_rests(wanted, setting.rest_s) if setting.rest_s else wanted
     speed = np.gradient(wanted, STEP_S, axis=0)
     change = np.gradient(speed, STEP_S, axis=0)
     data.qpos[dofs], data.qvel[dofs] = wanted[0], speed[0]
@@ -149,6 +158,8 @@ def _as_it_is(spec: mujoco.MjSpec, setting: Setting, rng: np.random.Generator) -
         joint = spec.joint(name)
         joint.frictionloss, joint.damping = dry, [dry * setting.viscous_share, 0.0, 0.0]
         joint.armature = setting.armature
+    for name, stiffness, home in zip(setting.joints, setting.stiffness, setting.home, strict=False):
+        spec.joint(name).stiffness, spec.joint(name).springref = [stiffness, 0.0, 0.0], home
     if setting.payload_kg:
         load = spec.body(setting.carrier).add_body(name='load', pos=[0.0, 0.02, 0.1])
         load.mass, load.inertia, load.explicitinertial = 1e-6, [1e-9] * 3, True
@@ -159,6 +170,8 @@ def _reported(setting: Setting, position: Array, velocity: Array, outputs: Array
     if setting.velocity_filter_hz:
         below = butter(2, setting.velocity_filter_hz, fs=1.0 / STEP_S)
         velocity = lfilter(*below, velocity, axis=0)
+    if setting.gains:
+        outputs = outputs * (1.0 + np.array(setting.gains))
     late = round(setting.late_s / STEP_S)
     outputs = np.concatenate([outputs[:1].repeat(late, axis=0), outputs[:len(outputs) - late]])
     every = round(1.0 / STEP_S / setting.rate_hz)
@@ -181,6 +194,18 @@ def _sines(setting: Setting, rng: np.random.Generator) -> Array:
     path = sum(rng.uniform(0.07, 0.25, count) * np.sin(2 * np.pi * rng.uniform(0.04, 0.4, count) * time
                                                         + rng.uniform(0, 2 * np.pi, count)) for _ in range(4))
     return np.asarray(path)
+
+
+def _with_rests(path: Array, rest_s: float) -> Array:
+    """The path (N, n_joints) with two rests: its own clock stops within a second, and starts again as smoothly."""
+    pace = np.ones(len(path))
+    slowing = 0.5 + 0.5 * np.cos(np.linspace(0.0, np.pi, round(1.0 / STEP_S)))
+    stop = np.concatenate([slowing, np.zeros(round(rest_s / STEP_S)), slowing[::-1]])
+    for third in (2, 1):
+        pace = np.insert(pace, third * len(path) // 3, stop)
+    clock = np.cumsum(pace)
+    clock = clock[clock < len(path) - 1]
+    return np.column_stack([np.interp(clock, np.arange(len(path)), joint) for joint in path.T])
 
 
 def _circles(setting: Setting, rng: np.random.Generator) -> Array:

@@ -88,7 +88,7 @@ def verdict_with(drifting, **changed):
     ({'most_rounds': 0}, ('nothing_missing', [])),
     ({'most_rounds': 0, 'structure_least_samples': 100, 'structure_share': 0.0, 'structure_deviations': -9.0,
       'beyond_chance': -99.0}, ('unexplained', [])),
-    ({'bad_fit': 0.0, 'far_better': 1e6, 'good_fit': 1e6}, ('unexplained', [])),
+    ({'setup_evidence': -1e6}, ('unexplained', [])),
 ])
 def test_another_threshold_gives_another_verdict(drifting, changed, expected):
     assert verdict_with(drifting, **changed) == expected

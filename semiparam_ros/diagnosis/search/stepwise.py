@@ -116,8 +116,8 @@ def price(effect: Effect, others: Sequence[Effect], fit: Fit, kinds: Collection[
     same = sum(other.kind == effect.kind for other in others)
     choices = effect.choices(fit.body, fit.samples, effect.where) if effect.searched else 1
     starts = config.start_grid if effect.start_s is not None else 1
-    beforehand = (same + 1) / (places + 2) if same else 1.0 / (config.odds * places * max(len(kinds), 1))
-    return math.log(choices * starts / beforehand)
+    odds = (places + 2) / (same + 1) if same else config.odds * places * max(len(kinds), 1)
+    return math.log(choices * starts * odds)
 
 
 def prices(added: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:

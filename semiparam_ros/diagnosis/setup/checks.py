@@ -5,18 +5,19 @@ signal over a fraction of a second is compared with the integral of its declared
 signs, order and clock are right. Measured: 0.92 to 0.97 on a real iCub (its velocities lag), 1.00 on a UR3, 1.02 on a
 Franka arm.
 
-Orders, directions and axes: what would the recording say if it had been labelled otherwise? An alternative is reported
-only if the recording as declared fits badly (J of ``prior_misfit``), and the alternative fits far better and well.
+Orders, directions and axes: what would the recording say if it had been labelled otherwise? The likeliest alternative
+is reported if the evidence of ``prior_misfit`` is far larger with it than as declared.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations, product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -24,7 +25,14 @@ from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, typical_step
 from semiparam_ros.diagnosis.preparation import Inputs, working_factor
-from semiparam_ros.diagnosis.setup.prior_misfit import channel_scale, dissipation, equations, misfit, nuisances
+from semiparam_ros.diagnosis.setup.prior_misfit import (
+    Equations,
+    equations,
+    evidence,
+    misfit,
+    nuisances,
+)
+from semiparam_ros.errors import listed
 
 DEGREE = float(np.pi / 180.0)
 MOTION_UNITS = {1.0 / DEGREE: ('position', 'degrees', DEGREE), DEGREE: ('velocity', 'degrees per second', DEGREE),
@@ -60,13 +68,14 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
     missing = _mostly_zero(body, samples, config)
     if missing:
         return missing
-    found, right = motion_problems(body.joints, samples, config)
-    if any(problem.what in ('clock', 'velocity_order') for problem in found):
+    found, right = motion_problems(body, samples, config)
+    if any(problem.what == 'clock' for problem in found):
         return found
     usable = np.flatnonzero(~excluded(samples, config))
     if len(usable) < config.setup_least_samples:
         return found
-    layout = layout_problems(body, right[_spread(usable, config)], config)
+    at_hand = right[_spread(usable, config)] if samples.acceleration.any() else _smoothed(samples, right, config)
+    layout = layout_problems(body, at_hand, config)
     return found + (_confirmed(body, samples, right, layout, config) if layout else [])
 
 
@@ -75,17 +84,24 @@ def _spread(usable: Stamps, config: DiagnosisConfig) -> Stamps:
     return usable[np.unique(np.linspace(0, len(usable) - 1, config.setup_samples).astype(int))]
 
 
+def _smoothed(samples: Samples, right: Samples, config: DiagnosisConfig) -> Samples:
+    """Some of the corrected samples ``right``, where those as recorded are usable, with accelerations out of the whole
+    recording."""
+    inputs = Inputs('smoothed', working_factor(right, config), config.smoothing_ends)
+    usable = np.flatnonzero(inputs.mask(~excluded(samples, config)))
+    return inputs.prepare(right)[_spread(usable, config)] if len(usable) else right[:0]
+
+
 def _confirmed(body: RigidBody, samples: Samples, right: Samples, layout: list[SetupProblem],
                config: DiagnosisConfig) -> list[SetupProblem]:
     """The problems that stay with accelerations out of the whole recording.
 
-    Those at hand may be zero, or filtered as samples came: of fast motion at a low rate, neither says what the arm did.
+    Those at hand may be filtered as samples came: of fast motion at a low rate, neither says what the arm did.
     """
-    inputs = Inputs('smoothed', working_factor(right, config), config.smoothing_ends)
-    usable = np.flatnonzero(inputs.mask(~excluded(samples, config)))
-    if len(usable) < config.setup_least_samples:
+    smoothed = _smoothed(samples, right, config)
+    if len(smoothed) < config.setup_least_samples or not samples.acceleration.any():
         return layout
-    again = layout_problems(body, inputs.prepare(right)[_spread(usable, config)], config)
+    again = layout_problems(body, smoothed, config)
     return layout if any(problem.what == NO_MATCH for problem in again) else again
 
 
@@ -119,20 +135,20 @@ def _mostly_zero(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> 
 # --- do positions, velocities, accelerations and stamps agree? ---
 
 
-def motion_problems(joints: Sequence[str], samples: Samples,
+def motion_problems(body: RigidBody, samples: Samples,
                     config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
     """Contradictions between positions, velocities, accelerations and stamps, and the corrected samples."""
-    moving = np.ptp(samples.position, axis=0) > config.setup_least_motion
-    changes, integrals = _spans(samples.time, samples.position, samples.velocity, config)
-    order = _velocity_order(joints, changes, integrals, moving, config)
-    if order:
-        return order, samples
+    joints, moving = body.joints, np.ptp(samples.position, axis=0) > config.setup_least_motion
+    problems, right = _put_right(body, samples, samples, _other_belongings(joints, samples, moving, config), config)
+    changes, integrals = _spans(right.time, right.position, right.velocity, config)
     ratios = [_ratio(changes[:, joint], integrals[:, joint], config) if moving[joint]
               else Ratio(1.0, False, config.ratio_tolerance) for joint in range(len(joints))]
     clock = _clock(samples, ratios, config.ratio_tolerance)
     if clock:
         return clock, samples
-    problems, right = [], samples
+    opposite = [_opposite(joints, joint) for joint, ratio in enumerate(ratios) if ratio.near(-1.0)]
+    signs, right = _put_right(body, samples, right, opposite, config)
+    problems += signs
     for joint, (name, ratio) in enumerate(zip(joints, ratios, strict=True)):
         silent = moving[joint] and np.std(integrals[:, joint]) < config.silent_share * np.std(changes[:, joint])
         found = _silent(name) if silent else _velocity(name, ratio)
@@ -141,6 +157,95 @@ def motion_problems(joints: Sequence[str], samples: Samples,
             problems.append(problem)
             right = _scaled(right, role, joint, factor)
     return problems + _accelerations(joints, samples, right, moving, config), right
+
+
+class Belonging(NamedTuple):
+    """Velocities that belong to positions in another order, or with another sign, and what to say when the velocities
+    are wrong, and when the positions are."""
+
+    order: Stamps
+    signs: Array
+    of_velocity: SetupProblem
+    of_position: SetupProblem
+
+    def with_velocities(self, samples: Samples, config: DiagnosisConfig) -> Samples:
+        """The samples with other velocities, and accelerations if those are derivatives of the ones recorded."""
+        right = replace(samples, velocity=samples.velocity[:, self.order] * self.signs)
+        changes, integrals = _spans(samples.time, samples.velocity, samples.acceleration, config)
+        inner = np.sum(changes * integrals, axis=0)
+        other = np.sum(changes[:, self.order] * self.signs * integrals, axis=0)
+        if inner.sum() <= other.sum():
+            return right
+        return replace(right, acceleration=samples.acceleration[:, self.order] * self.signs)
+
+    def with_positions(self, samples: Samples) -> Samples:
+        """The samples with other positions."""
+        return replace(samples, position=(samples.position * self.signs)[:, np.argsort(self.order)])
+
+
+def _put_right(body: RigidBody, samples: Samples, right: Samples, belongings: Iterable[Belonging],
+             config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
+    """Whether the velocities are wrong, or the positions, by which of them makes the outputs likelier."""
+    problems = []
+    for belonging in belongings:
+        velocities, positions = belonging.with_velocities(right, config=config), belonging.with_positions(right)
+        ready = [_smoothed(samples, one, config) for one in (velocities, positions)]
+        likely = [evidence(equations(body, one, config), one.outputs).log for one in ready] \
+            if len(ready[0]) >= config.setup_least_samples else [0.0, 0.0]
+        right = positions if likely[1] > likely[0] else velocities
+        problems.append(belonging.of_position if likely[1] > likely[0] else belonging.of_velocity)
+    return problems, right
+
+
+def _other_belongings(joints: Sequence[str], samples: Samples, moving: Array,
+                      config: DiagnosisConfig) -> Iterator[Belonging]:
+    """Joints whose velocities belong to each other's positions, by the likelihood of all orders.
+
+    What a velocity leaves of the change of a position counts once for each span that shares no sample with another,
+    and not below what velocities filtered by their driver leave. A sign or a unit would be another mistake.
+    """
+    changes, integrals = _spans(samples.time, samples.position, samples.velocity, config)
+    number = min((samples.time[-1] - samples.time[0]) / config.span_s, len(changes))
+    sizes, likeness = np.linalg.norm(changes, axis=0), _correlation(changes, integrals)
+    ratio = np.linalg.norm(integrals, axis=0) / np.maximum(sizes, 1e-300)[:, None]
+    as_declared, least = 1.0 + ratio**2 - 2.0 * ratio * likeness, 1.0 - config.own_correlation**2
+    cost = np.minimum(0.5 * number * np.log(np.maximum(as_declared, least)),
+                      0.5 * number * np.log(np.maximum(1.0 - likeness**2, least)) + config.setup_evidence)
+    cost = cost[np.ix_(moving, moving)]
+    chosen = linear_sum_assignment(cost)[1]
+    if np.trace(cost) - cost[range(len(chosen)), chosen].sum() < config.setup_evidence:
+        return
+    order = np.arange(len(joints))
+    order[moving] = order[moving][chosen]
+    for cycle in _cycles(order):
+        own = np.arange(len(joints))
+        own[cycle] = order[cycle]
+        names = listed([f"'{joints[joint]}'" for joint in cycle])
+        yield Belonging(own, np.ones(len(joints)), *(SetupProblem(f'{role}_order', joints[cycle[0]], (
+            f"The {those} of {names} belong to each other's {others}: they are swapped in the joint states; put them "
+            'in the order of the names.')) for role, those, others in (('velocity', 'velocities', 'positions'),
+                                                                      ('position', 'positions', 'velocities'))))
+
+
+def _cycles(order: Stamps) -> Iterator[list[int]]:
+    """The joints that change places among themselves."""
+    seen: set[int] = set()
+    for start in np.flatnonzero(order != np.arange(len(order))).tolist():
+        cycle = [start]
+        while (after := int(order[cycle[-1]])) != start:
+            cycle.append(after)
+        if start not in seen:
+            yield sorted(cycle)
+        seen |= set(cycle)
+
+
+def _opposite(joints: Sequence[str], joint: int) -> Belonging:
+    """A velocity that has the opposite sign of its change of position."""
+    signs = np.where(np.arange(len(joints)) == joint, -1.0, 1.0)
+    problems = (SetupProblem(f'{role}_sign', joints[joint], (
+        f"The {role} of '{joints[joint]}' has the opposite sign of its {other}: negate the {role} in the driver."))
+        for role, other in (('velocity', 'change of position'), ('position', 'velocity')))
+    return Belonging(np.arange(len(joints)), signs, *problems)
 
 
 class Ratio(NamedTuple):
@@ -182,23 +287,6 @@ def _spans(time: Array, values: Array, rates: Array, config: DiagnosisConfig) ->
     return values[ends] - values[starts], total[ends] - total[starts]
 
 
-def _velocity_order(joints: Sequence[str], changes: Array, integrals: Array, moving: Array,
-                    config: DiagnosisConfig) -> list[SetupProblem]:
-    """Pairs of joints whose velocities belong to each other's positions."""
-    likeness = _correlation(changes, integrals)
-    own = np.diag(likeness)
-    found = []
-    for one in range(len(joints)):
-        for other in range(one + 1, len(joints)):
-            crossed = min(likeness[one, other], likeness[other, one])
-            if moving[one] and moving[other] and crossed > config.swapped_correlation \
-                    and max(own[one], own[other]) < config.own_correlation:
-                found.append(SetupProblem('velocity_order', joints[one], (
-                    f"The velocities of '{joints[one]}' and '{joints[other]}' belong to each other's positions: they "
-                    'are swapped in the joint states; put them in the order of the names.')))
-    return found
-
-
 def _correlation(left: Array, right: Array) -> Array:
     """(k, k) correlations between columns about zero; 0 where one stands still."""
     size = np.outer(np.linalg.norm(left, axis=0), np.linalg.norm(right, axis=0))
@@ -228,12 +316,8 @@ def _silent(name: str) -> tuple[SetupProblem, str, float]:
 
 def _velocity(name: str, ratio: Ratio) -> tuple[SetupProblem, str, float] | None:
     """What a joint's ratio says, and which role times which factor puts it right."""
-    if not ratio.is_telling or ratio.near(1.0):
+    if not ratio.is_telling or ratio.near(1.0) or ratio.near(-1.0):
         return None
-    if ratio.near(-1.0):
-        return SetupProblem('velocity_sign', name, (
-            f"The velocity of '{name}' has the opposite sign of its change of position: negate one of them in the "
-            'driver.')), 'velocity', -1.0
     for known, (role, unit, factor) in MOTION_UNITS.items():
         if ratio.near(known):
             right = 'rad' if role == 'position' else 'rad/s'
@@ -279,7 +363,7 @@ def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, movi
 
 def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
     """Everything that other labels of the samples would correct, the plainest first."""
-    found, body, samples = output_problems(body, samples, config)
+    found, samples = unit_problems(body, samples, config)
     for _ in range(config.most_relabellings):
         best = _best_alternative(body, samples, config)
         if best is None:
@@ -287,11 +371,7 @@ def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) 
         found += [best.problem, *best.further]
         body, samples = best.body or body, best.samples
     left = misfit(equations(body, samples, config), samples.outputs, body.outputs == 'wrench').left
-    if left > config.no_match_share:
-        return [_no_match(body, left)]
-    if body.outputs == 'effort' and left < config.good_fit:
-        found += friction_problems(body, samples, config)
-    return found
+    return [_no_match(body, left)] if left > config.no_match_share else found
 
 
 def _no_match(body: RigidBody, left: float) -> SetupProblem:
@@ -303,36 +383,31 @@ def _no_match(body: RigidBody, left: float) -> SetupProblem:
 
 
 class Alternative(NamedTuple):
-    """The samples as they would be, and what to say if that is how they are; the body where it is another one.
-
-    ``likely``: something else speaks for it too, so a smaller gain will do.
-    """
+    """The samples as they would be, and what to say if that is how they are; the body where it is another one."""
 
     samples: Samples
     problem: SetupProblem
     body: RigidBody | None = None
-    likely: bool = False
     further: tuple[SetupProblem, ...] = ()
 
 
 def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Alternative | None:
-    """The alternative that fits far better than the samples as they are, if these fit badly."""
-    wrench = body.outputs == 'wrench'
+    """The likeliest alternative, where the recording is far likelier with it than as declared."""
     equal = equations(body, samples, config)
-    declared = misfit(equal, samples.outputs, wrench).total
-    if declared < config.bad_fit:
-        return None
-    best, least = None, config.good_fit
-    for alternative in _alternatives(body, samples, config):
+
+    def of(alternative: Alternative) -> tuple[Equations, Array]:
         same = alternative.samples.position is samples.position and alternative.body is None
-        there = equal if same else equations(alternative.body or body, alternative.samples, config)
-        total = misfit(there, alternative.samples.outputs, wrench).total
-        if total < min(least, declared * (config.better if alternative.likely else config.far_better)):
-            best, least = alternative, total
-    return best
+        return (equal if same else equations(alternative.body or body, alternative.samples, config),
+                alternative.samples.outputs)
+
+    best = max(_alternatives(body, samples, config), key=lambda alternative: evidence(*of(alternative)).log)
+    share = evidence(*of(best)).independent
+    gain = evidence(*of(best), share).log - evidence(equal, samples.outputs, share).log
+    return best if gain > config.setup_evidence else None
 
 
 def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
+    yield Alternative(replace(samples, outputs=-samples.outputs), _sign(body))
     if body.outputs == 'wrench':
         yield from _other_axes(body, samples)
     else:
@@ -342,17 +417,18 @@ def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) ->
         yield Alternative(samples, problem, mounted)
     yield from _other_directions(body, samples)
     yield from _other_orders(body, samples)
+    yield from _exchanged_outputs(body, samples)
     if np.abs(samples.position).max() > config.degrees_beyond:
         yield _radians(samples)
 
 
 def _other_axes(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
-    """The other 47 signed permutations of the sensor's axes, one channel negated, force and torque exchanged."""
+    """Signed permutations of the sensor's axes, one channel negated, force and torque exchanged."""
     frame = body.sensor_frame
     force, torque = samples.outputs[:, :3], samples.outputs[:, 3:]
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        if (order, signs) == ((0, 1, 2), (1.0, 1.0, 1.0)):
-            continue
+        if order == (0, 1, 2) and len(set(signs)) == 1:
+            continue  # as declared, or the wrench's sign
         outputs = np.hstack([force[:, order] * signs, torque[:, order] * signs])
         names = ', '.join(('-' if sign < 0 else '') + 'xyz'[axis] for axis, sign in zip(order, signs, strict=True))
         yield Alternative(replace(samples, outputs=outputs), SetupProblem('wrench_axes', frame, (
@@ -395,7 +471,7 @@ def _opposite_efforts(body: RigidBody, samples: Samples, config: DiagnosisConfig
         'most other joints follow it: negate it in the driver.'))
         for name, like, flag in zip(body.output_names, likeness, opposed, strict=True) if flag]
     negated = replace(samples, outputs=samples.outputs * np.where(opposed, -1.0, 1.0))
-    yield Alternative(negated, problems[0], likely=True, further=tuple(problems[1:]))
+    yield Alternative(negated, problems[0], further=tuple(problems[1:]))
 
 
 def effort_likeness(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
@@ -434,8 +510,7 @@ def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Alternative
 
 def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
     for one, other in combinations(range(body.n_joints), 2):
-        order = np.arange(body.n_joints)
-        order[[one, other]] = other, one
+        order = _exchange(body.n_joints, one, other)
         swapped = replace(samples, position=samples.position[:, order], velocity=samples.velocity[:, order],
                           acceleration=samples.acceleration[:, order])
         if body.outputs == 'effort':
@@ -447,6 +522,27 @@ def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
             f"The recording fits the robot description far better with '{body.joints[one]}' and "
             f"'{body.joints[other]}' exchanged: correct the names in the joint states (for a bag: semiparam convert "
             '--joint NAME=NEW) or the parameter joints.')))
+
+
+def _exchanged_outputs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+    """Any two efforts, or channels of the wrench, in each other's place."""
+    wrench = body.outputs == 'wrench'
+    for one, other in combinations(range(body.n_outputs), 2):
+        first, second = body.output_names[one], body.output_names[other]
+        what = f"The channels {first} and {second} of '{body.sensor_frame}' are" if wrench else \
+            f"The efforts of '{first}' and '{second}' are"
+        where = "the sensor's driver (or in the columns of the text table)" if wrench else 'the driver'
+        exchanged = samples.outputs[:, _exchange(body.n_outputs, one, other)]
+        yield Alternative(replace(samples, outputs=exchanged), SetupProblem(
+            'wrench_order' if wrench else 'effort_order', first, (
+                f"{what} swapped: the recording fits the robot description far better with them in each other's place; "
+                f'correct their order in {where}.')))
+
+
+def _exchange(count: int, one: int, other: int) -> Stamps:
+    order = np.arange(count)
+    order[[one, other]] = other, one
+    return order
 
 
 def _negated(values: Array, column: int) -> Array:
@@ -463,45 +559,34 @@ def _radians(samples: Samples) -> Alternative:
         '--degrees).')))
 
 
-# --- signs and units of the outputs ---
+# --- units of the outputs ---
 
 
-def output_problems(body: RigidBody, samples: Samples,
-                    config: DiagnosisConfig) -> tuple[list[SetupProblem], RigidBody, Samples]:
-    """Signs and units of the outputs that are wrong, and the body and the corrected samples."""
+def unit_problems(body: RigidBody, samples: Samples,
+                  config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
+    """Units of the outputs that are wrong, and the corrected samples."""
     wrench = body.outputs == 'wrench'
     slopes, likeness = _slopes(body, samples, config)
     found, factors = [], np.ones(body.n_outputs)
     blocks = [('force', slice(0, 3)), ('torque', slice(3, 6))] if wrench else [('effort', slice(None))]
-    if not wrench and likeness[-1] < config.opposite_correlation:
-        single = effort_likeness(body, samples, config)
-        if np.sum(single > config.opposed_effort) >= np.sum(single < -config.opposed_effort):
-            likeness[-1] = 0.0  # the largest efforts alone oppose the prediction: one joint's sign, not all
-    if likeness[-1] < config.opposite_correlation and _is_turned_over(body, samples, config):
-        body = turned_over(body)
-        found.append(mounting_problem('upside down'))
-    elif likeness[-1] < config.opposite_correlation:
-        found.append(_sign(body))
-        factors *= -1.0
-    for (name, channels), slope, like in zip(blocks, slopes, likeness, strict=False):
+    for (name, channels), slope, like in zip(blocks, slopes, likeness, strict=True):
         unit = next((known for known in OUTPUT_UNITS
                      if 1.0 / config.unit_tolerance < abs(slope) / known < config.unit_tolerance), None)
         if abs(like) > config.alike_correlation and unit is not None:
             found.append(_unit(body, name, unit))
             factors[channels] /= unit
-    return found, body, replace(samples, outputs=samples.outputs * factors)
+    return found, replace(samples, outputs=samples.outputs * factors)
 
 
 def _slopes(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> tuple[Array, Array]:
     """Slope of the outputs against the description's prediction, and their correlation, for force and torque or for
-    efforts; the last correlation is over all channels."""
+    efforts."""
     predicted = body.regressors(samples) @ body.base_parameters
     free = nuisances(body, samples, config)
     measured, predicted = (_without(free, values) for values in (samples.outputs, predicted))
     pairs = [(measured, predicted)]
     if body.outputs == 'wrench':
-        parts = [(measured[:, part], predicted[:, part]) for part in (slice(0, 3), slice(3, 6))]
-        pairs = [*parts, (measured / channel_scale(measured, True), predicted / channel_scale(predicted, True))]
+        pairs = [(measured[:, part], predicted[:, part]) for part in (slice(0, 3), slice(3, 6))]
     inner = np.array([[np.sum(y * p), np.sum(p * p), np.sum(y * y)] for y, p in pairs])
     return inner[:, 0] / (inner[:, 1] + 1e-300), inner[:, 0] / np.sqrt(inner[:, 1] * inner[:, 2] + 1e-300)
 
@@ -513,25 +598,6 @@ def _without(columns: Array, values: Array) -> Array:
         own = columns[:, channel, np.any(columns[:, channel] != 0.0, axis=0)]
         left[:, channel] = values[:, channel] - own @ np.linalg.lstsq(own, values[:, channel], rcond=1e-9)[0]
     return left
-
-
-def _is_turned_over(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> bool:
-    """Whether opposite outputs come from a base that hangs rather than from a sign.
-
-    Gravity turns over with the base; inertia and friction do not.
-    """
-    if body.outputs == 'effort':
-        friction = float(dissipation(body, samples, config).sum())
-        if abs(friction) > config.friction_share:
-            return friction > 0.0
-    negated = misfit(equations(body, samples, config), -samples.outputs, body.outputs == 'wrench')
-    hanging = misfit(equations(turned_over(body), samples, config), samples.outputs, body.outputs == 'wrench')
-    return hanging.total < negated.total
-
-
-def turned_over(body: RigidBody) -> RigidBody:
-    """The body as it hangs from a ceiling."""
-    return body.with_gravity(-_gravity(body))
 
 
 def _gravity(body: RigidBody) -> Array:
@@ -561,13 +627,3 @@ def _unit(body: RigidBody, name: str, unit: float) -> SetupProblem:
     return SetupProblem('output_units', body.sensor_frame, (
         f'The {name} is {unit:.3g} times what the robot description predicts, as if it were in {OUTPUT_UNITS[unit]}: '
         f'publish it in {right}.'))
-
-
-def friction_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:
-    """Joints whose effort would drive them where friction holds them back."""
-    share = dissipation(body, samples, config)
-    others = np.array([np.median(np.delete(share, joint)) if len(share) > 1 else 0.0 for joint in range(len(share))])
-    wrong = (share < config.pushing_share) & (others > config.braking_share)
-    return [SetupProblem('effort_sign', name, (
-        f"The effort of '{name}' goes with its motion as no friction can: it has the opposite sign of its velocity's; "
-        'negate it in the driver.')) for name, flag in zip(body.output_names, wrong, strict=True) if flag]

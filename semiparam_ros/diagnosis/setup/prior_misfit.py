@@ -7,6 +7,11 @@ robot description:
     J = min over theta, eta of  mean ((y - psi theta - N eta) / scale)^2  +  price |W (theta - theta_urdf)|^2
 
 with free nuisances N: the sensor's offset, or each joint's offset, friction and rotor inertia.
+
+Two labellings of one recording compare by their evidence, the likelihood with theta ~ N(theta_urdf, W^-2) and the
+nuisances integrated out, at the number of samples whose residuals are independent. The noise of each channel has its
+most likely size, beside a share of the channel's variance by which any description is wrong. Friction takes energy out
+of a joint, but for what that share could put in: that is part of the prior.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import log_ndtr
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -30,7 +36,12 @@ class Equations(NamedTuple):
 
     columns: Array  # (N, n, c) psi beside the nuisances
     mean: Array  # (c,) the description's base parameters, then zeros
-    price: Array  # (c, c) of moving away from the mean
+    precision: Array  # (c, c) of the parameters about the mean; zero for the nuisances
+    price: float  # of one deviation from the mean, as a share of the outputs' variance
+    wrong: float  # share of an output's variance by which the description may be wrong
+    rounds: int  # in which the noise is fitted
+    speed: Array  # (n,) root mean square speed of the joints; (0,) of a wrench
+    power: Array  # (n, c) mean power of each joint's friction; (0, c) of a wrench
 
 
 class Misfit(NamedTuple):
@@ -42,19 +53,26 @@ class Misfit(NamedTuple):
 
 def equations(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Equations:
     """What the inputs of ``samples`` predict."""
-    columns = np.concatenate([body.regressors(samples), nuisances(body, samples, config)], axis=2)
-    mean, price = np.zeros(columns.shape[2]), np.zeros((columns.shape[2],) * 2)
-    mean[:body.n_parameters] = body.base_parameters
-    price_of_one = config.wrench_price if body.outputs == 'wrench' else config.effort_price
-    price[:body.n_parameters, :body.n_parameters] = price_of_one * _precision(body, config.inertia_deviation)
-    return Equations(columns, mean, price)
+    own, free = body.n_parameters, nuisances(body, samples, config)
+    columns = np.concatenate([body.regressors(samples), free], axis=2)
+    mean, precision = np.zeros(columns.shape[2]), np.zeros((columns.shape[2],) * 2)
+    mean[:own], precision[:own, :own] = body.base_parameters, _precision(body, config.inertia_deviation)
+    if body.outputs == 'wrench':
+        return Equations(columns, mean, precision, config.wrench_price, config.model_error, config.noise_rounds,
+                         np.zeros(0), np.zeros((0, len(mean))))
+    count, power = body.n_outputs, np.zeros((body.n_outputs, len(mean)))
+    moved = samples.velocity[:, body.output_index]
+    friction = slice(own + count, own + 3 * count)  # viscous, then dry
+    power[:, friction] = np.mean(columns[:, :, friction] * moved[:, :, None], axis=0)
+    return Equations(columns, mean, precision, config.effort_price, config.model_error, config.noise_rounds,
+                     np.sqrt(np.mean(moved**2, axis=0)), power)
 
 
 def misfit(equal: Equations, outputs: Array, wrench: bool) -> Misfit:
     """J for outputs (N, n)."""
     change, residual = _solved(equal, outputs, wrench)
     squares = float(residual @ residual)
-    return Misfit(squares + float(change @ equal.price @ change), squares)
+    return Misfit(squares + equal.price * float(change @ equal.precision @ change), squares)
 
 
 def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Array]:
@@ -63,22 +81,57 @@ def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Arra
     weight = 1.0 / np.sqrt(outputs.size)
     rows = (equal.columns * (weight / scale)[:, None]).reshape(-1, equal.columns.shape[2])
     left = ((outputs - equal.columns @ equal.mean) * (weight / scale)).ravel()
-    normal = rows.T @ rows + equal.price
+    normal = rows.T @ rows + equal.price * equal.precision
     size = 1.0 / np.sqrt(np.diag(normal) + 1e-300)
     factor = cho_factor(normal * np.outer(size, size) + RIDGE * np.eye(len(size)))
     change = cho_solve(factor, (rows.T @ left) * size) * size
     return change, left - rows @ change
 
 
-def dissipation(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
-    """(n,) how much of each joint's effort is friction that goes with its velocity: 1 all of it, -1 all of it
-    with the opposite sign, which would feed energy into the joint."""
-    count, moved = body.n_outputs, samples.velocity[:, body.output_index]
-    change, _ = _solved(equations(body, samples, config), samples.outputs, False)
-    viscous, dry = change[body.n_parameters + count:body.n_parameters + 3 * count].reshape(2, count)
-    friction = viscous * moved + dry * np.tanh(moved / _turn(moved, config))
-    power = samples.outputs.std(axis=0) * np.sqrt(np.mean(moved**2, axis=0))
-    return np.divide(np.mean(friction * moved, axis=0), power, out=np.zeros(count), where=power > 1e-12)
+class Evidence(NamedTuple):
+    """Log evidence [nat] of the outputs, and the share of the samples whose residuals are independent."""
+
+    log: float
+    independent: float
+
+
+def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> Evidence:
+    """Of outputs (N, n) when ``share`` of the samples count."""
+    deviation, telling = channel_scale(outputs, not len(equal.power)), np.ptp(outputs, axis=0) > 0.0
+    size = np.sqrt(np.max(np.mean(equal.columns**2, axis=0), axis=0))
+    size = np.where(size > 0.0, size, 1.0)
+    precision = equal.precision + np.diag(_nuisance_precision(equal, size, deviation))
+    left, noise = (outputs - equal.columns @ equal.mean)[:, telling], deviation[telling]
+    columns = equal.columns[:, telling]
+    for _ in range(equal.rounds):
+        weight = np.sqrt(share) / noise
+        rows = (columns * weight[:, None]).reshape(-1, columns.shape[2]) / size
+        normal = rows.T @ rows + precision / np.outer(size, size)
+        factor = cho_factor(normal)
+        change = cho_solve(factor, rows.T @ (left * weight).ravel()) / size
+        residual = left - columns @ change
+        noise = np.sqrt(np.mean(residual**2, axis=0) + equal.wrong * deviation[telling] ** 2)
+    likelihood = -share * len(outputs) * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
+    likelihood += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(factor[0]) * size).sum())
+    after, before = residual[1:], residual[:-1]
+    alike = np.clip(np.sum(after * before, axis=0) / np.sum(residual**2, axis=0), 0.0, 1.0)
+    return Evidence(likelihood + _braking(equal, change, deviation, factor, size),
+                    float(np.mean((1.0 - alike) / (1.0 + alike))))
+
+
+def _nuisance_precision(equal: Equations, size: Array, deviation: Array) -> Array:
+    """(c,) that of nuisances which may be as large as what their channel shows; zero for the others."""
+    free = np.diag(equal.precision) == 0.0
+    channel = np.abs(equal.columns).max(axis=0).argmax(axis=0)
+    return np.where(free, (size / deviation[channel]) ** 2, 0.0)
+
+
+def _braking(equal: Equations, change: Array, deviation: Array, factor: tuple[Array, bool], size: Array) -> float:
+    """Log of how much likelier friction takes energy than before the outputs were known, over all joints."""
+    power = equal.power.T / size[:, None]
+    variance = np.sum(power * cho_solve(factor, power), axis=0) if power.size else np.zeros(0)
+    variance = variance + equal.wrong * (deviation[:len(variance)] * equal.speed) ** 2 + 1e-300
+    return float(np.sum(np.log(2.0) + log_ndtr(equal.power @ change / np.sqrt(variance))))
 
 
 def _turn(velocity: Array, config: DiagnosisConfig) -> Array:
