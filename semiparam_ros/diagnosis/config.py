@@ -203,7 +203,7 @@ class DiagnosisConfig:
     of its noise, not to the last digit (chosen)."""
     sure: float = 2.5
     """Asks of a gain that it is so many times its standard error over the blocks: 1 in 160 by chance."""
-    odds: float = 1000.0
+    odds: float = 1e5
     """Takes a kind of effect for so unlikely that odds of it before the recording are one to this (chosen)."""
     swapped: int = 3
     """Tries so many other kinds and places in place of each effect that was found (chosen)."""
