@@ -143,7 +143,7 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
     """(n, 4, 4) by Newton's method, where the estimate counts by ``share``."""
     value = problem.value(pseudo, share)
     for _ in range(MOST_STEPS):
-        roots: Array = np.linalg.cholesky(pseudo)
+        roots = np.asarray(np.linalg.cholesky(pseudo), dtype=np.float64)
         gradient, hessian = problem.derivatives(roots, share)
         step = -cho_solve(cho_factor(hessian), gradient)
         promised = -float(gradient @ step)
@@ -214,7 +214,8 @@ class _Problem:
 
     def _error(self, pseudo: Array) -> Array:
         """(p,) of theta from its mean."""
-        return np.asarray(np.einsum('kpi,ki->p', self._columns, inertial_parameters(pseudo)) - self._mean)
+        parameters = inertial_parameters(pseudo)
+        return np.asarray(np.einsum('kpi,ki->p', self._columns, parameters) - self._mean)
 
 
 def _central(pseudo: Array) -> Array:
