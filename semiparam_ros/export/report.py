@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from semiparam_ros import __version__
@@ -9,10 +10,13 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.export.identified import UNITS, Identified, Load
 from semiparam_ros.export.urdf import changed_links
 
+MARK = 'Identified by semiparam_ros'
+"""What all files hold."""
+
 
 def remark(found: Identified) -> str:
     """How it was made and how well it predicts, for a comment in a file."""
-    told = f'Identified by semiparam_ros {__version__} from {found.how}.'
+    told = f'{MARK} {__version__} from {found.how}.'
     return f'{told} {price(found)}' if found.price else told
 
 
@@ -35,13 +39,13 @@ def document(found: Identified) -> dict[str, Any]:
                     'description_consistent': name not in found.mended} for name, values in found.links.items()}
     loads = [{'link': load.link, **_body(load.parameters), 'mass_std': load.mass_std, 'start_s': load.start_s}
              for load in found.loads]
-    return {'how': found.how, 'links': links, 'joints': joints, 'loads': loads, 'offsets': dict(found.offsets),
+    return {'made': remark(found), 'links': links, 'joints': joints, 'loads': loads, 'offsets': dict(found.offsets),
             'left_out': dict(found.left_out), 'errors': None if found.price is None else found.price._asdict()}
 
 
 def _body(parameters: Array) -> dict[str, Any]:
     body = Load('', parameters, 0.0)
-    return {'mass': body.mass, 'centre': body.centre, 'inertia': body.inertia}
+    return {'mass': body.mass, 'centre': body.centre.tolist(), 'inertia': body.inertia.tolist()}
 
 
 def lines(found: Identified) -> list[str]:
@@ -69,5 +73,5 @@ def lines(found: Identified) -> list[str]:
     return told
 
 
-def _row(values: Array) -> str:
+def _row(values: Sequence[float] | Array) -> str:
     return ' '.join(f'{value:.3f}' for value in values)
