@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from semiparam_ros.export.identified import Identified
     from semiparam_ros.settings import Settings
 
-HELP = ('Write what was learnt, as bodies that can exist, into a URDF, a MuJoCo model, and the forms '
+HELP = ('Write what was learnt, as bodies that can exist, into a URDF, a MuJoCo model, and forms '
         'of controllers.')
 
 FORMS = {'urdf': 'URDF: inertias, friction and damping, loads as fixed links; all else as it was',
@@ -32,22 +32,24 @@ FORMS = {'urdf': 'URDF: inertias, friction and damping, loads as fixed links; al
          'ur-payload': 'load as URScript set_target_payload (Universal Robots)',
          'franka-desk': 'load as the JSON file of an end effector in Franka Desk',
          'libfranka': 'load as a call of franka::Robot::setLoad',
-         'gravity-filter': 'weight on the sensor, for the gravity compensation filter of ros2_control',
+         'gravity-filter': 'weight on the sensor, for the gravity compensation of ros2_control',
          'crisp-friction': 'friction of the joints, for crisp_controllers'}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam export`."""
     parser.add_argument('source', metavar='SOURCE', type=Path,
-                        help='recording (.mcap, rosbag2 directory, .db3, ROS 1 .bag), or a saved state (.npz)')
+                        help='recording (.mcap, rosbag2 directory, .db3, ROS 1 .bag), or a saved '
+                        'state (.npz)')
     add_params_option(parser)
     parser.add_argument('--load', metavar='LINK', action='append', default=[],
-                        help='this link carries a load that the description lacks; may be repeated. A payload among '
-                        'the effects of the parameters is one too')
+                        help='this link carries a load that the description lacks; may be '
+                        'repeated. A payload among the effects of the parameters is one too')
     parser.add_argument('--keep-inertias', action='store_true',
                         help='links stay as described, so that loads explain what differs')
     parser.add_argument('--flange', metavar='LINK',
-                        help="link in whose frame controllers' loads are told (default: the one that carries the load)")
+                        help="link in whose frame controllers' loads are told (default: the one "
+                        'that carries the load)')
     files = parser.add_argument_group('files')
     for form, text in FORMS.items():
         files.add_argument(f'--{form}', metavar='FILE', type=Path, help=text)
@@ -69,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
     estimate, urdf = _estimate(args, settings)
     found = identify(estimate, described_links(urdf), args.keep_inertias)
     body = estimate.columns.body
-    written = {path: _text(form, body, urdf, found, args.flange) for form, path in paths.items() if path}
+    written = {path: _text(form, body, urdf, found, args.flange)
+               for form, path in paths.items() if path}
     for path, text in written.items():
         write_text(path, text)
     if args.json:
@@ -87,12 +90,13 @@ def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, s
 
     source = args.source
     if source.suffix in ('.yaml', '.yml'):
-        raise SemiparamError(f'{source} says what there is, not how much of it; expected a recording or a saved state, '
-                             f'and this file as --params {source}.')
+        raise SemiparamError(f'{source} says what there is, not how much of it; expected a '
+                             f'recording or a saved state, and this file as --params {source}.')
     if source.suffix == '.npz':
         if args.load or args.keep_inertias:
-            raise SemiparamError(f'--load and --keep-inertias ask for a fit, but {source} is a saved state; expected '
-                                 'a recording, or a payload among the effects that the state has learnt.')
+            raise SemiparamError(f'--load and --keep-inertias ask for a fit, but {source} is a '
+                                 'saved state; expected a recording, or a payload among the '
+                                 'effects that the state has learnt.')
         return _of_state(source, settings), robot_description(settings)
     return _of_recording(source, settings, args.keep_inertias)
 
@@ -114,8 +118,8 @@ def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tupl
 
     bag = load_bags([source], settings)[0]
     body = build_rigid_body(settings, bag.robot_description)
-    estimate = from_recording(body, declared_effects(settings), bag.samples, settings.joint_friction,
-                              keep_inertias, str(source))
+    estimate = from_recording(body, declared_effects(settings), bag.samples,
+                              settings.joint_friction, keep_inertias, str(source))
     return estimate, robot_description(settings, bag.robot_description)
 
 

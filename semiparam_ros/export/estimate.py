@@ -1,4 +1,4 @@
-"""What is known of the coefficients of a robot's model: from a whole recording, or from an estimator.
+"""What is known of the coefficients of a robot's model: from a recording, or from an estimator.
 
 A recording is there as a whole, so its motion is smoothed, which a live model cannot do, and all of
 its samples are fitted at once by weighted least squares with the priors of the variant P. Errors of
@@ -57,7 +57,8 @@ class Estimate(NamedTuple):
 class Table:
     """Columns and outputs of a recording.
 
-    :param columns: (N, n, p). :param outputs: (N, n). :param used: (N,) samples that tell something.
+    :param columns: (N, n, p). :param outputs: (N, n). :param used: (N,) samples that tell
+        something.
     :param deviation: (n,) of a sample that counts as an independent one.
     """
 
@@ -67,7 +68,7 @@ class Table:
     used: Mask
     deviation: Array
     starts: tuple[tuple[float, str], ...] = ()
-    """[s] Where loads appear that were not there from the beginning, with the names of their links."""
+    """[s] When loads appear that were not there from the beginning, and their links."""
     keep_inertias: bool = False
     """Whether the rigid body is known to be as described."""
 
@@ -122,7 +123,8 @@ class Table:
 
 
 def correlation_time(residual: Array) -> float:
-    """[samples] integrated, at least 1: up to the first pair of lags that is not positive (Geyer 1992)."""
+    """[samples] integrated, at least 1: up to the first pair of lags that is not positive (Geyer
+    1992)."""
     centred = residual - residual.mean()
     spectrum = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
     correlation = np.fft.irfft(spectrum)[:len(centred)]
@@ -133,8 +135,8 @@ def correlation_time(residual: Array) -> float:
     return max(2.0 * float(pairs[:end].sum()) - 1.0, 1.0)
 
 
-def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples, joint_friction: bool,
-                   keep_inertias: bool, name: str) -> Estimate:
+def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
+                   joint_friction: bool, keep_inertias: bool, name: str) -> Estimate:
     """By the motion, of those that the smoother offers, that predicts parts left out best.
 
     :param keep_inertias: whether the rigid body is known to be as described.
@@ -149,8 +151,9 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
     step = -(-len(samples) * body.n_outputs * model.n_columns // MOST_VALUES)
     moving = _moving(samples)
     if moving.sum() < model.n_columns:
-        raise SemiparamError(f'{name} holds {int(moving.sum())} samples of a robot that moves; expected at '
-                             f'least {model.n_columns}, as many as the model has coefficients.')
+        raise SemiparamError(f'{name} holds {int(moving.sum())} samples of a robot that moves; '
+                             f'expected at least {model.n_columns}, as many as the model has '
+                             'coefficients.')
     found: list[tuple[float, str, Table]] = []
     for motion, measured in MOTIONS.items():
         rows = smoothed(samples, measured)[::step]
@@ -173,7 +176,8 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
     Raises SemiparamError when it has learnt no rigid body.
     """
     if not estimator.ready:
-        raise SemiparamError(f'{name} holds no model yet; expected one whose initial window is over.')
+        raise SemiparamError(f'{name} holds no model yet; expected one whose initial window is '
+                             'over.')
     model = estimator.rigid_body_model
     if model.variant.pi != 'learnt':
         raise SemiparamError(f'{name} learns no inertial parameters: its variant is '
@@ -188,9 +192,11 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
     return Estimate(columns, model.theta, information, f'the model of {name}', top_speed, table)
 
 
-def _table(model: CoupledColumns, samples: Samples, used: Mask, keep_inertias: bool = False) -> Table:
+def _table(model: CoupledColumns, samples: Samples, used: Mask,
+           keep_inertias: bool = False) -> Table:
     spread = np.maximum(samples.outputs[used].std(axis=0), 1e-9)
-    table = Table(model, model.batch(samples)[0], samples.outputs, used, spread, keep_inertias=keep_inertias)
+    table = Table(model, model.batch(samples)[0], samples.outputs, used, spread,
+                  keep_inertias=keep_inertias)
     return table.weighed()
 
 
@@ -204,7 +210,7 @@ def _moving(samples: Samples) -> Mask:
 
 
 def _with_starts(table: Table, time: Array) -> Table:
-    """With the columns of loads that have no start zero before the samples show them, if they do."""
+    """With the columns of loads that have no start zero before the samples show them."""
     block: Indices = np.arange(len(time)) * BLOCKS // len(time)
     for index, effect in enumerate(table.model.effects):
         start = getattr(effect, 'start', None)
@@ -215,7 +221,8 @@ def _with_starts(table: Table, time: Array) -> Table:
             continue
         columns = table.columns.copy()
         columns[block < best, :, table.model.blocks[str(index)]] = 0.0
-        table = replace(table, columns=columns, used=table.used & (np.abs(block - best + 0.5) > 1.0))
+        around = np.abs(block - best + 0.5) < 1.0
+        table = replace(table, columns=columns, used=table.used & ~around)
         if best < BLOCKS:
             known = float(time[block == best][0]), str(getattr(effect, 'where', ''))
             table = replace(table, starts=(*table.starts, known))
@@ -234,12 +241,15 @@ def _best_start(table: Table, part: slice, block: Indices) -> int:
         rights.append(np.einsum('tnp,tn->p', columns, table.outputs[rows] / table.deviation))
     there = np.ones(len(mean))
     there[part] = 0.0
-    evidence = []
+    evidence = np.zeros(BLOCKS + 1)
     for start in range(BLOCKS + 1):
-        before = sum(grams[:start], np.zeros_like(grams[0])) * np.outer(there, there)
-        information = np.diag(precision) + before + sum(grams[start:])
-        right = precision * mean + there * sum(rights[:start], np.zeros_like(mean)) + sum(rights[start:])
+        information = np.diag(precision) + sum(grams[start:])
+        right = precision * mean + sum(rights[start:])
+        if start:
+            information += sum(grams[:start]) * np.outer(there, there)
+            right = right + there * sum(rights[:start])
         factor = cho_factor(information)
-        evidence.append(float(0.5 * right @ cho_solve(factor, right) - np.log(np.diag(factor[0])).sum()))
+        evidence[start] = 0.5 * right @ cho_solve(factor, right) - np.log(np.diag(factor[0])).sum()
     best = int(np.argmax(evidence))
-    return best if evidence[best] > evidence[0] + np.log(BLOCKS) else 0  # as probable before as all others
+    likely = evidence[best] > evidence[0] + np.log(BLOCKS)  # before, as probable as all others
+    return best if likely else 0

@@ -22,7 +22,8 @@ def export_to(folder: Path, name: str, urdf: str, estimate: Estimate) -> str:
     for path in paths:
         _require_replaceable(path)
     found = identify(estimate, described_links(urdf))
-    texts = [identified_urdf(urdf, found, remark(found)), json.dumps(document(found), indent=2) + '\n']
+    texts = [identified_urdf(urdf, found, remark(found)),
+             json.dumps(document(found), indent=2) + '\n']
     folder.mkdir(parents=True, exist_ok=True)
     for path, text in zip(paths, texts, strict=True):
         write_text(path, text)
@@ -31,6 +32,8 @@ def export_to(folder: Path, name: str, urdf: str, estimate: Estimate) -> str:
 
 def _require_replaceable(path: Path) -> None:
     if path.is_symlink():
-        raise SemiparamError(f'{path} is a link, which is not followed; expected an export or no file.')
+        raise SemiparamError(f'{path} is a link, which is not followed; expected an export or no '
+                             'file.')
     if path.exists() and MARK not in path.read_text(encoding='utf-8', errors='replace'):
-        raise SemiparamError(f'{path} is no export, so it is not replaced; move it away, or choose another state_file.')
+        raise SemiparamError(f'{path} is no export, so it is not replaced; move it away, or choose '
+                             'another state_file.')

@@ -3,7 +3,8 @@
 Base parameters alone can be identified, and links fixed to each other move as one body. So all
 links with a mass are looked for together, each as near to its description as the estimate allows
 (``core.robot.consistency``): what the samples do not tell apart is shared out by that distance.
-Friction, damping and armature are kept from being negative; all else follows as it is most probable.
+Friction, damping and armature are kept from being negative; all else is as it is then most
+probable.
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ DYNAMICS = {
     'viscous_friction': {'viscous': ('damping', 1.0)},
     'coulomb_friction': {'coulomb': ('friction', 1.0)},
     'stribeck_friction': {'coulomb': ('friction', 1.0)},
-    'asymmetric_friction': {'coulomb_forward': ('friction', 0.5), 'coulomb_backward': ('friction', 0.5),
-                            'viscous_forward': ('damping', 0.5), 'viscous_backward': ('damping', 0.5)},
+    'asymmetric_friction': {
+        'coulomb_forward': ('friction', 0.5), 'coulomb_backward': ('friction', 0.5),
+        'viscous_forward': ('damping', 0.5), 'viscous_backward': ('damping', 0.5)},
     'rotor_inertia': {'inertia': ('armature', 1.0)},
 }
 """What coefficients of effects mean to a simulator; of both directions it takes the mean."""
@@ -80,7 +82,8 @@ class Load(NamedTuple):
         xx, xy, yy, xz, yz, zz = self.parameters[4:]
         about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         centre = self.centre
-        return np.asarray(about_origin - self.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
+        shift = centre @ centre * np.eye(3) - np.outer(centre, centre)
+        return np.asarray(about_origin - self.mass * shift)
 
 
 class Price(NamedTuple):
@@ -96,9 +99,9 @@ class Price(NamedTuple):
 class Identified(NamedTuple):
     """What an export writes.
 
-    :param links: (10,) inertial parameters in its own frame, of each link that the outputs feel, and
-        of those that are mended.
-    :param offsets: of each output with a constant offset. :param left_out: what no file but JSON holds.
+    :param links: (10,) inertial parameters in its own frame, of each link that the outputs feel,
+        and of those that are mended.
+    :param offsets: of each output with a constant offset. :param left_out: what JSON alone holds.
     """
 
     how: str
@@ -117,7 +120,8 @@ class Identified(NamedTuple):
     price: Price | None
 
 
-def identify(estimate: Estimate, described: Mapping[str, Array], keep_inertias: bool = False) -> Identified:
+def identify(estimate: Estimate, described: Mapping[str, Array],
+             keep_inertias: bool = False) -> Identified:
     """All that an estimate tells of a robot.
 
     :param described: (10,) inertial parameters of the links by the robot description.
@@ -137,12 +141,11 @@ def identify(estimate: Estimate, described: Mapping[str, Array], keep_inertias: 
               for joint, name, weights in solution.dynamics]
     found = [Load(link, parameters, _std(covariance, block.start), starts.get(link))
              for (link, block), parameters in zip(solution.loads, loads, strict=True)]
-    offsets = {}
-    if columns.has_offset:
-        offsets = dict(zip(columns.body.output_names, theta[columns.blocks['offset']].tolist(), strict=True))
+    offsets = dict(zip(columns.body.output_names, theta[columns.blocks['offset']].tolist(),
+                       strict=False))  # none without joint friction
     speeds = dict(zip(columns.body.joints, estimate.top_speed.tolist(), strict=True))
-    return Identified(estimate.how, links, solution.described, solution.mended, joints, found, solution.not_shown,
-                      offsets, _left_out(columns, theta), speeds, price)
+    return Identified(estimate.how, links, solution.described, solution.mended, joints, found,
+                      solution.not_shown, offsets, _left_out(columns, theta), speeds, price)
 
 
 def _std(covariance: Array, index: int) -> float:
@@ -152,18 +155,20 @@ def _std(covariance: Array, index: int) -> float:
 class _Solution:
     """The constrained fit of one robot, for one estimate or another."""
 
-    def __init__(self, estimate: Estimate, described: Mapping[str, Array], covariance: Array) -> None:
+    def __init__(self, estimate: Estimate, described: Mapping[str, Array],
+                 covariance: Array) -> None:
         columns, body = estimate.columns, estimate.columns.body
-        felt = [name for name in felt_links(body) if name in described and described[name][0] > 0.0]
+        felt = [name for name in felt_links(body)
+                if name in described and described[name][0] > 0.0]
         if not felt:
-            raise SemiparamError('the robot description gives no mass to a link that the outputs feel; expected '
-                                 'inertials, which an export starts from.')
+            raise SemiparamError('the robot description gives no mass to a link that the outputs '
+                                 'feel; expected inertials, which an export starts from.')
         size, count = size_of(body), columns.n_columns
         self.described = {name: values for name, values in described.items()
                           if values[0] > 0.0 and (name in felt or not is_consistent(values))}
         self.mended = [name for name, values in self.described.items() if not is_consistent(values)]
-        self._others = {name: made_consistent(values, size.length) for name, values in self.described.items()
-                        if name not in felt}
+        self._others = {name: made_consistent(values, size.length)
+                        for name, values in self.described.items() if name not in felt}
         self._links = felt
         self._held = np.zeros(len(self._links), dtype=bool)
         self._bodies = []
@@ -178,9 +183,11 @@ class _Solution:
         self._rigid[columns.blocks['rigid_body']] = True
         for index, effect in enumerate(columns.effects):
             if effect.is_load:
-                self._add_load(str(getattr(effect, 'where', '')), columns.blocks[str(index)], estimate.mean, covariance)
+                self._add_load(str(getattr(effect, 'where', '')), columns.blocks[str(index)],
+                               estimate.mean, covariance)
         usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * size.length)
-        self._load_bodies = [Body(usual, np.eye(count)[:, block], size.length) for _, block in self.loads]
+        self._load_bodies = [Body(usual, np.eye(count)[:, block], size.length)
+                             for _, block in self.loads]
         self.dynamics = _dynamics(columns)
 
     def _add_load(self, link: str, block: slice, mean: Array, covariance: Array) -> None:
@@ -202,7 +209,8 @@ class _Solution:
         if everything:
             return
         links = self.found(estimate.mean, estimate.information)[0]
-        apart = [distance(links[name], body.reference) for name, body in zip(self._links, self._bodies, strict=True)]
+        apart = [distance(links[name], body.reference)
+                 for name, body in zip(self._links, self._bodies, strict=True)]
         best = self._costs(estimate)
         for number in np.argsort(apart):
             self._held[number] = self._links[number] not in self.mended
@@ -213,8 +221,8 @@ class _Solution:
             self._held[number] &= bool(worse.mean() <= margin)
 
     def _costs(self, estimate: Estimate) -> Array:
-        """(FOLDS,) normalised errors on parts left out of the fit, or (1,) what of the estimate's probability is given
-        up [nat]."""
+        """(FOLDS,) normalised errors on parts left out of the fit, or (1,) what of the estimate's
+        probability is given up [nat]."""
         if not estimate.held_out or estimate.table is None:
             apart = self.found(estimate.mean, estimate.information)[2] - estimate.mean
             return np.array([0.5 * apart @ estimate.information @ apart])
@@ -234,7 +242,8 @@ class _Solution:
                 return dict(zip(self._links, links, strict=True)) | self._others, loads, theta
             zero += negative
 
-    def _with(self, zero: Sequence[Array], mean: Array, information: Array) -> tuple[Array, Array, Array]:
+    def _with(self, zero: Sequence[Array], mean: Array,
+              information: Array) -> tuple[Array, Array, Array]:
         """The same where some quantities, given by their weights (p,), are held at zero."""
         everything = np.eye(len(mean))
         fixed, free = everything[:, self._rigid], everything[:, ~self._rigid & ~self._absent]
@@ -246,15 +255,24 @@ class _Solution:
         marginal = fixed.T @ information @ (fixed - free @ gain)
         most_probable = np.linalg.solve(marginal, fixed.T @ pull - gain.T @ (free.T @ pull))
         links = np.array([body.reference for body in self._bodies])
-        known = sum((body.columns @ values for body, values, held in
-                     zip(self._bodies, links, self._held, strict=True) if held), np.zeros(len(mean)))[self._rigid]
-        moved = [body for body, held in zip(self._bodies, self._held, strict=True) if not held] + self._load_bodies
-        moved = [body._replace(columns=body.columns[self._rigid]) for body in moved]
-        bodies = consistent_bodies(most_probable - known, marginal, moved)
-        rigid = sum((body.columns @ values for body, values in zip(moved, bodies, strict=True)), known)
-        links[~self._held] = bodies[:len(bodies) - len(self.loads)]
+        bodies = [body._replace(columns=body.columns[self._rigid])
+                  for body in (*self._bodies, *self._load_bodies)]
+        still = [body for body, held in zip(bodies, self._held, strict=False) if held]
+        moved = [body for body in bodies if not any(body is each for each in still)]
+        known = _contribution(still, [body.reference for body in still], len(marginal))
+        found = consistent_bodies(most_probable - known, marginal, moved)
+        rigid = known + _contribution(moved, found, len(marginal))
+        links[~self._held] = found[:len(found) - len(self.loads)]
         theta = fixed @ rigid + free @ (np.linalg.solve(inner, free.T @ pull) - gain @ rigid)
-        return links, bodies[len(bodies) - len(self.loads):], theta
+        return links, found[len(found) - len(self.loads):], theta
+
+
+def _contribution(bodies: Sequence[Body], parameters: Sequence[Array] | Array, count: int) -> Array:
+    """(count,) what bodies with parameters (10,) each bring."""
+    total = np.zeros(count)
+    for body, values in zip(bodies, parameters, strict=True):
+        total += body.columns @ values
+    return total
 
 
 def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
@@ -268,13 +286,14 @@ def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
         start = columns.blocks['friction'].start
         for kind, name in enumerate(NAMES):
             for number, joint in enumerate(body.output_names):
-                add(joint, 'damping' if name == 'viscous' else 'friction', start + kind * body.n_outputs + number, 1.0)
+                add(joint, 'damping' if name == 'viscous' else 'friction',
+                    start + kind * body.n_outputs + number, 1.0)
     for index, effect in enumerate(columns.effects):
         roles = DYNAMICS.get(getattr(effect, 'kind', ''), {})
-        block = columns.blocks[str(index)]
+        block, joint = columns.blocks[str(index)], str(getattr(effect, 'where', ''))
         for place, name in enumerate(_coefficients(columns, index)):
             if name in roles:
-                add(str(getattr(effect, 'where', '')), roles[name][0], block.start + place, roles[name][1])
+                add(joint, roles[name][0], block.start + place, roles[name][1])
     return [(joint, name, weights) for (joint, name), weights in found.items()]
 
 
@@ -300,7 +319,8 @@ def _left_out(columns: CoupledColumns, theta: Array) -> dict[str, float]:
 
 
 def _price(estimate: Estimate, solution: _Solution, theta: Array) -> Price:
-    """Errors of the description with friction and offset as identified, of the estimate, and of what is exported."""
+    """Errors of the description with friction and offset as identified, of the estimate, and of
+    what is exported."""
     table = estimate.table
     assert table is not None
     tries = [(estimate.mean, estimate.information, theta, table.used)]
@@ -312,7 +332,8 @@ def _price(estimate: Estimate, solution: _Solution, theta: Array) -> Price:
     rigid = estimate.columns.blocks['rigid_body']
     for mean, information, constrained, rows in tries:
         as_described = _conditional(mean, information, rigid, estimate.columns.body.base_parameters)
-        errors.append([table.error(each, rows) * rows.sum() for each in (as_described, mean, constrained)])
+        errors.append([table.error(each, rows) * rows.sum()
+                       for each in (as_described, mean, constrained)])
     total = np.sum(errors, axis=0) / sum(rows.sum() for *_, rows in tries)
     description, unconstrained, consistent = np.nanmean(total, axis=1).tolist()
     return Price(description, unconstrained, consistent, estimate.held_out)

@@ -1,4 +1,4 @@
-"""A MuJoCo model of the identified robot, written by MuJoCo itself: inertias, damping, frictionloss, armature."""
+"""A MuJoCo model of the identified robot, written by MuJoCo itself."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def identified_mjcf(urdf: str, found: Identified, remark: str) -> str:
 
 
 def bare(urdf: str) -> str:
-    """The links and joints of a description, which MuJoCo takes as they are; what moves without a mass gets a trace."""
+    """The links and joints of a description, which MuJoCo takes as they are; what moves without a
+    mass gets a trace."""
     robot = ElementTree.fromstring(urdf)
     for link in robot.findall('link'):
         for name in GEOMETRY:

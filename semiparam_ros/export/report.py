@@ -24,23 +24,30 @@ def price(found: Identified) -> str:
     """A sentence about the errors."""
     if found.price is None:
         return 'No samples judge it.'
-    where = 'On parts left out of the fit' if found.price.held_out else 'On the samples that the state keeps'
-    return (f'{where} the normalised error is {found.price.consistent:.4g}; without physical consistency it is '
-            f'{found.price.unconstrained:.4g}, with the inertias of the description {found.price.description:.4g}.')
+    where = 'On the samples that the state keeps'
+    if found.price.held_out:
+        where = 'On parts left out of the fit'
+    return (f'{where} the normalised error is {found.price.consistent:.4g}; without physical '
+            f'consistency it is {found.price.unconstrained:.4g}, with the inertias of the '
+            f'description {found.price.description:.4g}.')
 
 
 def document(found: Identified) -> dict[str, Any]:
     """Everything, by name, in SI units."""
     joints: dict[str, dict[str, Any]] = {}
     for each in found.joints:
-        joints.setdefault(each.joint, {})[each.name] = {'value': each.value, 'std': each.std, 'unit': UNITS[each.name]}
+        joints.setdefault(each.joint, {})[each.name] = {
+            'value': each.value, 'std': each.std, 'unit': UNITS[each.name]}
     changed = changed_links(found)
-    links = {name: {**_body(values), 'changed': name in changed, 'described': _body(found.described[name]),
-                    'description_consistent': name not in found.mended} for name, values in found.links.items()}
-    loads = [{'link': load.link, **_body(load.parameters), 'mass_std': load.mass_std, 'start_s': load.start_s}
-             for load in found.loads]
-    return {'made': remark(found), 'links': links, 'joints': joints, 'loads': loads, 'offsets': dict(found.offsets),
-            'left_out': dict(found.left_out), 'errors': None if found.price is None else found.price._asdict()}
+    links = {name: {**_body(values), 'changed': name in changed,
+                    'described': _body(found.described[name]),
+                    'description_consistent': name not in found.mended}
+             for name, values in found.links.items()}
+    loads = [{'link': load.link, **_body(load.parameters), 'mass_std': load.mass_std,
+              'start_s': load.start_s} for load in found.loads]
+    return {'made': remark(found), 'links': links, 'joints': joints, 'loads': loads,
+            'offsets': dict(found.offsets), 'left_out': dict(found.left_out),
+            'errors': None if found.price is None else found.price._asdict()}
 
 
 def _body(parameters: Array) -> dict[str, Any]:
@@ -55,7 +62,8 @@ def lines(found: Identified) -> list[str]:
             for name in changed_links(found) if name not in found.mended]
     joints: dict[str, list[str]] = {}
     for each in found.joints:
-        joints.setdefault(each.joint, []).append(f'{each.name} {each.value:.4g} +- {each.std:.2g} {UNITS[each.name]}')
+        joints.setdefault(each.joint, []).append(
+            f'{each.name} {each.value:.4g} +- {each.std:.2g} {UNITS[each.name]}')
     told += [f'{joint}: {", ".join(values)}.' for joint, values in joints.items()]
     for load in found.loads:
         since = '' if load.start_s is None else f', since {load.start_s:.1f} s'
@@ -66,7 +74,8 @@ def lines(found: Identified) -> list[str]:
     if still:
         told.append(f'As described: {", ".join(still)}.')
     if found.mended:
-        told.append(f'No body has the described inertia of {", ".join(found.mended)}: it is mended.')
+        told.append(f'No body has the described inertia of {", ".join(found.mended)}: it is '
+                    'mended.')
     if found.left_out:
         values = ', '.join(f'{name} {value:.3g}' for name, value in found.left_out.items())
         told.append(f'Of this the JSON file alone tells: {values}.')

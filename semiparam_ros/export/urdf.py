@@ -23,7 +23,7 @@ def described_links(urdf: str) -> dict[str, Array]:
     Raises SemiparamError when the text is no URDF.
     """
     editor = Editor(urdf, 'the robot description')
-    links = {}
+    links: dict[str, Array] = {}
     for link in editor.root.children:
         inertial = link.find('inertial') if link.tag == 'link' else None
         if inertial is not None:
@@ -36,14 +36,13 @@ def _read(inertial: Element) -> Array:
     if mass is None or inertia is None:
         raise SemiparamError('the robot description has an inertial without mass or inertia.')
     place = {} if origin is None else origin.attributes
-    centre, turn = (np.array(place.get(name, '0 0 0').split(), dtype=float) for name in ('xyz', 'rpy'))
+    centre, turn = (np.array(place.get(name, '0 0 0').split(), dtype=float)
+                    for name in ('xyz', 'rpy'))
     xx, xy, yy, xz, yz, zz = (float(inertia.attributes[name]) for name in AXES)
     rotation = pin.rpy.rpyToMatrix(*turn)
     about_centre = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
     weight = float(mass.attributes['value'])
-    about_origin = about_centre + weight * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return np.array([weight, *(weight * centre), about_origin[0, 0], about_origin[0, 1], about_origin[1, 1],
-                     about_origin[0, 2], about_origin[1, 2], about_origin[2, 2]])
+    return np.asarray(pin.Inertia(weight, centre, about_centre).toDynamicParameters())
 
 
 def identified_urdf(urdf: str, found: Identified, remark: str) -> str:
@@ -77,7 +76,8 @@ def identified_urdf(urdf: str, found: Identified, remark: str) -> str:
 def changed_links(found: Identified) -> list[str]:
     """Those whose parameters are no longer the description's."""
     return [name for name, values in found.links.items()
-            if np.linalg.norm(values - found.described[name]) > UNCHANGED * np.linalg.norm(found.described[name])]
+            if not np.allclose(values, found.described[name], rtol=0.0,
+                               atol=UNCHANGED * float(np.linalg.norm(found.described[name])))]
 
 
 def _write(editor: Editor, inertial: Element, parameters: Array) -> None:
@@ -106,8 +106,8 @@ def _load_elements(load: Load, taken: set[str]) -> list[str]:
         name += '_'
     inertial = ''.join(_tag(tag, values) for tag, values in inertial_values(load).items())
     return [f'<link name="{name}"><inertial>{inertial}</inertial></link>',
-            f'<joint name="{name}_joint" type="fixed"><parent link="{load.link}"/><child link="{name}"/>'
-            '<origin xyz="0 0 0" rpy="0 0 0"/></joint>']
+            f'<joint name="{name}_joint" type="fixed"><parent link="{load.link}"/>'
+            f'<child link="{name}"/><origin xyz="0 0 0" rpy="0 0 0"/></joint>']
 
 
 def _tag(tag: str, attributes: Mapping[str, str]) -> str:

@@ -41,7 +41,9 @@ def test_a_pseudo_inertia_gives_its_parameters_back(parameters):
 @given(LOG_CHOLESKY)
 def test_it_is_that_of_pinocchio(numbers):
     body = body_of(numbers)
-    assert np.allclose(pseudo_inertia(body), pin.PseudoInertia.FromDynamicParameters(body).toMatrix(), atol=1e-12)
+    assert np.allclose(
+        pseudo_inertia(body), pin.PseudoInertia.FromDynamicParameters(body).toMatrix(), atol=1e-12
+    )
     assert is_consistent(body)
 
 
@@ -59,7 +61,9 @@ def test_the_distance_knows_neither_axes_nor_units(one, other, motion, scale):
     placement = pin.exp6(motion)
     move = np.diag([scale, scale, scale, 1.0]) @ placement.homogeneous
     one, other = body_of(one), body_of(other)
-    moved = [inertial_parameters(2.0 * move @ pseudo_inertia(body) @ move.T) for body in (one, other)]
+    moved = [
+        inertial_parameters(2.0 * move @ pseudo_inertia(body) @ move.T) for body in (one, other)
+    ]
     assert distance(*moved) == pytest.approx(distance(one, other), rel=1e-6, abs=1e-6)
 
 
@@ -97,7 +101,9 @@ def test_what_is_not_shown_stays_as_described(reference, mean):
 
 @FEW
 @given(LIKELY, ANY, st.floats(-3.0, 6.0))
-def test_whatever_is_estimated_the_answer_is_a_body_and_no_other_near_it_is_better(reference, mean, sure):
+def test_whatever_is_estimated_the_answer_is_a_body_and_no_other_near_it_is_better(
+    reference, mean, sure
+):
     reference, information = body_of(reference), 10.0**sure * np.eye(10)
     found = consistent_bodies(mean, information, [Body(reference, np.eye(10))])[0]
     assert is_consistent(found)
@@ -114,11 +120,15 @@ def test_whatever_is_estimated_the_answer_is_a_body_and_no_other_near_it_is_bett
 
 def test_gradient_and_hessian_are_those_of_the_value():
     rng = np.random.default_rng(3)
-    bodies = [Body(body_of(0.3 * rng.standard_normal(10)), rng.standard_normal((5, 10)), reach)
-              for reach in (None, 20.0)]
+    bodies = [
+        Body(body_of(0.3 * rng.standard_normal(10)), rng.standard_normal((5, 10)), reach)
+        for reach in (None, 20.0)
+    ]
     root = rng.standard_normal((5, 5))
     problem = consistency._Problem(rng.standard_normal(5), root @ root.T, bodies)
-    roots = np.linalg.cholesky(pseudo_inertia(np.array([body_of(0.3 * rng.standard_normal(10)) for _ in bodies])))
+    roots = np.linalg.cholesky(
+        pseudo_inertia(np.array([body_of(0.3 * rng.standard_normal(10)) for _ in bodies]))
+    )
 
     def value(step):
         inside = np.einsum('ki,iab->kab', step.reshape(-1, 10), consistency.SYMMETRIC)
@@ -127,8 +137,18 @@ def test_gradient_and_hessian_are_those_of_the_value():
     gradient, hessian = problem.derivatives(roots)
     size, units = 1e-4, np.eye(20)
     slope = np.array([value(size * one) - value(-size * one) for one in units]) / (2.0 * size)
-    bends = np.array([[value(size * (one + other)) - value(size * (one - other)) - value(size * (other - one))
-                       + value(-size * (one + other)) for one in units] for other in units]) / (4.0 * size**2)
+    bends = np.array(
+        [
+            [
+                value(size * (one + other))
+                - value(size * (one - other))
+                - value(size * (other - one))
+                + value(-size * (one + other))
+                for one in units
+            ]
+            for other in units
+        ]
+    ) / (4.0 * size**2)
     assert np.allclose(slope, gradient, rtol=1e-5, atol=1e-5)
     assert np.allclose(bends, hessian, rtol=1e-3, atol=1e-3)
 

@@ -1,4 +1,4 @@
-"""Exported arms whose inertias are known: simulated by MuJoCo, which shares no code with the package."""
+"""Exported arms whose inertias are known: simulated by MuJoCo, which shares no code with us."""
 
 from dataclasses import replace
 
@@ -52,13 +52,17 @@ def loaded(spec):
 
 def exported(robot, samples, effects=(), keep=False):
     body = robot.body
-    estimate = from_recording(body, [effect_from_text(text) for text in effects], samples, True, keep, 'it')
+    estimate = from_recording(
+        body, [effect_from_text(text) for text in effects], samples, True, keep, 'it'
+    )
     found = identify(estimate, described_links(robot.urdf), keep)
     return found, identified_urdf(robot.urdf, found, remark(found))
 
 
 def torques(urdf, samples, robot):
-    body = RigidBody.from_urdf(urdf, robot.joints, 'wrench' if robot.sensor_joint else 'effort', robot.sensor_joint)
+    body = RigidBody.from_urdf(
+        urdf, robot.joints, 'wrench' if robot.sensor_joint else 'effort', robot.sensor_joint
+    )
     return body.regressors(samples) @ body.base_parameters
 
 
@@ -86,7 +90,11 @@ def true_torques(samples, prepare):
     data = mujoco.MjData(model)
     rows = []
     for sample in samples:
-        data.qpos[:], data.qvel[:], data.qacc[:] = sample.position, sample.velocity, sample.acceleration
+        data.qpos[:], data.qvel[:], data.qacc[:] = (
+            sample.position,
+            sample.velocity,
+            sample.acceleration,
+        )
         mujoco.mj_inverse(model, data)
         rows.append(data.qfrc_inverse.copy())
     return np.array(rows)
@@ -105,8 +113,11 @@ def test_friction_is_that_of_the_joints(arm):
 def test_every_body_can_be_and_pinocchio_reads_it(arm):
     assert all(is_consistent(values) for values in described_links(arm[1]).values())
     model = pin.buildModelFromXML(arm[1])
-    assert all(np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(body).toMatrix()).min() > 0.0
-               for body in list(model.inertias)[1:] if body.mass > 0.0)
+    assert all(
+        np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(body).toMatrix()).min() > 0.0
+        for body in list(model.inertias)[1:]
+        if body.mass > 0.0
+    )
 
 
 def test_a_mujoco_model_holds_the_same(arm):
@@ -133,7 +144,9 @@ def test_an_armature_goes_to_mujoco_and_is_not_negative():
     assert armature['r_elbow'] == pytest.approx(0.05, abs=0.005)
     assert min(armature.values()) >= 0.0
     model = mujoco.MjModel.from_xml_string(identified_mjcf(urdf, found, ''))
-    assert model.dof_armature[model.joint('r_elbow').dofadr[0]] == pytest.approx(armature['r_elbow'], rel=1e-5)
+    assert model.dof_armature[model.joint('r_elbow').dofadr[0]] == pytest.approx(
+        armature['r_elbow'], rel=1e-5
+    )
 
 
 @pytest.mark.parametrize('robot', [EFFORTS, WRENCH], ids=['efforts', 'wrench'])
@@ -158,7 +171,9 @@ def test_what_is_exported_is_found_again_unchanged(arm):
 
 @pytest.mark.parametrize('robot', [EFFORTS, WRENCH], ids=['efforts', 'wrench'])
 def test_a_load_is_one_of_its_own_where_links_are_known(robot):
-    found, urdf = exported(robot, recording(robot, seed=5, prepare=loaded), ['payload@r_hand'], keep=True)
+    found, urdf = exported(
+        robot, recording(robot, seed=5, prepare=loaded), ['payload@r_hand'], keep=True
+    )
     assert changed_links(found) == []
     mass, centre, inertia = LOAD
     load = found.loads[0]
@@ -168,12 +183,18 @@ def test_a_load_is_one_of_its_own_where_links_are_known(robot):
     model = pin.buildModelFromXML(urdf)
     assert model.existBodyName('payload_r_hand')
     total = sum(body.mass for body in list(model.inertias)[1:])
-    assert total == pytest.approx(sum(values[0] for values in described_links(URDF).values()) - base_mass() + load.mass)
+    assert total == pytest.approx(
+        sum(values[0] for values in described_links(URDF).values()) - base_mass() + load.mass
+    )
     beside = load_at(robot.body, found, 'r_gripper')
-    placement = robot.body.arm.frames[robot.body.arm.getFrameId('r_gripper')].placement.inverse() \
+    placement = (
+        robot.body.arm.frames[robot.body.arm.getFrameId('r_gripper')].placement.inverse()
         * robot.body.arm.frames[robot.body.arm.getFrameId('r_hand')].placement
+    )
     assert np.allclose(beside.centre, placement.act(load.centre), atol=1e-9)
-    assert np.allclose(np.linalg.eigvalsh(beside.inertia), np.linalg.eigvalsh(load.inertia), atol=1e-9)
+    assert np.allclose(
+        np.linalg.eigvalsh(beside.inertia), np.linalg.eigvalsh(load.inertia), atol=1e-9
+    )
 
 
 def base_mass():
@@ -192,8 +213,14 @@ def test_a_load_that_the_samples_do_not_show_is_none():
 def test_a_load_picked_up_later_is_told_from_the_links():
     before, after = recording(WRENCH, seed=8), recording(WRENCH, seed=9, prepare=loaded)
     half = len(before) // 2
-    joined = type(before)(before.stamps, *(np.concatenate([getattr(before, name)[:half], getattr(after, name)[half:]])
-                                           for name in ('position', 'velocity', 'acceleration', 'outputs')), 0)
+    joined = type(before)(
+        before.stamps,
+        *(
+            np.concatenate([getattr(before, name)[:half], getattr(after, name)[half:]])
+            for name in ('position', 'velocity', 'acceleration', 'outputs')
+        ),
+        0,
+    )
     found, _ = exported(WRENCH, joined, ['payload@r_hand'])
     load = found.loads[0]
     assert load.mass == pytest.approx(LOAD[0], rel=0.05)
@@ -202,14 +229,20 @@ def test_a_load_picked_up_later_is_told_from_the_links():
 
 def test_a_description_without_masses_is_refused(arm):
     bare = {name: np.zeros(10) for name in described_links(URDF)}
-    estimate = from_recording(EFFORTS.body, [], recording(EFFORTS, seed=1, prepare=rubbing), True, False, 'it')
-    with pytest.raises(SemiparamError, match='gives no mass to a link that the outputs feel; expected inertials'):
+    estimate = from_recording(
+        EFFORTS.body, [], recording(EFFORTS, seed=1, prepare=rubbing), True, False, 'it'
+    )
+    with pytest.raises(
+        SemiparamError, match='gives no mass to a link that the outputs feel; expected inertials'
+    ):
         identify(estimate, bare)
 
 
 def test_too_few_samples_are_refused():
     samples = recording(EFFORTS, seed=1)[:30]
-    with pytest.raises(SemiparamError, match='it holds 30 samples of a robot that moves; expected at least'):
+    with pytest.raises(
+        SemiparamError, match='it holds 30 samples of a robot that moves; expected at least'
+    ):
         from_recording(EFFORTS.body, [], samples, True, False, 'it')
 
 

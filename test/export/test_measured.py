@@ -17,8 +17,10 @@ from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
 
 pytestmark = pytest.mark.slow
-UR3 = ('Base=shoulder_pan_joint,Shoulder=shoulder_lift_joint,Elbow=elbow_joint,Wrist 1=wrist_1_joint,'
-       'Wrist 2=wrist_2_joint,Wrist 3=wrist_3_joint')
+UR3 = (
+    'Base=shoulder_pan_joint,Shoulder=shoulder_lift_joint,Elbow=elbow_joint,Wrist 1=wrist_1_joint,'
+    'Wrist 2=wrist_2_joint,Wrist 3=wrist_3_joint'
+)
 EFFORTS = '/**:\n  ros__parameters:\n    outputs: effort\n'
 FRANKA = ', '.join(f'panda_joint{number}' for number in range(1, 8))
 
@@ -30,13 +32,35 @@ def recordings(shared_data, measured_icub, tmp_path_factory):
     (folder / 'ur3.yaml').write_text(EFFORTS)
     (folder / 'franka.yaml').write_text(EFFORTS + f'    joints: [{FRANKA}]\n')
     for name in ('id1', 'id2'):
-        convert(shared_data / 'ur3_arm' / f'{name}.bag', folder / f'{name}.mcap', '--topic', '/arm=/joint_states',
-                '--joint', UR3, '--effort-sign', '-1', '--robot-description', shared_data / 'ur3_arm' / 'ur3.urdf')
-    convert(shared_data / 'panda_arm' / 'panda_exciting_trajectory.db3', folder / 'panda.mcap', '--joint',
-            'fer_*=panda_*', '--robot-description', shared_data / 'panda_arm' / 'panda.urdf')
-    return {'ur3': (folder / 'ur3.yaml', folder / 'id1.mcap', folder / 'id2.mcap'),
-            'franka': (folder / 'franka.yaml', folder / 'panda.mcap', None),
-            'icub': (measured_icub / 'icub.yaml', measured_icub / 'train.mcap', measured_icub / 'test.mcap')}
+        convert(
+            shared_data / 'ur3_arm' / f'{name}.bag',
+            folder / f'{name}.mcap',
+            '--topic',
+            '/arm=/joint_states',
+            '--joint',
+            UR3,
+            '--effort-sign',
+            '-1',
+            '--robot-description',
+            shared_data / 'ur3_arm' / 'ur3.urdf',
+        )
+    convert(
+        shared_data / 'panda_arm' / 'panda_exciting_trajectory.db3',
+        folder / 'panda.mcap',
+        '--joint',
+        'fer_*=panda_*',
+        '--robot-description',
+        shared_data / 'panda_arm' / 'panda.urdf',
+    )
+    return {
+        'ur3': (folder / 'ur3.yaml', folder / 'id1.mcap', folder / 'id2.mcap'),
+        'franka': (folder / 'franka.yaml', folder / 'panda.mcap', None),
+        'icub': (
+            measured_icub / 'icub.yaml',
+            measured_icub / 'train.mcap',
+            measured_icub / 'test.mcap',
+        ),
+    }
 
 
 def convert(*arguments):
@@ -48,9 +72,28 @@ def exported(request, recordings, tmp_path_factory):
     """Parameters, recording, judge, URDF text and document."""
     params, recording, judge = recordings[request.param]
     folder = tmp_path_factory.mktemp(request.param)
-    assert main(['export', str(recording), '--params', str(params), '--urdf', str(folder / 'x.urdf'), '--json',
-                 str(folder / 'x.json')]) == 0
-    return params, recording, judge, (folder / 'x.urdf').read_text(), json.loads((folder / 'x.json').read_text())
+    assert (
+        main(
+            [
+                'export',
+                str(recording),
+                '--params',
+                str(params),
+                '--urdf',
+                str(folder / 'x.urdf'),
+                '--json',
+                str(folder / 'x.json'),
+            ]
+        )
+        == 0
+    )
+    return (
+        params,
+        recording,
+        judge,
+        (folder / 'x.urdf').read_text(),
+        json.loads((folder / 'x.json').read_text()),
+    )
 
 
 def test_every_link_that_was_looked_for_can_be(exported):
@@ -97,12 +140,18 @@ def test_it_predicts_as_well_as_the_fit_without_constraints(exported):
     bag, other = load_samples(recording, settings), smoothed(load_samples(judge, settings).samples)
     body = build_rigid_body(settings, bag.robot_description)
     estimate = from_recording(body, [], bag.samples, True, False, 'it')
-    identified = build_rigid_body(settings.changed({'robot_description_file': '', 'robot_description': urdf}))
+    identified = build_rigid_body(
+        settings.changed({'robot_description_file': '', 'robot_description': urdf})
+    )
     columns = CoupledColumns(body, (), True, physical=True).batch(other)[0]
     rest = slice(body.n_parameters, None)
     beside = estimate.mean[rest] - np.linalg.solve(
         estimate.information[rest, rest],
-        estimate.information[rest, :body.n_parameters] @ (identified.base_parameters - estimate.mean[:rest.start]))
-    errors = [np.mean(np.mean((other.outputs - columns @ theta) ** 2, axis=0) / other.outputs.var(axis=0))
-              for theta in (estimate.mean, np.concatenate([identified.base_parameters, beside]))]
+        estimate.information[rest, : body.n_parameters]
+        @ (identified.base_parameters - estimate.mean[: rest.start]),
+    )
+    errors = [
+        np.mean(np.mean((other.outputs - columns @ theta) ** 2, axis=0) / other.outputs.var(axis=0))
+        for theta in (estimate.mean, np.concatenate([identified.base_parameters, beside]))
+    ]
     assert errors[1] < 1.05 * errors[0]

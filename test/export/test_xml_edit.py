@@ -28,9 +28,10 @@ def test_values_change_and_all_around_stays():
     link, joint = editor.root.children
     editor.set(link.children[0], {'value': '2', 'more': 'a "b"'})
     editor.append(joint, '<dynamics damping="1"/>')
-    expected = TEXT.replace("value = '1.0' unit=\"kg\"/>", "value = \"2\" unit=\"kg\" more='a \"b\"'/>")
-    expected = expected.replace('  <joint name="j"/>',
-                                '  <joint name="j">\n    <dynamics damping="1"/>\n  </joint>')
+    expected = TEXT.replace('value = \'1.0\' unit="kg"/>', 'value = "2" unit="kg" more=\'a "b"\'/>')
+    expected = expected.replace(
+        '  <joint name="j"/>', '  <joint name="j">\n    <dynamics damping="1"/>\n  </joint>'
+    )
     assert editor.text() == expected
 
 
@@ -39,7 +40,9 @@ def test_children_are_added_in_lines_of_their_own():
     editor.append(editor.root.children[0], '<d/>')
     editor.append(editor.root, '<e/>')
     editor.prepend(editor.root, comment('how -- made -'))
-    assert editor.text() == ('<a>\n    <!-- how - made -->\n    <b>\n      <c/>\n      <d/>\n    </b>\n    <e/>\n</a>')
+    assert editor.text() == (
+        '<a>\n    <!-- how - made -->\n    <b>\n      <c/>\n      <d/>\n    </b>\n    <e/>\n</a>'
+    )
 
 
 @given(st.text(st.characters(blacklist_categories=('Cs', 'Cc')), max_size=30), st.floats(-1e6, 1e6))

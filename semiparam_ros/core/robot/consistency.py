@@ -1,4 +1,4 @@
-"""Inertial parameters of bodies that can be, as near to those of a description as an estimate allows.
+"""Inertial parameters of bodies that can be, as near to a description as an estimate allows.
 
 The second moments of a body's mass about its origin form its pseudo-inertia (Wensing, Kim and
 Slotine 2018),

@@ -1,4 +1,4 @@
-"""The service ``~/export_model``: what was learnt as a URDF and a JSON document in the folder of the states."""
+"""The service ``~/export_model``: what was learnt as files beside the states."""
 
 from __future__ import annotations
 
