@@ -35,6 +35,9 @@ FORMS = {'urdf': 'URDF: inertias, friction and damping, loads as fixed links; al
          'gravity-filter': 'weight on the sensor, for the gravity compensation of ros2_control',
          'crisp-friction': 'friction of the joints, for crisp_controllers'}
 
+MOST_SAMPLES = 60_000
+"""Of a longer recording stretches are read, evenly spread over it."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam export`."""
@@ -116,7 +119,7 @@ def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tupl
     from semiparam_ros.settings.build import build_rigid_body, declared_effects
     from semiparam_ros.settings.robot_description import robot_description
 
-    bag = load_bags([source], settings)[0]
+    bag = load_bags([source], settings, lambda rate: MOST_SAMPLES)[0]
     body = build_rigid_body(settings, bag.robot_description)
     estimate = from_recording(body, declared_effects(settings), bag.samples,
                               settings.joint_friction, keep_inertias, str(source))

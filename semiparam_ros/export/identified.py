@@ -42,8 +42,8 @@ DYNAMICS = {
 """What coefficients of effects mean to a simulator; of both directions it takes the mean."""
 SURE = 2.0
 """Standard deviations above zero from which on the mass of a load is one."""
-CHANCE = 5.0
-"""[nat] What ten parameters bring by chance."""
+PARAMETERS = 10.0
+"""Of a link."""
 RANK = 1e-9
 UNITS = {'damping': 'N m s/rad', 'friction': 'N m', 'armature': 'kg m^2'}
 
@@ -201,35 +201,34 @@ class _Solution:
     def hold(self, estimate: Estimate, everything: bool) -> None:
         """Leave links as described: all, or those that need not change, the nearest first.
 
-        Parts left out of the fit must be predicted within one standard error as well as with all
-        links free (Breiman, Friedman, Olshen and Stone 1984). Where nothing can be left out, a link
-        must not cost more than its parameters bring by chance.
+        What a link's parameters bring must be less than a nat for each (Akaike 1974). Where parts
+        can be left out of the fit, they must besides be predicted within one standard error as
+        well as with all links free (Breiman, Friedman, Olshen and Stone 1984).
         """
         self._held[:] = everything
         if everything:
             return
-        links = self.found(estimate.mean, estimate.information)[0]
+        links, _, theta = self.found(estimate.mean, estimate.information)
         apart = [distance(links[name], body.reference)
                  for name, body in zip(self._links, self._bodies, strict=True)]
-        best = self._costs(estimate)
+        best, errors = _given_up(estimate, theta), self._left_out_errors(estimate)
         for number in np.argsort(apart):
             self._held[number] = self._links[number] not in self.mended
-            worse = self._costs(estimate) - best
-            margin = CHANCE * self._held.sum()
-            if len(worse) > 1:
-                margin = worse.std(ddof=1) / np.sqrt(len(worse))
-            self._held[number] &= bool(worse.mean() <= margin)
+            theta = self.found(estimate.mean, estimate.information)[2]
+            worse = self._left_out_errors(estimate) - errors
+            margin = np.sqrt(len(worse)) * worse.std(ddof=1) if len(worse) else 0.0
+            given_up = _given_up(estimate, theta) - best
+            self._held[number] &= bool(worse.sum() <= margin
+                                       and given_up <= PARAMETERS * self._held.sum())
 
-    def _costs(self, estimate: Estimate) -> Array:
-        """(FOLDS,) normalised errors on parts left out of the fit, or (1,) what of the estimate's
-        probability is given up [nat]."""
-        if not estimate.held_out or estimate.table is None:
-            apart = self.found(estimate.mean, estimate.information)[2] - estimate.mean
-            return np.array([0.5 * apart @ estimate.information @ apart])
-        table, costs = estimate.table, []
-        for fold, fitted in zip(table.folds, table.fold_estimates, strict=True):
-            costs.append(float(np.nanmean(table.error(self.found(*fitted)[2], fold))))
-        return np.array(costs)
+    def _left_out_errors(self, estimate: Estimate) -> Array:
+        """(FOLDS,) normalised, on parts left out of the fit; (0,) where none can be."""
+        table = estimate.table if estimate.held_out else None
+        if table is None:
+            return np.zeros(0)
+        pairs = zip(table.folds, table.fold_estimates, strict=True)
+        return np.array([float(np.nanmean(table.error(self.found(*fitted)[2], fold)))
+                         for fold, fitted in pairs])
 
     def found(self, mean: Array, information: Array) -> tuple[dict[str, Array], Array, Array]:
         """Links and loads (n, 10), and theta (p,) with all else as it then is most probable."""
@@ -265,6 +264,12 @@ class _Solution:
         links[~self._held] = found[:len(found) - len(self.loads)]
         theta = fixed @ rigid + free @ (np.linalg.solve(inner, free.T @ pull) - gain @ rigid)
         return links, found[len(found) - len(self.loads):], theta
+
+
+def _given_up(estimate: Estimate, theta: Array) -> float:
+    """[nat] Of the estimate's probability."""
+    apart = theta - estimate.mean
+    return float(0.5 * apart @ estimate.information @ apart)
 
 
 def _contribution(bodies: Sequence[Body], parameters: Sequence[Array] | Array, count: int) -> Array:

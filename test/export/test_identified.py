@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from semiparam_ros.core.robot.consistency import is_consistent
+from semiparam_ros.core.robot.frames import felt_links, load_transform
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
@@ -118,6 +119,24 @@ def test_every_body_can_be_and_pinocchio_reads_it(arm):
         for body in list(model.inertias)[1:]
         if body.mass > 0.0
     )
+
+
+@pytest.mark.parametrize('turn', ['0 0 0', '0.3 -0.4 1.1'])
+def test_inertias_are_read_and_written_as_pinocchio_has_them(arm, turn):
+    urdf = URDF.replace('rpy="0 0 0"/>\n      <mass', f'rpy="{turn}"/>\n      <mass')
+    assert (turn in urdf) or turn == '0 0 0'
+    body = RigidBody.from_urdf(urdf, ICUB_JOINTS, 'effort')
+    links = described_links(urdf)
+    total = np.zeros_like(body.inertial_parameters)
+    for name in felt_links(body):
+        if name in links:
+            index, transform = load_transform(body, name)
+            total[10 * index : 10 * index + 10] += transform @ links[name]
+    assert np.allclose(total, body.inertial_parameters, atol=1e-9)
+    again = described_links(identified_urdf(urdf, arm[0], ''))
+    for name, values in arm[0].links.items():
+        if name in changed_links(arm[0]):
+            assert np.allclose(again[name], values, rtol=1e-8, atol=1e-9)
 
 
 def test_a_mujoco_model_holds_the_same(arm):
