@@ -28,8 +28,8 @@ from semiparam_ros.errors import SemiparamError
 
 MOTIONS = {'smoothed': 2, 'smoothed from positions': 1, 'smoothed with accelerations': 3}
 """How much of positions, velocities and accelerations the smoother uses: the latter two may lag."""
-MOST_VALUES = 40_000_000
-"""Of the columns of all samples: 0.3 GB. Of a longer recording evenly spread samples are used."""
+MOST_VALUES = 20_000_000
+"""Of the columns of all samples: 160 MB. Of a longer recording evenly spread samples are used."""
 BLOCKS, FOLDS = 40, 5
 REWEIGHTINGS = 3
 KNOWN = 1e8
@@ -154,14 +154,16 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
         raise SemiparamError(f'{name} holds {int(moving.sum())} samples of a robot that moves; '
                              f'expected at least {model.n_columns}, as many as the model has '
                              'coefficients.')
-    found: list[tuple[float, str, Table]] = []
+    best: tuple[float, str, Table] | None = None
     for motion, measured in MOTIONS.items():
         rows = smoothed(samples, measured)[::step]
         table = _with_starts(_table(model, rows, moving[::step], keep_inertias), rows.time)
-        loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum()) for fold, (mean, _) in
-                   zip(table.folds, table.fold_estimates, strict=True))
-        found.append((loss, motion, table))
-    _, motion, table = min(found, key=lambda each: each[0])
+        loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum())
+                   for fold, (mean, _) in zip(table.folds, table.fold_estimates, strict=True))
+        if best is None or loss < best[0]:
+            best = loss, motion, table
+    assert best is not None
+    _, motion, table = best
     how = f'{int(table.used.sum())} samples of {name}, motion {motion}'
     mean, information = table.estimate(table.used)
     top_speed = np.abs(samples.velocity).max(axis=0)

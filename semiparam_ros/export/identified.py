@@ -217,9 +217,11 @@ class _Solution:
             theta = self.found(estimate.mean, estimate.information)[2]
             worse = self._left_out_errors(estimate) - errors
             margin = np.sqrt(len(worse)) * worse.std(ddof=1) if len(worse) else 0.0
-            given_up = _given_up(estimate, theta) - best
-            self._held[number] &= bool(worse.sum() <= margin
-                                       and given_up <= PARAMETERS * self._held.sum())
+            given_up = _given_up(estimate, theta)
+            if not (worse.sum() <= margin and given_up <= best + PARAMETERS):
+                self._held[number] = False
+            elif self._held[number]:
+                best = given_up
 
     def _left_out_errors(self, estimate: Estimate) -> Array:
         """(FOLDS,) normalised, on parts left out of the fit; (0,) where none can be."""
