@@ -74,8 +74,8 @@ class Table:
 
     @cached_property
     def folds(self) -> list[Mask]:
-        """(N,) each: samples of consecutive parts of the recording."""
-        number = np.arange(len(self.outputs)) * FOLDS // len(self.outputs)
+        """(N,) each: as many samples of consecutive parts of the recording."""
+        number = (np.cumsum(self.used) - 1) * FOLDS // self.used.sum()
         return [self.used & (number == fold) for fold in range(FOLDS)]
 
     @cached_property
@@ -157,7 +157,7 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
     best: tuple[float, str, Table] | None = None
     for motion, measured in MOTIONS.items():
         rows = smoothed(samples, measured)[::step]
-        table = _with_starts(_table(model, rows, moving[::step], keep_inertias), rows.time)
+        table = _with_starts(_table(model, rows, moving[::step], keep_inertias).weighed(), rows.time)
         loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum())
                    for fold, (mean, _) in zip(table.folds, table.fold_estimates, strict=True))
         if best is None or loss < best[0]:
@@ -197,9 +197,8 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
 def _table(model: CoupledColumns, samples: Samples, used: Mask,
            keep_inertias: bool = False) -> Table:
     spread = np.maximum(samples.outputs[used].std(axis=0), 1e-9)
-    table = Table(model, model.batch(samples)[0], samples.outputs, used, spread,
-                  keep_inertias=keep_inertias)
-    return table.weighed()
+    return Table(model, model.batch(samples)[0], samples.outputs, used, spread,
+                 keep_inertias=keep_inertias)
 
 
 def _moving(samples: Samples) -> Mask:
@@ -223,12 +222,12 @@ def _with_starts(table: Table, time: Array) -> Table:
             continue
         columns = table.columns.copy()
         columns[block < best, :, table.model.blocks[str(index)]] = 0.0
-        around = np.abs(block - best + 0.5) < 1.0
-        table = replace(table, columns=columns, used=table.used & ~around)
+        table = replace(table, columns=columns)
         if best < BLOCKS:
             known = float(time[block == best][0]), str(getattr(effect, 'where', ''))
-            table = replace(table, starts=(*table.starts, known))
-    return table.weighed() if table.starts else table
+            around = np.abs(block - best + 0.5) < 1.0
+            table = replace(table, starts=(*table.starts, known), used=table.used & ~around)
+    return table.weighed()
 
 
 def _best_start(table: Table, part: slice, block: Indices) -> int:

@@ -257,6 +257,25 @@ def test_a_description_without_masses_is_refused(arm):
         identify(estimate, bare)
 
 
+def test_a_robot_that_rests_for_half_of_the_time_is_judged_where_it_moves(recwarn):
+    moving = recording(WRENCH, seed=3)
+    rest = np.repeat(len(moving) - 1, len(moving))
+    rows = np.concatenate([np.arange(len(moving)), rest])
+    stamps = np.arange(len(rows)) * int(moving.stamps[1] - moving.stamps[0])
+    found, _ = exported(WRENCH, replace(moving[rows], stamps=stamps))
+    assert found.price.consistent < 1.05 * found.price.unconstrained
+    assert not [each for each in recwarn if each.category is RuntimeWarning]
+
+
+def test_efforts_without_friction_are_those_of_bodies_alone():
+    samples = recording(EFFORTS, seed=1, prepare=heavier)
+    estimate = from_recording(EFFORTS.body, [], samples, False, False, 'it')
+    found = identify(estimate, described_links(URDF))
+    assert found.joints == [] and found.offsets == {}
+    urdf = identified_urdf(URDF, found, '')
+    assert 'dynamics' not in urdf and 'r_forearm' in changed_links(found)
+
+
 def test_too_few_samples_are_refused():
     samples = recording(EFFORTS, seed=1)[:30]
     with pytest.raises(
