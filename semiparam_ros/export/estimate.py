@@ -31,7 +31,9 @@ MOTIONS = {'smoothed': 2, 'smoothed from positions': 1, 'smoothed with accelerat
 MOST_VALUES = 20_000_000
 """Of the columns of all samples: 160 MB. Of a longer recording evenly spread samples are used."""
 BLOCKS, FOLDS = 40, 5
-REWEIGHTINGS = 3
+REWEIGHTINGS = 4
+DEGREES = 5.0
+"""Of Student's t, as for the online estimator's averages."""
 KNOWN = 1e8
 """Times the precision of inertias that are known."""
 
@@ -59,7 +61,8 @@ class Table:
 
     :param columns: (N, n, p). :param outputs: (N, n). :param used: (N,) samples that tell
         something.
-    :param deviation: (n,) of a sample that counts as an independent one.
+    :param deviation: (n,) of a sample that counts as an independent one. :param weight: (N, n) of
+        each output by Student's t, so that a touch decides nothing.
     """
 
     model: CoupledColumns
@@ -67,6 +70,7 @@ class Table:
     outputs: Array
     used: Mask
     deviation: Array
+    weight: Array
     starts: tuple[tuple[float, str], ...] = ()
     """[s] When loads appear that were not there from the beginning, and their links."""
     keep_inertias: bool = False
@@ -96,9 +100,10 @@ class Table:
         mean, precision = self.prior
         information, right = np.diag(precision), precision * mean
         for channel, deviation in enumerate(self.deviation):
-            columns = self.columns[rows, channel] / deviation
+            root = np.sqrt(self.weight[rows, channel]) / deviation
+            columns = self.columns[rows, channel] * root[:, None]
             information += columns.T @ columns
-            right += columns.T @ (self.outputs[rows, channel] / deviation)
+            right += columns.T @ (self.outputs[rows, channel] * root)
         return cho_solve(cho_factor(information), right), np.asarray(information, dtype=np.float64)
 
     def residual(self, theta: Array) -> Array:
@@ -116,9 +121,11 @@ class Table:
         table = self
         for _ in range(REWEIGHTINGS):
             left = table.residual(table.estimate(table.used)[0])
-            sizes = [residual[table.used].std() * np.sqrt(correlation_time(residual[table.used]))
-                     for residual in left.T]
-            table = replace(table, deviation=np.maximum(sizes, 1e-9 * self.deviation))
+            weighted = np.sqrt(table.weight) * left
+            size = np.maximum(weighted[table.used].std(axis=0), 1e-9 * self.deviation)
+            memory = [correlation_time(values) for values in weighted[table.used].T]
+            table = replace(table, deviation=size * np.sqrt(memory),
+                            weight=(DEGREES + 1.0) / (DEGREES + (left / size) ** 2))
         return table
 
 
@@ -198,7 +205,7 @@ def _table(model: CoupledColumns, samples: Samples, used: Mask,
            keep_inertias: bool = False) -> Table:
     spread = np.maximum(samples.outputs[used].std(axis=0), 1e-9)
     return Table(model, model.batch(samples)[0], samples.outputs, used, spread,
-                 keep_inertias=keep_inertias)
+                 np.ones(samples.outputs.shape), keep_inertias=keep_inertias)
 
 
 def _moving(samples: Samples) -> Mask:
@@ -237,9 +244,10 @@ def _best_start(table: Table, part: slice, block: Indices) -> int:
     grams, rights = [], []
     for number in range(BLOCKS):
         rows = table.used & (block == number)
-        columns = table.columns[rows] / table.deviation[:, None]
+        root = np.sqrt(table.weight[rows]) / table.deviation
+        columns = table.columns[rows] * root[:, :, None]
         grams.append(np.einsum('tnp,tnq->pq', columns, columns, optimize=True))
-        rights.append(np.einsum('tnp,tn->p', columns, table.outputs[rows] / table.deviation))
+        rights.append(np.einsum('tnp,tn->p', columns, table.outputs[rows] * root))
     there = np.ones(len(mean))
     there[part] = 0.0
     evidence = np.zeros(BLOCKS + 1)

@@ -101,6 +101,23 @@ def true_torques(samples, prepare):
     return np.array(rows)
 
 
+def test_pushes_spoil_nothing():
+    samples = recording(EFFORTS, seed=1, prepare=rubbing)
+    outputs = samples.outputs.copy()
+    for begin, end, push in (
+        (5, 6, (3, 2, -1, 2)),
+        (14, 14.5, (-4, 1, 2, -2)),
+        (22, 22.8, (2, -3, 0, 1)),
+    ):
+        outputs[(samples.time > begin) & (samples.time < end)] += push
+    _, urdf = exported(EFFORTS, replace(samples, outputs=outputs))
+    unseen = recording(EFFORTS, seed=7, prepare=rubbing)
+    unseen = replace(unseen, acceleration=np.gradient(unseen.velocity, unseen.time, axis=0))
+    true = true_torques(unseen, heavier)
+    error = torques(urdf, unseen, EFFORTS) - true
+    assert np.sqrt(np.mean(error**2) / np.mean(true**2)) < 0.02
+
+
 def test_friction_is_that_of_the_joints(arm):
     """At the usual speed: MuJoCo's dry friction gives a little, and looks partly viscous."""
     values = {(each.joint, each.name): each.value for each in arm[0].joints}
@@ -273,7 +290,7 @@ def test_efforts_without_friction_are_those_of_bodies_alone():
     found = identify(estimate, described_links(URDF))
     assert found.joints == [] and found.offsets == {}
     urdf = identified_urdf(URDF, found, '')
-    assert 'dynamics' not in urdf and 'r_forearm' in changed_links(found)
+    assert 'dynamics' not in urdf and 'r_upper_arm' in changed_links(found)
 
 
 def test_too_few_samples_are_refused():
