@@ -42,7 +42,9 @@ def _read(inertial: Element) -> Array:
     rotation = pin.rpy.rpyToMatrix(*turn)
     about_centre = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
     weight = float(mass.attributes['value'])
-    return np.asarray(pin.Inertia(weight, centre, about_centre).toDynamicParameters())
+    shift = centre @ centre * np.eye(3) - np.outer(centre, centre)
+    about_origin = (about_centre + weight * shift)[np.tril_indices(3)]
+    return np.concatenate([[weight], weight * centre, about_origin])
 
 
 def identified_urdf(urdf: str, found: Identified, remark: str) -> str:

@@ -263,6 +263,15 @@ def test_a_load_picked_up_later_is_told_from_the_links():
     assert load.start_s == pytest.approx(15.0, abs=0.8)
 
 
+def test_a_description_of_bodies_that_cannot_be_is_mended():
+    wrong = URDF.replace('ixx="0.000766"', 'ixx="-0.001"').replace('izz="0.00026"', 'izz="0.01"')
+    robot = Robot(wrong, ICUB_JOINTS, HOME)
+    found, urdf = exported(robot, recording(EFFORTS, seed=3))
+    assert sorted(found.mended) == ['r_forearm', 'r_upper_arm']
+    assert all(is_consistent(values) for values in described_links(urdf).values())
+    assert any('No body has the described inertia of' in line for line in lines(found))
+
+
 def test_a_description_without_masses_is_refused(arm):
     bare = {name: np.zeros(10) for name in described_links(URDF)}
     estimate = from_recording(
