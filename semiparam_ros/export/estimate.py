@@ -34,6 +34,9 @@ BLOCKS, FOLDS = 40, 5
 REWEIGHTINGS = 4
 DEGREES = 5.0
 """Of Student's t, as for the online estimator's averages."""
+FISHER = np.sqrt((DEGREES + 1.0) / (DEGREES + 3.0))
+"""Root of the information of one sample, over that of a normal one as wide (Lange, Little and Taylor
+1989), whose weights are 1 on average."""
 KNOWN = 1e8
 """Times the precision of inertias that are known."""
 
@@ -124,7 +127,7 @@ class Table:
             weighted = np.sqrt(table.weight) * left
             size = np.maximum(weighted[table.used].std(axis=0), 1e-9 * self.deviation)
             memory = [correlation_time(values) for values in weighted[table.used].T]
-            table = replace(table, deviation=size * np.sqrt(memory),
+            table = replace(table, deviation=size * np.sqrt(memory) / FISHER,
                             weight=(DEGREES + 1.0) / (DEGREES + (left / size) ** 2))
         return table
 

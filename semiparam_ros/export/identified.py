@@ -169,7 +169,7 @@ class _Solution:
         self.mended = [name for name, values in self.described.items() if not is_consistent(values)]
         self._others = {name: made_consistent(values, size.length)
                         for name, values in self.described.items() if name not in felt}
-        self._links = felt
+        self._links, self._identifiable = felt, body.n_parameters
         self._held = np.zeros(len(self._links), dtype=bool)
         self._bodies = []
         for name in felt:
@@ -199,11 +199,12 @@ class _Solution:
             self.not_shown.append(link)
 
     def hold(self, estimate: Estimate, everything: bool) -> None:
-        """Leave links as described: all, or those that need not change, the nearest first.
+        """Leave links as described: all, or those that need not change, first all together, then
+        one after another, the nearest first.
 
-        What a link's parameters bring must be less than a nat for each (Akaike 1974). Where parts
-        can be left out of the fit, they must besides be predicted within one standard error as
-        well as with all links free (Breiman, Friedman, Olshen and Stone 1984).
+        What they bring must be less than a nat for each of their parameters that can be identified
+        (Akaike 1974). Where parts can be left out of the fit, they must besides be predicted within
+        one standard error as well as with all links free (Breiman, Friedman, Olshen and Stone 1984).
         """
         self._held[:] = everything
         if everything:
@@ -212,16 +213,18 @@ class _Solution:
         apart = [distance(links[name], body.reference)
                  for name, body in zip(self._links, self._bodies, strict=True)]
         best, errors = _given_up(estimate, theta), self._left_out_errors(estimate)
-        for number in np.argsort(apart):
-            self._held[number] = self._links[number] not in self.mended
-            theta = self.found(estimate.mean, estimate.information)[2]
+        possible = np.array([name not in self.mended for name in self._links])
+        for chosen in (possible, *np.eye(len(possible), dtype=bool)[np.argsort(apart)]):
+            before = self._held.copy()
+            self._held |= chosen & possible
+            brings = _given_up(estimate, self.found(estimate.mean, estimate.information)[2]) - best
             worse = self._left_out_errors(estimate) - errors
             margin = np.sqrt(len(worse)) * worse.std(ddof=1) if len(worse) else 0.0
-            given_up = _given_up(estimate, theta)
-            if not (worse.sum() <= margin and given_up <= best + PARAMETERS):
-                self._held[number] = False
-            elif self._held[number]:
-                best = given_up
+            count = min(PARAMETERS * (self._held & ~before).sum(), self._identifiable)
+            if brings <= count and worse.sum() <= margin:
+                best += brings
+            else:
+                self._held = before
 
     def _left_out_errors(self, estimate: Estimate) -> Array:
         """(FOLDS,) normalised, on parts left out of the fit; (0,) where none can be."""
