@@ -35,8 +35,8 @@ REWEIGHTINGS = 4
 DEGREES = 5.0
 """Of Student's t, as for the online estimator's averages."""
 FISHER = np.sqrt((DEGREES + 1.0) / (DEGREES + 3.0))
-"""Root of the information of one sample, over that of a normal one as wide (Lange, Little and Taylor
-1989), whose weights are 1 on average."""
+"""Root of a sample's information over that of a normal one of the same scale (Lange, Little and
+Taylor 1989)."""
 KNOWN = 1e8
 """Times the precision of inertias that are known."""
 
@@ -167,7 +167,8 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
     best: tuple[float, str, Table] | None = None
     for motion, measured in MOTIONS.items():
         rows = smoothed(samples, measured)[::step]
-        table = _with_starts(_table(model, rows, moving[::step], keep_inertias).weighed(), rows.time)
+        table = _table(model, rows, moving[::step], keep_inertias).weighed()
+        table = _with_starts(table, rows.time)
         loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum())
                    for fold, (mean, _) in zip(table.folds, table.fold_estimates, strict=True))
         if best is None or loss < best[0]:

@@ -204,7 +204,8 @@ class _Solution:
 
         What they bring must be less than a nat for each of their parameters that can be identified
         (Akaike 1974). Where parts can be left out of the fit, they must besides be predicted within
-        one standard error as well as with all links free (Breiman, Friedman, Olshen and Stone 1984).
+        one standard error as well as with all links free (Breiman, Friedman, Olshen and Stone
+        1984).
         """
         self._held[:] = everything
         if everything:
