@@ -19,7 +19,8 @@ from typing import NoReturn
 from semiparam_ros import __version__
 from semiparam_ros.errors import SemiparamError
 
-COMMANDS = ('run', 'replay', 'evaluate', 'fit', 'compare', 'diagnose', 'simulate', 'convert', 'bench', 'record')
+COMMANDS = ('run', 'replay', 'evaluate', 'fit', 'compare', 'diagnose', 'export', 'simulate', 'convert',
+            'bench', 'record')
 
 DISTRIBUTIONS = {'mcap': 'mcap-ros2-support', 'mcap_ros2': 'mcap-ros2-support', 'pinocchio': 'pin',
                  'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}

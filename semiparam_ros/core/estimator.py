@@ -32,6 +32,7 @@ from semiparam_ros.core.single_estimator import (
     DesiredOutputs,
     EstimatorState,
     MemberState,
+    Model,
     ModelOptions,
     Prediction,
     Seen,
@@ -295,6 +296,15 @@ class Estimator(SingleEstimator):
     def members(self) -> tuple[Member, ...]:
         """What is averaged."""
         return members_of(self.options, bool(self.columns.effects), self.ready)
+
+    @property
+    def rigid_body_model(self) -> Model:
+        """That of the rigid body alone, with the declared effects, where one is averaged; else the first one's: what
+        features explain beside it is not in the coefficients of the first."""
+        for member, each in zip(self.members, (self, *self._others), strict=True):
+            if member == Member('P'):
+                return each.model
+        return self.model
 
     def _effects_of(self, member: Member) -> Sequence[ColumnBlock]:
         return self.columns.effects if member.has_effects else ()

@@ -230,6 +230,9 @@ def test_pause_tare_save_and_load(client):
     assert client.pause(False).success
     saved = client.trigger('save_state')
     assert saved.success and saved.message.endswith('state.npz is written.')
+    exported = client.trigger('export_model')
+    assert exported.success and 'state.urdf and state.json are written, from the model of' in exported.message, \
+        exported.message
     client.play(samples[160:200], JOINTS)
     first = client.values('predicted_wrench')[-40:]
     assert client.trigger('reset').success

@@ -47,6 +47,7 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         client.offer('joint_states', 'joint_accelerations')
         assert client.trigger('diagnose').message == 'there are no samples to diagnose yet.'
         assert 'no diagnosis yet' in client.trigger('apply_diagnosis').message
+        assert 'holds no model yet' in client.trigger('export_model').message
         play(client, samples[:100])
         assert 'needs at least' in client.trigger('diagnose').message
         play(client, samples[100:900])

@@ -34,6 +34,7 @@ from semiparam_ros.ros.estimator.diagnostics import (
     Rejections,
     Reports,
 )
+from semiparam_ros.ros.estimator.exporting import Exporting
 from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answering
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
@@ -75,6 +76,8 @@ class EstimatorNode(Node):
         self._held_replies = HeldReplies(self, self._announcement)
         lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
         self._requests = Services(self, self._live, self._the_learner, folder_of(settings), lock, guarded, self.errors)
+        self._exporting = Exporting(self, self._live, self._the_learner, lambda: self._robot.description,
+                                    self._background, folder_of(settings), lock, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
         self._autosave = Autosave(self, settings, lock,
                                   lambda: None if self.learner is None else self.learner.state(),

@@ -30,6 +30,13 @@ class Robot:
         """Whether there is a body."""
         return self._text is not None
 
+    @property
+    def description(self) -> str:
+        """The text in use; raises SemiparamError while there is none."""
+        if self._text is None:
+            raise SemiparamError('there is no model yet: the robot description has not come.')
+        return self._text
+
     def from_parameters(self) -> None:
         """Use the description of the parameters, if they hold one; raises SemiparamError when it does not fit."""
         if self._settings.robot_description_file or self._settings.robot_description:

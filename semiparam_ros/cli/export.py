@@ -1,0 +1,145 @@
+"""`semiparam export SOURCE`: what was learnt as files for controllers and simulators."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from semiparam_ros.atomic_write import write_text
+from semiparam_ros.cli.options import (
+    add_json_option,
+    add_params_option,
+    output,
+    require_places,
+    write_json,
+)
+from semiparam_ros.errors import SemiparamError
+
+if TYPE_CHECKING:
+    from semiparam_ros.core.robot.rigid_body import RigidBody
+    from semiparam_ros.export.estimate import Estimate
+    from semiparam_ros.export.identified import Identified
+    from semiparam_ros.settings import Settings
+
+HELP = ('Write what was learnt, as bodies that can exist, into a URDF, a MuJoCo model, and forms '
+        'of controllers.')
+
+FORMS = {'urdf': 'URDF: inertias, friction and damping, loads as fixed links; all else as it was',
+         'mjcf': 'MuJoCo model: the same, with armature; needs the Python package mujoco',
+         'ur-payload': 'load as URScript set_target_payload (Universal Robots)',
+         'franka-desk': 'load as the JSON file of an end effector in Franka Desk',
+         'libfranka': 'load as a call of franka::Robot::setLoad',
+         'gravity-filter': 'weight on the sensor, for the gravity compensation of ros2_control',
+         'crisp-friction': 'friction of the joints, for crisp_controllers'}
+
+MOST_SAMPLES = 60_000
+"""Of a longer recording stretches are read, evenly spread over it."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `semiparam export`."""
+    parser.add_argument('source', metavar='SOURCE', type=Path,
+                        help='recording (.mcap, rosbag2 directory, .db3, ROS 1 .bag), or a saved '
+                        'state (.npz)')
+    add_params_option(parser)
+    parser.add_argument('--load', metavar='LINK', action='append', default=[],
+                        help='this link carries a load that the description lacks; may be '
+                        'repeated. A payload among the effects of the parameters is one too')
+    parser.add_argument('--keep-inertias', action='store_true',
+                        help='links stay as described, so that loads explain what differs')
+    parser.add_argument('--flange', metavar='LINK',
+                        help="link in whose frame controllers' loads are told (default: the one "
+                        'that carries the load)')
+    files = parser.add_argument_group('files')
+    for form, text in FORMS.items():
+        files.add_argument(f'--{form}', metavar='FILE', type=Path, help=text)
+    add_json_option(files)  # type: ignore[arg-type]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Identify, write every file that was asked for, and show what was found."""
+    from semiparam_ros.export.identified import identify
+    from semiparam_ros.export.report import document, lines, price
+    from semiparam_ros.export.urdf import described_links
+    from semiparam_ros.settings import load_params
+
+    paths = {form: getattr(args, form.replace('-', '_')) for form in FORMS}
+    require_places(args.json, *paths.values())
+    settings = load_params(args.params)
+    texts = [f'payload@{link}' for link in args.load]
+    settings = replace(settings, effects=(*settings.effects, *texts))
+    estimate, urdf = _estimate(args, settings)
+    found = identify(estimate, described_links(urdf), args.keep_inertias)
+    body = estimate.columns.body
+    written = {path: _text(form, body, urdf, found, args.flange)
+               for form, path in paths.items() if path}
+    for path, text in written.items():
+        write_text(path, text)
+    if args.json:
+        write_json(args.json, {'command': 'export', 'source': str(args.source), **document(found)})
+    for line in [*lines(found), price(found)]:
+        output.print(line, soft_wrap=True)
+    for path in filter(None, (*written, args.json)):
+        output.print(f'written: {path}', soft_wrap=True)
+    return 0
+
+
+def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, str]:
+    """What the source tells, and the robot description."""
+    from semiparam_ros.settings.robot_description import robot_description
+
+    source = args.source
+    if source.suffix in ('.yaml', '.yml'):
+        raise SemiparamError(f'{source} says what there is, not how much of it; expected a '
+                             f'recording or a saved state, and this file as --params {source}.')
+    if source.suffix == '.npz':
+        if args.load or args.keep_inertias:
+            raise SemiparamError(f'--load and --keep-inertias ask for a fit, but {source} is a '
+                                 'saved state; expected a recording, or a payload among the '
+                                 'effects that the state has learnt.')
+        return _of_state(source, settings), robot_description(settings)
+    return _of_recording(source, settings, args.keep_inertias)
+
+
+def _of_state(source: Path, settings: Settings) -> Estimate:
+    from semiparam_ros.export.estimate import from_estimator
+    from semiparam_ros.online.state_file import load
+    from semiparam_ros.settings.build import build_rigid_body
+
+    saved = load(source, settings, build_rigid_body(settings))
+    return from_estimator(saved.estimator, saved.batch.samples, str(source))
+
+
+def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tuple[Estimate, str]:
+    from semiparam_ros.cli.evaluate import load_bags
+    from semiparam_ros.export.estimate import from_recording
+    from semiparam_ros.settings.build import build_rigid_body, declared_effects
+    from semiparam_ros.settings.robot_description import robot_description
+
+    bag = load_bags([source], settings, lambda rate: MOST_SAMPLES)[0]
+    body = build_rigid_body(settings, bag.robot_description)
+    estimate = from_recording(body, declared_effects(settings), bag.samples,
+                              settings.joint_friction, keep_inertias, str(source))
+    return estimate, robot_description(settings, bag.robot_description)
+
+
+def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str | None) -> str:
+    """What a file of one form holds."""
+    from semiparam_ros.export import controllers
+    from semiparam_ros.export.mjcf import identified_mjcf
+    from semiparam_ros.export.report import remark
+    from semiparam_ros.export.urdf import identified_urdf
+
+    told = remark(found)
+    texts: dict[str, Callable[[], str]] = {
+        'urdf': lambda: identified_urdf(urdf, found, told),
+        'mjcf': lambda: identified_mjcf(identified_urdf(urdf, found, told), found, told),
+        'ur-payload': lambda: controllers.ur_script(controllers.load_at(body, found, flange), told),
+        'franka-desk': lambda: controllers.franka_desk(controllers.load_at(body, found, flange)),
+        'libfranka': lambda: controllers.libfranka(controllers.load_at(body, found, flange), told),
+        'gravity-filter': lambda: controllers.gravity_filter(body, found, told),
+        'crisp-friction': lambda: controllers.crisp_friction(found, told)}
+    return texts[form]()

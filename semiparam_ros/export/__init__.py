@@ -1,0 +1,1 @@
+"""What was learnt, in the files that controllers and simulators read."""

@@ -1,0 +1,268 @@
+"""What is known of the coefficients of a robot's model: from a recording, or from an estimator.
+
+A recording is there as a whole, so its motion is smoothed, which a live model cannot do, and all of
+its samples are fitted at once by weighted least squares with the priors of the variant P. Errors of
+neighbouring samples resemble each other: a channel whose residual has the integrated correlation
+time tau tells as much as one sample in tau of independent ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.motion import at_start
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.signals.smoothing import smoothed
+from semiparam_ros.core.types import Array, Indices, Mask
+from semiparam_ros.effects import Effect
+from semiparam_ros.errors import SemiparamError
+
+MOTIONS = {'smoothed': 2, 'smoothed from positions': 1, 'smoothed with accelerations': 3}
+"""How much of positions, velocities and accelerations the smoother uses: the latter two may lag."""
+MOST_VALUES = 20_000_000
+"""Of the columns of all samples: 160 MB. Of a longer recording evenly spread samples are used."""
+BLOCKS, FOLDS = 40, 5
+REWEIGHTINGS = 4
+DEGREES = 5.0
+"""Of Student's t, as for the online estimator's averages."""
+FISHER = np.sqrt((DEGREES + 1.0) / (DEGREES + 3.0))
+"""Root of a sample's information over that of a normal one of the same scale (Lange, Little and
+Taylor 1989)."""
+KNOWN = 1e8
+"""Times the precision of inertias that are known."""
+
+
+class Estimate(NamedTuple):
+    """theta ~ N(mean, information^-1), in the order of the columns.
+
+    :param how: what it is from, as a phrase. :param top_speed: (n_joints,) largest velocities seen
+        [rad/s, m/s]. :param table: samples that judge it.
+    :param held_out: whether it can be fitted anew without the samples that judge.
+    """
+
+    columns: CoupledColumns
+    mean: Array  # (p,)
+    information: Array  # (p, p)
+    how: str
+    top_speed: Array
+    table: Table | None = None
+    held_out: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns and outputs of a recording.
+
+    :param columns: (N, n, p). :param outputs: (N, n). :param used: (N,) samples that tell
+        something.
+    :param deviation: (n,) of a sample that counts as an independent one. :param weight: (N, n) of
+        each output by Student's t, so that a touch decides nothing.
+    """
+
+    model: CoupledColumns
+    columns: Array
+    outputs: Array
+    used: Mask
+    deviation: Array
+    weight: Array
+    starts: tuple[tuple[float, str], ...] = ()
+    """[s] When loads appear that were not there from the beginning, and their links."""
+    keep_inertias: bool = False
+    """Whether the rigid body is known to be as described."""
+
+    @cached_property
+    def folds(self) -> list[Mask]:
+        """(N,) each: as many samples of consecutive parts of the recording."""
+        number = (np.cumsum(self.used) - 1) * FOLDS // self.used.sum()
+        return [self.used & (number == fold) for fold in range(FOLDS)]
+
+    @cached_property
+    def fold_estimates(self) -> list[tuple[Array, Array]]:
+        """Of each fold :meth:`estimate` without it."""
+        return [self.estimate(self.used & ~fold) for fold in self.folds]
+
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """(p,) mean and precision before any sample."""
+        precision = self.model.prior_scale**-2.0
+        if self.keep_inertias:
+            precision[self.model.blocks['rigid_body']] *= KNOWN
+        return self.model.expected, precision
+
+    def estimate(self, rows: Mask) -> tuple[Array, Array]:
+        """(p,) mean and (p, p) information of theta from some samples (N,)."""
+        mean, precision = self.prior
+        information, right = np.diag(precision), precision * mean
+        for channel, deviation in enumerate(self.deviation):
+            root = np.sqrt(self.weight[rows, channel]) / deviation
+            columns = self.columns[rows, channel] * root[:, None]
+            information += columns.T @ columns
+            right += columns.T @ (self.outputs[rows, channel] * root)
+        return cho_solve(cho_factor(information), right), np.asarray(information, dtype=np.float64)
+
+    def residual(self, theta: Array) -> Array:
+        """(N, n)."""
+        return np.asarray(self.outputs - self.columns @ theta)
+
+    def error(self, theta: Array, rows: Mask) -> Array:
+        """(n,) mean squared error over the variance of all outputs in use; NaN where that is 0."""
+        variance = self.outputs[self.used].var(axis=0)
+        square = np.mean(self.residual(theta)[rows] ** 2, axis=0)
+        return np.divide(square, variance, out=np.full(len(square), np.nan), where=variance > 0.0)
+
+    def weighed(self) -> Table:
+        """The same with the deviations of what the fit leaves, correlation in time included."""
+        table = self
+        for _ in range(REWEIGHTINGS):
+            left = table.residual(table.estimate(table.used)[0])
+            weighted = np.sqrt(table.weight) * left
+            size = np.maximum(weighted[table.used].std(axis=0), 1e-9 * self.deviation)
+            memory = [correlation_time(values) for values in weighted[table.used].T]
+            table = replace(table, deviation=size * np.sqrt(memory) / FISHER,
+                            weight=(DEGREES + 1.0) / (DEGREES + (left / size) ** 2))
+        return table
+
+
+def correlation_time(residual: Array) -> float:
+    """[samples] integrated, at least 1: up to the first pair of lags that is not positive (Geyer
+    1992)."""
+    centred = residual - residual.mean()
+    spectrum = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
+    correlation = np.fft.irfft(spectrum)[:len(centred)]
+    if not correlation[0] > 0.0:
+        return 1.0
+    pairs = correlation[:len(centred) // 2 * 2].reshape(-1, 2).sum(axis=1) / correlation[0]
+    end = int(np.argmin(pairs > 0.0)) if (pairs <= 0.0).any() else len(pairs)
+    return max(2.0 * float(pairs[:end].sum()) - 1.0, 1.0)
+
+
+def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
+                   joint_friction: bool, keep_inertias: bool, name: str) -> Estimate:
+    """By the motion, of those that the smoother offers, that predicts parts left out best.
+
+    :param keep_inertias: whether the rigid body is known to be as described.
+
+    A declared load without a start begins where the samples say, at a multiple of 1/40 of the
+    recording, and what is around it is left out.
+
+    Raises SemiparamError when the recording has fewer samples in motion than the model has
+    coefficients.
+    """
+    model = CoupledColumns(body, effects, joint_friction, physical=True)
+    step = -(-len(samples) * body.n_outputs * model.n_columns // MOST_VALUES)
+    moving = _moving(samples)
+    if moving.sum() < model.n_columns:
+        raise SemiparamError(f'{name} holds {int(moving.sum())} samples of a robot that moves; '
+                             f'expected at least {model.n_columns}, as many as the model has '
+                             'coefficients.')
+    best: tuple[float, str, Table] | None = None
+    for motion, measured in MOTIONS.items():
+        rows = smoothed(samples, measured)[::step]
+        table = _table(model, rows, moving[::step], keep_inertias).weighed()
+        table = _with_starts(table, rows.time)
+        loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum())
+                   for fold, (mean, _) in zip(table.folds, table.fold_estimates, strict=True))
+        if best is None or loss < best[0]:
+            best = loss, motion, table
+    assert best is not None
+    _, motion, table = best
+    how = f'{int(table.used.sum())} samples of {name}, motion {motion}'
+    mean, information = table.estimate(table.used)
+    top_speed = np.abs(samples.velocity).max(axis=0)
+    return Estimate(table.model, mean, information, how, top_speed, table, held_out=True)
+
+
+def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> Estimate:
+    """What an estimator has learnt, of its rigid body alone where several models are averaged.
+
+    :param samples: that judge it; None or empty: nothing does.
+
+    Raises SemiparamError when it has learnt no rigid body.
+    """
+    if not estimator.ready:
+        raise SemiparamError(f'{name} holds no model yet; expected one whose initial window is '
+                             'over.')
+    model = estimator.rigid_body_model
+    if model.variant.pi != 'learnt':
+        raise SemiparamError(f'{name} learns no inertial parameters: its variant is '
+                             f'{estimator.options.variant}; expected P, SPK-ML or auto.')
+    columns, covariance = estimator.columns, model.recursion.theta_covariance()
+    table = None
+    if samples is not None and len(samples):
+        table = _table(columns, samples, _moving(samples))
+    information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    n = estimator.body.n_joints
+    top_speed = np.abs(estimator.inputs_learnt[:, n:2 * n]).max(axis=0)
+    return Estimate(columns, model.theta, information, f'the model of {name}', top_speed, table)
+
+
+def _table(model: CoupledColumns, samples: Samples, used: Mask,
+           keep_inertias: bool = False) -> Table:
+    spread = np.maximum(samples.outputs[used].std(axis=0), 1e-9)
+    return Table(model, model.batch(samples)[0], samples.outputs, used, spread,
+                 np.ones(samples.outputs.shape), keep_inertias=keep_inertias)
+
+
+def _moving(samples: Samples) -> Mask:
+    """(N,) where the robot moves."""
+    motion, found = None, []
+    for row in zip(samples.stamps.tolist(), samples.position, samples.outputs, strict=True):
+        motion = at_start(*row) if motion is None else motion.after(*row)
+        found.append(motion.is_news)
+    return np.array(found)
+
+
+def _with_starts(table: Table, time: Array) -> Table:
+    """With the columns of loads that have no start zero before the samples show them."""
+    block: Indices = np.arange(len(time)) * BLOCKS // len(time)
+    for index, effect in enumerate(table.model.effects):
+        start = getattr(effect, 'start', None)
+        if not effect.is_load or start is None or start.values:
+            continue
+        best = _best_start(table, table.model.blocks[str(index)], block)
+        if best == 0:
+            continue
+        columns = table.columns.copy()
+        columns[block < best, :, table.model.blocks[str(index)]] = 0.0
+        table = replace(table, columns=columns)
+        if best < BLOCKS:
+            known = float(time[block == best][0]), str(getattr(effect, 'where', ''))
+            around = np.abs(block - best + 0.5) < 1.0
+            table = replace(table, starts=(*table.starts, known), used=table.used & ~around)
+    return table.weighed()
+
+
+def _best_start(table: Table, part: slice, block: Indices) -> int:
+    """The block from which on the columns of ``part`` are most probably there, by the evidence of
+    the samples; BLOCKS where they never are."""
+    mean, precision = table.prior
+    grams, rights = [], []
+    for number in range(BLOCKS):
+        rows = table.used & (block == number)
+        root = np.sqrt(table.weight[rows]) / table.deviation
+        columns = table.columns[rows] * root[:, :, None]
+        grams.append(np.einsum('tnp,tnq->pq', columns, columns, optimize=True))
+        rights.append(np.einsum('tnp,tn->p', columns, table.outputs[rows] * root))
+    there = np.ones(len(mean))
+    there[part] = 0.0
+    evidence = np.zeros(BLOCKS + 1)
+    for start in range(BLOCKS + 1):
+        information = np.diag(precision) + sum(grams[start:])
+        right = precision * mean + sum(rights[start:])
+        if start:
+            information += sum(grams[:start]) * np.outer(there, there)
+            right = right + there * sum(rights[:start])
+        factor = cho_factor(information)
+        evidence[start] = 0.5 * right @ cho_solve(factor, right) - np.log(np.diag(factor[0])).sum()
+    best = int(np.argmax(evidence))
+    likely = evidence[best] > evidence[0] + np.log(BLOCKS)  # before, as probable as all others
+    return best if likely else 0

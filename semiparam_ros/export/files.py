@@ -1,0 +1,39 @@
+"""The files that a running node writes of what it has learnt: a URDF and a JSON document."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from semiparam_ros.atomic_write import write_text
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.export.estimate import Estimate
+from semiparam_ros.export.identified import identify
+from semiparam_ros.export.report import MARK, document, remark
+from semiparam_ros.export.urdf import described_links, identified_urdf
+
+
+def export_to(folder: Path, name: str, urdf: str, estimate: Estimate) -> str:
+    """Write ``name.urdf`` and ``name.json``; the sentence returned says where.
+
+    Raises SemiparamError, with nothing written, when something else than an export has their names.
+    """
+    paths = [folder / f'{name}{suffix}' for suffix in ('.urdf', '.json')]
+    for path in paths:
+        _require_replaceable(path)
+    found = identify(estimate, described_links(urdf))
+    texts = [identified_urdf(urdf, found, remark(found)),
+             json.dumps(document(found), indent=2) + '\n']
+    folder.mkdir(parents=True, exist_ok=True)
+    for path, text in zip(paths, texts, strict=True):
+        write_text(path, text)
+    return f'{paths[0]} and {paths[1].name} are written, from {estimate.how}.'
+
+
+def _require_replaceable(path: Path) -> None:
+    if path.is_symlink():
+        raise SemiparamError(f'{path} is a link, which is not followed; expected an export or no '
+                             'file.')
+    if path.exists() and MARK not in path.read_text(encoding='utf-8', errors='replace'):
+        raise SemiparamError(f'{path} is no export, so it is not replaced; move it away, or choose '
+                             'another state_file.')

@@ -1,0 +1,361 @@
+"""From an estimate to quantities that files can hold: inertias of links, friction of joints, loads.
+
+Base parameters alone can be identified, and links fixed to each other move as one body. So all
+links with a mass are looked for together, each as near to its description as the estimate allows
+(``core.robot.consistency``): what the samples do not tell apart is shared out by that distance.
+Friction, damping and armature are kept from being negative; all else is as it is then most
+probable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.consistency import (
+    Body,
+    ball,
+    consistent_bodies,
+    distance,
+    is_consistent,
+    made_consistent,
+)
+from semiparam_ros.core.robot.frames import felt_links, load_transform
+from semiparam_ros.core.robot.joint_friction import NAMES
+from semiparam_ros.core.robot.size import LEAST_LENGTH_SHARE, SHARE, size_of
+from semiparam_ros.core.types import Array
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.export.estimate import Estimate
+
+DYNAMICS = {
+    'viscous_friction': {'viscous': ('damping', 1.0)},
+    'coulomb_friction': {'coulomb': ('friction', 1.0)},
+    'stribeck_friction': {'coulomb': ('friction', 1.0)},
+    'asymmetric_friction': {
+        'coulomb_forward': ('friction', 0.5), 'coulomb_backward': ('friction', 0.5),
+        'viscous_forward': ('damping', 0.5), 'viscous_backward': ('damping', 0.5)},
+    'rotor_inertia': {'inertia': ('armature', 1.0)},
+}
+"""What coefficients of effects mean to a simulator; of both directions it takes the mean."""
+SURE = 2.0
+"""Standard deviations above zero from which on the mass of a load is one."""
+PARAMETERS = 10.0
+"""Of a link."""
+RANK = 1e-9
+UNITS = {'damping': 'N m s/rad', 'friction': 'N m', 'armature': 'kg m^2'}
+
+
+class JointDynamics(NamedTuple):
+    """A quantity of a joint that cannot be negative, with its standard deviation before that."""
+
+    joint: str
+    name: str  # damping [N m s/rad], friction [N m] or armature [kg m^2]
+    value: float
+    std: float
+
+
+class Load(NamedTuple):
+    """A body that a link carries beside its own: (10,) inertial parameters in the link's frame."""
+
+    link: str
+    parameters: Array
+    mass_std: float  # [kg]
+    start_s: float | None = None
+    """Since when, in seconds after the start of the recording; None: from the beginning."""
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        return float(self.parameters[0])
+
+    @property
+    def centre(self) -> Array:
+        """(3,) [m]."""
+        return np.asarray(self.parameters[1:4] / self.parameters[0])
+
+    @property
+    def inertia(self) -> Array:
+        """(3, 3) about the centre, in the axes of the link [kg m^2]."""
+        xx, xy, yy, xz, yz, zz = self.parameters[4:]
+        about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        centre = self.centre
+        shift = centre @ centre * np.eye(3) - np.outer(centre, centre)
+        return np.asarray(about_origin - self.mass * shift)
+
+
+class Price(NamedTuple):
+    """Mean over the outputs of squared error over variance, on samples that took no part in the
+    fit, unless it says so."""
+
+    description: float
+    unconstrained: float
+    consistent: float
+    held_out: bool
+
+
+class Identified(NamedTuple):
+    """What an export writes.
+
+    :param links: (10,) inertial parameters in its own frame, of each link that the outputs feel,
+        and of those that are mended.
+    :param offsets: of each output with a constant offset. :param left_out: what JSON alone holds.
+    """
+
+    how: str
+    links: Mapping[str, Array]
+    described: Mapping[str, Array]
+    mended: Sequence[str]
+    """Links that the description has as bodies that cannot be."""
+    joints: Sequence[JointDynamics]
+    loads: Sequence[Load]
+    not_shown: Sequence[str]
+    """Links of declared loads whose mass may well be zero: they are left out."""
+    offsets: Mapping[str, float]
+    left_out: Mapping[str, float]
+    top_speed: Mapping[str, float]
+    """[rad/s, m/s] Largest velocity of each joint."""
+    price: Price | None
+
+
+def identify(estimate: Estimate, described: Mapping[str, Array],
+             keep_inertias: bool = False) -> Identified:
+    """All that an estimate tells of a robot.
+
+    :param described: (10,) inertial parameters of the links by the robot description.
+    :param keep_inertias: links stay as described, so that loads alone explain what differs.
+
+    Raises SemiparamError when no link that the outputs feel has a mass.
+    """
+    columns = estimate.columns
+    covariance = np.asarray(np.linalg.inv(estimate.information), dtype=np.float64)
+    solution = _Solution(estimate, described, covariance)
+    solution.hold(estimate, everything=keep_inertias)
+    links, loads, theta = solution.found(estimate.mean, estimate.information)
+    price = None if estimate.table is None else _price(estimate, solution, theta)
+    starts = {} if estimate.table is None else {link: time for time, link in estimate.table.starts}
+    joints = [JointDynamics(joint, name, max(float(weights @ theta), 0.0),
+                            float(np.sqrt(weights @ covariance @ weights)))
+              for joint, name, weights in solution.dynamics]
+    found = [Load(link, parameters, _std(covariance, block.start), starts.get(link))
+             for (link, block), parameters in zip(solution.loads, loads, strict=True)]
+    offsets = dict(zip(columns.body.output_names, theta[columns.blocks['offset']].tolist(),
+                       strict=False))  # none without joint friction
+    speeds = dict(zip(columns.body.joints, estimate.top_speed.tolist(), strict=True))
+    return Identified(estimate.how, links, solution.described, solution.mended, joints, found,
+                      solution.not_shown, offsets, _left_out(columns, theta), speeds, price)
+
+
+def _std(covariance: Array, index: int) -> float:
+    return float(np.sqrt(max(covariance[index, index], 0.0)))
+
+
+class _Solution:
+    """The constrained fit of one robot, for one estimate or another."""
+
+    def __init__(self, estimate: Estimate, described: Mapping[str, Array],
+                 covariance: Array) -> None:
+        columns, body = estimate.columns, estimate.columns.body
+        felt = [name for name in felt_links(body)
+                if name in described and described[name][0] > 0.0]
+        if not felt:
+            raise SemiparamError('the robot description gives no mass to a link that the outputs '
+                                 'feel; expected inertials, which an export starts from.')
+        size, count = size_of(body), columns.n_columns
+        self.described = {name: values for name, values in described.items()
+                          if values[0] > 0.0 and (name in felt or not is_consistent(values))}
+        self.mended = [name for name, values in self.described.items() if not is_consistent(values)]
+        self._others = {name: made_consistent(values, size.length)
+                        for name, values in self.described.items() if name not in felt}
+        self._links, self._identifiable = felt, body.n_parameters
+        self._held = np.zeros(len(self._links), dtype=bool)
+        self._bodies = []
+        for name in felt:
+            index, transform = load_transform(body, name)
+            into = np.zeros((count, 10))
+            into[:body.n_parameters] = body.basis[10 * index:10 * index + 10].T @ transform
+            self._bodies.append(Body(made_consistent(described[name], size.length), into))
+        self.loads: list[tuple[str, slice]] = []
+        self.not_shown: list[str] = []
+        self._rigid, self._absent = np.zeros((2, count), dtype=bool)
+        self._rigid[columns.blocks['rigid_body']] = True
+        for index, effect in enumerate(columns.effects):
+            if effect.is_load:
+                self._add_load(str(getattr(effect, 'where', '')), columns.blocks[str(index)],
+                               estimate.mean, covariance)
+        usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * size.length)
+        self._load_bodies = [Body(usual, np.eye(count)[:, block], size.length)
+                             for _, block in self.loads]
+        self.dynamics = _dynamics(columns)
+
+    def _add_load(self, link: str, block: slice, mean: Array, covariance: Array) -> None:
+        shown = mean[block.start] > SURE * _std(covariance, block.start)
+        (self._rigid if shown else self._absent)[block] = True
+        if shown:
+            self.loads.append((link, block))
+        else:
+            self.not_shown.append(link)
+
+    def hold(self, estimate: Estimate, everything: bool) -> None:
+        """Leave links as described: all, or those that need not change, first all together, then
+        one after another, the nearest first.
+
+        What they bring must be less than a nat for each of their parameters that can be identified
+        (Akaike 1974). Where parts can be left out of the fit, they must besides be predicted within
+        one standard error as well as with all links free (Breiman, Friedman, Olshen and Stone
+        1984).
+        """
+        self._held[:] = everything
+        if everything:
+            return
+        links, _, theta = self.found(estimate.mean, estimate.information)
+        apart = [distance(links[name], body.reference)
+                 for name, body in zip(self._links, self._bodies, strict=True)]
+        best, errors = _given_up(estimate, theta), self._left_out_errors(estimate)
+        possible = np.array([name not in self.mended for name in self._links])
+        for chosen in (possible, *np.eye(len(possible), dtype=bool)[np.argsort(apart)]):
+            before = self._held.copy()
+            self._held |= chosen & possible
+            brings = _given_up(estimate, self.found(estimate.mean, estimate.information)[2]) - best
+            worse = self._left_out_errors(estimate) - errors
+            margin = np.sqrt(len(worse)) * worse.std(ddof=1) if len(worse) else 0.0
+            count = min(PARAMETERS * (self._held & ~before).sum(), self._identifiable)
+            if brings <= count and worse.sum() <= margin:
+                best += brings
+            else:
+                self._held = before
+
+    def _left_out_errors(self, estimate: Estimate) -> Array:
+        """(FOLDS,) normalised, on parts left out of the fit; (0,) where none can be."""
+        table = estimate.table if estimate.held_out else None
+        if table is None:
+            return np.zeros(0)
+        pairs = zip(table.folds, table.fold_estimates, strict=True)
+        return np.array([float(np.nanmean(table.error(self.found(*fitted)[2], fold)))
+                         for fold, fitted in pairs])
+
+    def found(self, mean: Array, information: Array) -> tuple[dict[str, Array], Array, Array]:
+        """Links and loads (n, 10), and theta (p,) with all else as it then is most probable."""
+        zero: list[Array] = []
+        while True:
+            links, loads, theta = self._with(zero, mean, information)
+            negative = [weights for _, _, weights in self.dynamics
+                        if weights @ theta < 0.0 and not any(weights is each for each in zero)]
+            if not negative:
+                return dict(zip(self._links, links, strict=True)) | self._others, loads, theta
+            zero += negative
+
+    def _with(self, zero: Sequence[Array], mean: Array,
+              information: Array) -> tuple[Array, Array, Array]:
+        """The same where some quantities, given by their weights (p,), are held at zero."""
+        everything = np.eye(len(mean))
+        fixed, free = everything[:, self._rigid], everything[:, ~self._rigid & ~self._absent]
+        if zero:
+            _, singular, axes = np.linalg.svd(np.array(zero) @ free)
+            free = free @ axes[int(np.sum(singular > RANK)):].T
+        pull, inner = information @ mean, free.T @ information @ free
+        gain = np.linalg.solve(inner, free.T @ information @ fixed)
+        marginal = fixed.T @ information @ (fixed - free @ gain)
+        most_probable = np.linalg.solve(marginal, fixed.T @ pull - gain.T @ (free.T @ pull))
+        links = np.array([body.reference for body in self._bodies])
+        bodies = [body._replace(columns=body.columns[self._rigid])
+                  for body in (*self._bodies, *self._load_bodies)]
+        still = [body for body, held in zip(bodies, self._held, strict=False) if held]
+        moved = [body for body in bodies if not any(body is each for each in still)]
+        known = _contribution(still, [body.reference for body in still], len(marginal))
+        found = consistent_bodies(most_probable - known, marginal, moved)
+        rigid = known + _contribution(moved, found, len(marginal))
+        links[~self._held] = found[:len(found) - len(self.loads)]
+        theta = fixed @ rigid + free @ (np.linalg.solve(inner, free.T @ pull) - gain @ rigid)
+        return links, found[len(found) - len(self.loads):], theta
+
+
+def _given_up(estimate: Estimate, theta: Array) -> float:
+    """[nat] Of the estimate's probability."""
+    apart = theta - estimate.mean
+    return float(0.5 * apart @ estimate.information @ apart)
+
+
+def _contribution(bodies: Sequence[Body], parameters: Sequence[Array] | Array, count: int) -> Array:
+    """(count,) what bodies with parameters (10,) each bring."""
+    total = np.zeros(count)
+    for body, values in zip(bodies, parameters, strict=True):
+        total += body.columns @ values
+    return total
+
+
+def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
+    """Joint, quantity and the weights (p,) by which it follows from theta."""
+    body, found = columns.body, dict[tuple[str, str], Array]()
+
+    def add(joint: str, name: str, place: int, weight: float) -> None:
+        found.setdefault((joint, name), np.zeros(columns.n_columns))[place] += weight
+
+    if columns.has_friction:
+        start = columns.blocks['friction'].start
+        for kind, name in enumerate(NAMES):
+            for number, joint in enumerate(body.output_names):
+                add(joint, 'damping' if name == 'viscous' else 'friction',
+                    start + kind * body.n_outputs + number, 1.0)
+    for index, effect in enumerate(columns.effects):
+        roles = DYNAMICS.get(getattr(effect, 'kind', ''), {})
+        block, joint = columns.blocks[str(index)], str(getattr(effect, 'where', ''))
+        for place, name in enumerate(_coefficients(columns, index)):
+            if name in roles:
+                add(joint, roles[name][0], block.start + place, roles[name][1])
+    return [(joint, name, weights) for (joint, name), weights in found.items()]
+
+
+def _coefficients(columns: CoupledColumns, index: int) -> list[str]:
+    effect = columns.effects[index]
+    return [each.name for each in effect.coefficients(columns.body)]  # type: ignore[attr-defined]
+
+
+def _left_out(columns: CoupledColumns, theta: Array) -> dict[str, float]:
+    """Values of effects that are neither loads nor friction, and their calibrations."""
+    found: dict[str, float] = {}
+    for index, effect in enumerate(columns.effects):
+        kind, where = getattr(effect, 'kind', 'effect'), getattr(effect, 'where', None)
+        head, block = f'{kind}@{where}' if where else kind, columns.blocks[str(index)]
+        if effect.is_load:
+            continue
+        for name, value in zip(_coefficients(columns, index), theta[block].tolist(), strict=True):
+            if name not in DYNAMICS.get(kind, {}):
+                found[f'{head}.{name}'] = value
+        for name, _ in getattr(effect, 'calibrations', ()):
+            found[f'{head}.{name}'] = float(effect.value(name))  # type: ignore[attr-defined]
+    return found
+
+
+def _price(estimate: Estimate, solution: _Solution, theta: Array) -> Price:
+    """Errors of the description with friction and offset as identified, of the estimate, and of
+    what is exported."""
+    table = estimate.table
+    assert table is not None
+    tries = [(estimate.mean, estimate.information, theta, table.used)]
+    if estimate.held_out:
+        tries = []
+        for fold, fitted in zip(table.folds, table.fold_estimates, strict=True):
+            tries.append((*fitted, solution.found(*fitted)[2], fold))
+    errors = []
+    rigid = estimate.columns.blocks['rigid_body']
+    for mean, information, constrained, rows in tries:
+        as_described = _conditional(mean, information, rigid, estimate.columns.body.base_parameters)
+        errors.append([table.error(each, rows) * rows.sum()
+                       for each in (as_described, mean, constrained)])
+    total = np.sum(errors, axis=0) / sum(rows.sum() for *_, rows in tries)
+    description, unconstrained, consistent = np.nanmean(total, axis=1).tolist()
+    return Price(description, unconstrained, consistent, estimate.held_out)
+
+
+def _conditional(mean: Array, information: Array, part: slice, values: Array) -> Array:
+    """(p,) the most probable theta where a part of it is known."""
+    rest = np.ones(len(mean), dtype=bool)
+    rest[part] = False
+    theta = mean.copy()
+    theta[part] = values
+    theta[rest] -= np.linalg.solve(information[np.ix_(rest, rest)],
+                                   information[np.ix_(rest, ~rest)] @ (values - mean[part]))
+    return theta

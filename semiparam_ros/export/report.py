@@ -1,0 +1,86 @@
+"""What an export tells: a remark for the files, a JSON document, and lines for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from semiparam_ros import __version__
+from semiparam_ros.core.types import Array
+from semiparam_ros.export.identified import UNITS, Identified, Load
+from semiparam_ros.export.urdf import changed_links
+
+MARK = 'Identified by semiparam_ros'
+"""What all files hold."""
+
+
+def remark(found: Identified) -> str:
+    """How it was made and how well it predicts, for a comment in a file."""
+    told = f'{MARK} {__version__} from {found.how}.'
+    return f'{told} {price(found)}' if found.price else told
+
+
+def price(found: Identified) -> str:
+    """A sentence about the errors."""
+    if found.price is None:
+        return 'No samples judge it.'
+    where = 'On the samples that the state keeps'
+    if found.price.held_out:
+        where = 'On parts left out of the fit'
+    return (f'{where} the normalised error is {found.price.consistent:.4g}; without physical '
+            f'consistency it is {found.price.unconstrained:.4g}, with the inertias of the '
+            f'description {found.price.description:.4g}.')
+
+
+def document(found: Identified) -> dict[str, Any]:
+    """Everything, by name, in SI units."""
+    joints: dict[str, dict[str, Any]] = {}
+    for each in found.joints:
+        joints.setdefault(each.joint, {})[each.name] = {
+            'value': each.value, 'std': each.std, 'unit': UNITS[each.name]}
+    changed = changed_links(found)
+    links = {name: {**_body(values), 'changed': name in changed,
+                    'described': _body(found.described[name]),
+                    'description_consistent': name not in found.mended}
+             for name, values in found.links.items()}
+    loads = [{'link': load.link, **_body(load.parameters), 'mass_std': load.mass_std,
+              'start_s': load.start_s} for load in found.loads]
+    return {'made': remark(found), 'links': links, 'joints': joints, 'loads': loads,
+            'offsets': dict(found.offsets), 'left_out': dict(found.left_out),
+            'errors': None if found.price is None else found.price._asdict()}
+
+
+def _body(parameters: Array) -> dict[str, Any]:
+    body = Load('', parameters, 0.0)
+    return {'mass': body.mass, 'centre': body.centre.tolist(), 'inertia': body.inertia.tolist()}
+
+
+def lines(found: Identified) -> list[str]:
+    """One for each quantity that is not as described, and what to mind."""
+    told = [f'{name}: {found.described[name][0]:.4g} kg to {found.links[name][0]:.4g} kg, centre '
+            f'({_row(_body(found.links[name])["centre"])}) m.'
+            for name in changed_links(found) if name not in found.mended]
+    joints: dict[str, list[str]] = {}
+    for each in found.joints:
+        joints.setdefault(each.joint, []).append(
+            f'{each.name} {each.value:.4g} +- {each.std:.2g} {UNITS[each.name]}')
+    told += [f'{joint}: {", ".join(values)}.' for joint, values in joints.items()]
+    for load in found.loads:
+        since = '' if load.start_s is None else f', since {load.start_s:.1f} s'
+        told.append(f'load at {load.link}: {load.mass:.4g} +- {load.mass_std:.2g} kg, centre '
+                    f'({_row(load.centre)}) m{since}.')
+    told += [f'The samples show no load at {link}: none is written.' for link in found.not_shown]
+    still = [name for name in found.links if name not in changed_links(found)]
+    if still:
+        told.append(f'As described: {", ".join(still)}.')
+    if found.mended:
+        told.append(f'No body has the described inertia of {", ".join(found.mended)}: it is '
+                    'mended.')
+    if found.left_out:
+        values = ', '.join(f'{name} {value:.3g}' for name, value in found.left_out.items())
+        told.append(f'Of this the JSON file alone tells: {values}.')
+    return told
+
+
+def _row(values: Sequence[float] | Array) -> str:
+    return ' '.join(f'{value:.3f}' for value in values)

@@ -1,0 +1,71 @@
+"""Forms of controllers whose numbers can be checked, and what a node writes."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.export.controllers import crisp_friction, gravity_filter
+from semiparam_ros.export.estimate import Estimate
+from semiparam_ros.export.files import export_to
+from semiparam_ros.export.identified import identify
+from semiparam_ros.export.urdf import described_links
+from support.arms import ICUB_JOINTS, ICUB_OWN
+
+URDF = ICUB_OWN.read_text()
+SPEED = 1.5
+
+
+@pytest.fixture
+def estimate():
+    """A robot that is as described, is known to be, and rubs."""
+    from semiparam_ros.core.robot.rigid_body import RigidBody
+
+    columns = CoupledColumns(RigidBody.from_urdf(URDF, ICUB_JOINTS, 'effort'), (), True, True)
+    mean = columns.expected
+    friction = columns.blocks['friction']
+    mean[friction] = [0.5, 0.5, 0.0, -0.1, 0.2, 0.0, 0.0, 0.1, 0.1, 0.4, 0.0, 0.1]
+    return Estimate(columns, mean, 1e4 * np.eye(len(mean)), 'a table', np.full(4, SPEED))
+
+
+def test_friction_curves_are_those_of_the_joints(estimate):
+    found = identify(estimate, described_links(URDF))
+    vectors = yaml.safe_load(crisp_friction(found, 'how'))['friction']
+    velocity = np.linspace(0.1, SPEED, 20)[:, None]
+    fp1, fp2, fp3 = (np.array(vectors[name]) for name in ('fp1', 'fp2', 'fp3'))
+    curve = fp1 / (1 + np.exp(-fp2 * (velocity + fp3))) - fp1 / (1 + np.exp(-fp2 * fp3))
+    wanted = velocity * [0.5, 0.5, 0.0, 0.0] + [0.3, 0.4, 0.0, 0.2]
+    assert np.sum((curve - wanted) ** 2) < 0.03 * np.sum(wanted**2)
+    assert np.allclose(curve[:, [2]], 0.0)
+    assert np.allclose(curve[:, 3], 0.2, atol=0.02)
+
+
+def test_what_drives_a_joint_is_no_damping(estimate):
+    found = identify(estimate, described_links(URDF))
+    damping = {each.joint: each.value for each in found.joints if each.name == 'damping'}
+    assert damping[ICUB_JOINTS[0]] == pytest.approx(0.5, abs=1e-6)
+    assert damping[ICUB_JOINTS[3]] == 0.0
+
+
+def test_efforts_say_nothing_of_the_weight_on_a_sensor(estimate):
+    found = identify(estimate, described_links(URDF))
+    with pytest.raises(SemiparamError, match='expected outputs: wrench'):
+        gravity_filter(estimate.columns.body, found, '')
+
+
+def test_a_node_writes_both_files_and_replaces_its_own_alone(estimate, tmp_path):
+    sentence = export_to(tmp_path / 'states', 'arm', URDF, estimate)
+    assert sentence.endswith('arm.urdf and arm.json are written, from a table.')
+    assert json.loads((tmp_path / 'states/arm.json').read_text())['made'].startswith('Identified')
+    export_to(tmp_path / 'states', 'arm', URDF, estimate)
+    (tmp_path / 'states/arm.json').write_text('{}')
+    before = (tmp_path / 'states/arm.urdf').read_text()
+    with pytest.raises(SemiparamError, match=r'arm\.json is no export, so it is not replaced'):
+        export_to(tmp_path / 'states', 'arm', URDF.replace('<robot', '<robot '), estimate)
+    assert (tmp_path / 'states/arm.urdf').read_text() == before
+    (tmp_path / 'states/link.urdf').symlink_to(tmp_path / 'else')
+    with pytest.raises(SemiparamError, match=r'link\.urdf is a link, which is not followed'):
+        export_to(tmp_path / 'states', 'link', URDF, estimate)
