@@ -389,6 +389,9 @@ class DiagnosisConfig:
 
     # --- verdict ---
 
+    most_left: float = 0.5
+    """Says of an output that it is not explained where this share of its variance is left, and noise is less than this
+    share of that (chosen)."""
     pushed_share: float = 0.1
     """Believes a first effect rather than that the description is wrong if it leaves this share of variance at most."""
     patch_rounds: int = 2

@@ -119,6 +119,18 @@ class Diagnosis:
         return np.asarray(np.sqrt((floors**2 * (weights / weights.sum())[:, None]).sum(axis=0)))
 
     @property
+    def unexplained_outputs(self) -> dict[str, tuple[float, float]]:
+        """Outputs of which the final model leaves most, and more than noise: share of the variance left, and of noise.
+
+        Of held-out samples; an effect that was found elsewhere says nothing of these.
+        """
+        left = self.after.nmse
+        noise = self.noise_floor_rmse**2 * left / np.maximum(self.after.rmse**2, 1e-300)
+        most = (left > self.config.most_left) & (noise < self.config.most_left * left)
+        names = self.first.body.output_names
+        return {names[k]: (float(left[k]), float(noise[k])) for k in np.flatnonzero(most)}
+
+    @property
     def on_all_samples(self) -> Evaluation:
         """What the model that is told and declared leaves of the samples that fitted it."""
         return evaluate_here(self.everything, self.everything.train_mask)

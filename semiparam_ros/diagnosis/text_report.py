@@ -26,7 +26,7 @@ EARLIEST_DATE_S = 1e9
 def text_report(diagnosis: Diagnosis) -> list[str]:
     """A few sentences: is anything missing, what, where, since when, how large, how sure, and what it brings."""
     lines = [problem.sentence for problem in diagnosis.setup]
-    lines += [_opening(diagnosis)] if not lines else []
+    lines += [_opening(diagnosis), *_not_explained(diagnosis)] if not lines else []
     for finding in diagnosis.findings:
         lines.append(_finding(diagnosis, finding))
         lines += _doubts(diagnosis, finding) + _rivals(finding, diagnosis.config.better_odds)
@@ -42,7 +42,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
 
 def summary(diagnosis: Diagnosis) -> list[str]:
     """What was found, a line for each effect, and what to do now; :func:`text_report` has the details."""
-    lines = [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis)]
+    lines = [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis), *_not_explained(diagnosis)]
     for finding in diagnosis.findings:
         effect = finding.effect
         values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding)[:MOST_IN_ROW])
@@ -63,6 +63,13 @@ def _opening(diagnosis: Diagnosis) -> str:
         return 'Something is missing, and the effects below explain only the smaller part of it.'
     count = len(diagnosis.findings)
     return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'
+
+
+def _not_explained(diagnosis: Diagnosis) -> list[str]:
+    """Outputs that stay a riddle, whatever was found elsewhere."""
+    return [f'{name} is not explained: {100 * left:.0f} % of its variance is left, of which noise is '
+            f'{100 * noise:.0f} %. Look at its sign, its unit, its place in the message, or for contact.'
+            for name, (left, noise) in diagnosis.unexplained_outputs.items()]
 
 
 def _contacts(diagnosis: Diagnosis) -> list[str]:

@@ -27,6 +27,7 @@ from semiparam_ros.diagnosis.search.plausibility import (
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
 from semiparam_ros.diagnosis.search.score import gain
 from semiparam_ros.diagnosis.search.stepwise import search, starting_fit
+from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.effects.base import Start
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
@@ -378,3 +379,16 @@ def test_a_joint_that_moves_in_one_block_alone_does_not_hide_what_all_others_gai
     with_friction = declare(plain, friction)
     gained = gain(plain, with_friction)
     assert gained.total > 100.0 and gained.total > 10.0 * gained.error
+
+
+def test_an_output_that_nothing_explains_is_said_first():
+    """Two efforts swapped left 0.94 of one's variance, and the verdict spoke of what was found elsewhere alone."""
+    samples = rubbing(moving(), np.zeros(4), np.array([0.0, 2.0, 0.0, 0.0]))
+    outputs = samples.outputs.copy()
+    outputs[:, 3] = np.std(outputs[:, 3]) * np.sign(np.sin(samples.time / 2.7)) * np.sin(samples.time)
+    found = diagnose(BODY, replace(samples, outputs=outputs), only=['viscous_friction'])
+    assert list(found.unexplained_outputs) == [ODD_JOINTS[3]]
+    left, noise = found.unexplained_outputs[ODD_JOINTS[3]]
+    assert left > 0.5 > noise
+    assert text_report(found)[1].startswith(f'{ODD_JOINTS[3]} is not explained: {100 * left:.0f} % of its variance')
+    assert not diagnose(BODY, samples, only=['viscous_friction']).unexplained_outputs
