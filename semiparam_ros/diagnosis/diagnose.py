@@ -26,8 +26,9 @@ from semiparam_ros.diagnosis.residual.structure import Structure, remaining_stru
 from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
 from semiparam_ros.diagnosis.search.input_errors import with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
+from semiparam_ros.diagnosis.search.ranking import Progress
 from semiparam_ros.diagnosis.search.refit import calibrated
-from semiparam_ros.diagnosis.search.stepwise import Progress, Step, search, starting_fit
+from semiparam_ros.diagnosis.search.stepwise import Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable

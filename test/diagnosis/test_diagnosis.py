@@ -24,9 +24,11 @@ from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
+from semiparam_ros.diagnosis.search.ranking import worth_refining
 from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
-from semiparam_ros.diagnosis.search.stepwise import Rival, pruned, worth_refining
+from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import CHANNELS, Start

@@ -10,9 +10,10 @@ from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.residual.contacts import contacts
 from semiparam_ros.diagnosis.search.plausibility import without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.revision import bent, pruned
 from semiparam_ros.diagnosis.search.score import gain
 from semiparam_ros.diagnosis.search.shapes import settled
-from semiparam_ros.diagnosis.search.stepwise import bent, pruned, starting_fit
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from semiparam_ros.effects.geometry import TimeDelay

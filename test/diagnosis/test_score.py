@@ -10,7 +10,9 @@ from scipy.stats import multivariate_normal
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.search.prior_odds import price
 from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.score import (
     BlockGrams,
     ChannelGrams,
@@ -21,7 +23,7 @@ from semiparam_ros.diagnosis.search.score import (
     summed,
     worth,
 )
-from semiparam_ros.diagnosis.search.stepwise import price, pruned, starting_fit
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Start
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion

@@ -41,6 +41,10 @@ class Gain(NamedTuple):
     total: float
     error: float
 
+    def exceeds(self, price: float, errors: float) -> bool:
+        """Whether it is more than a price [nat], and than so many of its standard errors."""
+        return self.total > max(price, errors * self.error)
+
 
 @dataclass(frozen=True, eq=False)
 class BlockGrams:

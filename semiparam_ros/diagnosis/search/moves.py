@@ -1,0 +1,128 @@
+"""Moves: changes of a model by further effects, with what each gains and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from semiparam_ros.diagnosis.regression import Fit, with_effects
+from semiparam_ros.diagnosis.search.candidates import Place, identity
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
+from semiparam_ros.diagnosis.search.prior_odds import prices
+from semiparam_ros.diagnosis.search.refit import declare, moved_by
+from semiparam_ros.diagnosis.search.revision import bent, formed_anew, pruned, reshaped
+from semiparam_ros.diagnosis.search.score import Gain, gain
+from semiparam_ros.diagnosis.search.scoring import Trial, refined
+from semiparam_ros.effects import Effect
+
+
+class Move(NamedTuple):
+    """A change of the model: the effects added, the model with them, what it gains, and what it costs."""
+
+    added: tuple[Effect, ...]
+    after: Fit
+    gain: Gain
+    price: float
+
+    @property
+    def net(self) -> float:
+        """[nat] what it gains beyond its price."""
+        return self.gain.total - self.price
+
+    @property
+    def good(self) -> bool:
+        """Whether it may be made."""
+        return self.gain.exceeds(self.price, self.after.config.sure)
+
+
+def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
+    """Each of the foremost trials by itself."""
+    moves = []
+    for trial in [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]:
+        after = declare(fit, [trial.effect])
+        if trial.many_valued:
+            trial, after = _at_its_best(fit, trial, after, kinds)
+        if all_plausible(fit, after):
+            moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.start_s),
+                              prices([trial.effect], fit, kinds)))
+    return moves
+
+
+def _at_its_best(fit: Fit, trial: Trial, after: Fit, kinds: Collection[str]) -> tuple[Trial, Fit]:
+    """A trial of many nonlinear values and the model with it, searched one by one and all together in turn."""
+    known = {identity(effect) for effect in fit.effects}
+    for _ in range(fit.config.line_search_rounds):
+        moved = bent(after, [identity(trial.effect)], kinds)
+        own = [effect for effect in moved.effects if identity(effect) not in known]
+        if moved is after or len(own) != 1:
+            break
+        trial = refined(fit, replace(trial, effect=own[0], leaves=moved.residual, squares=moved.squares))
+        other = declare(fit, [trial.effect])
+        after = max(moved, other, key=lambda model: gain(fit, model).total)
+        if after is moved:
+            trial = replace(trial, effect=own[0])
+            break
+    return trial, after
+
+
+def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str]) -> list[Move]:
+    """Kinds at all their places at once: what one joint lacks bends the rigid body's fit of the others."""
+    groups: dict[str, list[Effect]] = {}
+    for trial in trials:
+        if trial.effect.group and trial.effect.start_s is None:
+            groups.setdefault(trial.effect.group, []).append(trial.effect)
+    known, moves = {identity(effect) for effect in fit.effects}, []
+    order = [(kind, where) for kind in kinds for where in fit.body.joints]
+    for effects in groups.values():
+        effects.sort(key=lambda effect: order.index((effect.kind, str(effect.where))))
+        if len(effects) > 1:
+            after = without_impossible(declare(fit, effects), fixed)
+            after = reshaped(after, known, kinds) if any(effect.searched for effect in effects) else after
+            after = pruned(after, {*fixed, *known}, kinds)
+            added = tuple(effect for effect in after.effects if identity(effect) not in known)
+            if added:
+                moves.append(Move(added, after, gain(fit, after), prices(added, fit, kinds)))
+    return moves
+
+
+def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> list[Move]:
+    """Calibrations that move what the effects depend on, each with all forms of these searched anew beside it.
+
+    Efforts that come late make dry friction seem to bend before it slides: each of the two hides the other.
+    """
+    formed = [effect for effect in fit.effects if effect.searched and not effect.is_calibration]
+    known, moves = {effect.kind for effect in fit.effects}, []
+    for kind in kinds.values():
+        if formed and kind.moves_friction and kind.kind not in known and None in kind.places(fit.body):
+            nothing = kind(None, {coefficient.name: 0.0 for coefficient in kind.calibrations})
+            spread = nothing.calibration_scale(fit.body)
+            starts = [moved_by(nothing, share * spread) for share in fit.config.moved]
+            tried = [formed_anew(with_effects(fit, [*fit.effects, start]), fixed) for start in starts]
+            after = declare(min(tried, key=lambda model: model.loss), [])
+            after = reshaped(without_impossible(after, fixed), fixed, kinds)
+            added = next(effect for effect in after.effects if effect.kind == kind.kind)
+            if added.is_noticeable(fit.samples) and all_plausible(fit, after):
+                moves.append(Move((added,), after, gain(fit, after), prices([added], fit, kinds)))
+    return moves
+
+
+def simplest(moves: Sequence[Move]) -> Move:
+    """Of the moves that no block tells from the best one, that of the fewest values."""
+    best = max(moves, key=lambda move: move.net)
+    alike = [move for move in moves if len(move.added) == 1 == len(best.added)
+             and (move is best or _alike(move, best))]
+    return min(alike, key=lambda move: (_spent(move), -move.net)) if alike else best
+
+
+def _alike(one: Move, other: Move) -> bool:
+    difference = gain(one.after, other.after)
+    return difference.total < difference.error
+
+
+def _spent(move: Move) -> int:
+    return sum(values_of(effect, move.after) for effect in move.after.effects)
+
+
+def values_of(effect: Effect, fit: Fit) -> int:
+    return len(effect.coefficients(fit.body)) + len(effect.searched) + len(effect.calibrations)

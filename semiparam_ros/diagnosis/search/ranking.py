@@ -1,0 +1,53 @@
+"""Candidates by evidence: all of them coarse, the foremost refined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.search.candidates import Candidate, identity
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, correlation_of, refined, score
+
+Progress = Callable[[str, float], None]
+
+
+def coarse(fit: Fit, pool: Sequence[Candidate], report: Progress) -> list[Trial]:
+    """Every candidate's best trial by evidence, coarse."""
+    trials = []
+    for number, candidate in enumerate(pool):
+        report(candidate.kind.kind, number / len(pool))
+        trial = coarse_trial(fit, candidate)
+        if trial is not None and trial.n_parameters:
+            trials.append(trial)
+    return _by_evidence(fit, trials) if trials else []
+
+
+def refine_foremost(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """The foremost trials refined, and the rest."""
+    if not trials:
+        return []
+    chosen = worth_refining(fit, trials)
+    best = [refined(fit, trial) for trial in chosen] + [trial for trial in trials if trial not in chosen]
+    noticeable = [trial for trial in best if trial.effect.is_noticeable(fit.samples) and trial.effect.possible]
+    return _by_evidence(fit, noticeable) if noticeable else []
+
+
+def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """Those worth refining: the best, calibrations (which are linear only while small), and the best of each kind with
+    many values."""
+    config = fit.config
+    chosen = trials[:config.refined_candidates]
+    chosen += [trial for trial in trials[config.refined_candidates:]
+               if trial.effect.is_calibration and trial.evidence > config.least_evidence]
+    for kind in {trial.effect.kind for trial in trials if trial.many_valued}:
+        foremost = [trial for trial in trials if trial.many_valued and trial.effect.kind == kind][:config.swapped]
+        chosen += [trial for trial in foremost if trial not in chosen and trial.evidence > config.least_evidence]
+    return chosen
+
+
+def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """The best of each kind at each place; refinement may have led several to one place."""
+    correlation = correlation_of(fit, trials)
+    scored = sorted((score(fit, trial, correlation) for trial in trials), key=lambda trial: trial.evidence)
+    best = {identity(trial.effect): trial for trial in scored}
+    return sorted(best.values(), key=lambda trial: -trial.evidence)

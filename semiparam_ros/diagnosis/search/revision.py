@@ -1,0 +1,94 @@
+"""Revises a model without adding a cause: its values at their best, plainer effects, and what is needless off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from semiparam_ros.diagnosis.regression import Fit, with_effects
+from semiparam_ros.diagnosis.search.candidates import Candidate, Place, held, identity
+from semiparam_ros.diagnosis.search.plausibility import all_plausible
+from semiparam_ros.diagnosis.search.prior_odds import price, prices, usual
+from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.score import gain, worth
+from semiparam_ros.diagnosis.search.scoring import coarse_trial
+from semiparam_ros.diagnosis.search.shapes import settled
+
+
+def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model with the nonlinear values of the effects at some places at their best, beside all others.
+
+    Values of a form that are left as they usually are open where that gains more than they are worth as guesses.
+    """
+    numbers = [number for number, effect in enumerate(fit.effects) if identity(effect) in places
+               and not effect.is_calibration and (effect.searched or effect.finer() != effect)]
+    if not numbers:
+        return fit
+    finer = [effect.finer() if number in numbers else effect for number, effect in enumerate(fit.effects)]
+    opened = sum(one != other for one, other in zip(finer, fit.effects, strict=True))
+    plain, open_ = (settled(with_effects(fit, effects), numbers) for effects in (fit.effects, finer))
+    options = [(0.0, fit)]
+    options += [(gain(fit, after).total - spent, after)
+                for after, spent in ((plain, 0.0), (open_, opened * math.log(max(len(kinds), 1))))
+                if all_plausible(fit, after)]
+    return max(options, key=lambda option: option[0])[1]
+
+
+def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model with the nonlinear values of each effect that was found searched anew beside all the others, where that
+    helps on unseen blocks."""
+    after = formed_anew(fit, fixed)
+    after = declare(after, []) if after is not fit else fit
+    after = bent(after, [identity(effect) for effect in after.effects
+                         if identity(effect) not in fixed], kinds)
+    better = after is not fit and all_plausible(fit, after) and gain(fit, after).total > fit.config.settled_gain
+    return after if better else fit
+
+
+def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
+    """The model with each effect that was found at the best of its coarse forms beside all the others."""
+    after = fit
+    for effect in fit.effects:
+        searches = tuple(dict(values) for values in effect.searches(
+            fit.body, fit.samples, effect.where, fit.residual))
+        if identity(effect) in fixed or effect.is_calibration or len(searches) < 2 \
+                or effect.start.values or not effect.searched:
+            continue
+        without = with_effects(after, [known for known in after.effects
+                                       if identity(known) != identity(effect)])
+        trial = coarse_trial(without, Candidate(type(effect), effect.where, searches))
+        if trial is not None:
+            other = with_effects(without, [*without.effects, trial.effect])
+            after = other if other.loss < after.loss else after
+    return after
+
+
+def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model with the plainer effects of which some at these places are made up, unless blocks tell them apart."""
+    for effect in fit.effects:
+        plainer = list(effect.plainer()) if identity(effect) in places else []
+        rest = with_effects(fit, [known for known in fit.effects if known is not effect])
+        if not plainer or held(plainer) & held(rest.effects):
+            continue
+        simpler = declare(rest, plainer)
+        simpler = bent(simpler, [identity(part) for part in plainer], kinds)
+        if not gain(simpler, fit).exceeds(prices([effect], rest, kinds), fit.config.sure):
+            fit = simpler
+    return fit
+
+
+def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model without the effects that the others make needless, the weakest first."""
+    while True:
+        weak = []
+        for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):
+            others = [known for known in fit.effects if known is not effect]
+            cost = price(effect, others, fit, kinds)
+            sure = 1.0 if usual(effect, fit) else fit.config.sure
+            if identity(effect) not in fixed and not each.exceeds(cost, sure):
+                weak.append((each.total, number))
+        if not weak:
+            return fit
+        gone = {number for total, number in weak if total < 0.0} or {min(weak)[1]}
+        kept = [effect for number, effect in enumerate(fit.effects) if number not in gone]
+        fit = declare(with_effects(fit, kept), [])
