@@ -137,6 +137,8 @@ def test_a_kind_that_is_elsewhere_costs_less_and_a_start_more():
     assert costs == sorted(costs, reverse=True)
     assert costs[0] == pytest.approx(np.log(fit.config.odds * 4 * len(KINDS)))
     assert costs[3] == pytest.approx(np.log(6 / 4))
+    pushes = [KINDS['external_force'](link) for link in KINDS['external_force'].places(BODY)[:2]]
+    assert price(pushes[1], pushes[:1], fit, KINDS) == price(pushes[1], (), fit, KINDS)  # no friction of all joints
     offset = KINDS['effort_offset']('turn')
     late = replace(offset, start=Start(3.0))
     assert price(late, (), fit, KINDS) - price(offset, (), fit, KINDS) == pytest.approx(np.log(fit.config.start_grid))
