@@ -131,7 +131,7 @@ def chosen(data: Path, robots: Path | None, cache: Path) -> Iterator[Recording]:
 def main() -> None:
     """Print what is not told as what it is, and the share that is."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--data', type=Path, default=Path('/work/shared/data'))
+    parser.add_argument('--data', type=Path, required=True, help='the measured arms')
     parser.add_argument('--robots', type=Path, help='needed for simulated arms')
     parser.add_argument('--cache', type=Path, default=Path(tempfile.gettempdir()) / 'windows_cache')
     parser.add_argument('--only', default='', help='recordings whose names match this expression')

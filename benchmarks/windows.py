@@ -393,7 +393,7 @@ def _share(flags: Any) -> float | None:
 def main() -> None:
     """Diagnose all windows, print each as it is known, and the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--data', type=Path, default=Path('/work/shared/data'))
+    parser.add_argument('--data', type=Path, required=True, help='the measured arms')
     parser.add_argument('--robots', type=Path, help='needed for simulated arms')
     parser.add_argument('--cache', type=Path, default=Path(tempfile.gettempdir()) / 'windows_cache')
     parser.add_argument('--arms', choices=('measured', 'mujoco'), help='both unless given')
