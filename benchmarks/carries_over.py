@@ -33,11 +33,11 @@ from rich.table import Table
 from bands import BAND, follow
 from bands import pairs as recorded_pairs
 from mujoco_arms import SETTINGS, recorded
-from semiparam_ros.core.motion import at_start
+from semiparam_ros.core.motion import moving
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.types import Array
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.feedforward import is_doubtful
@@ -97,15 +97,6 @@ def causal(samples: Samples) -> Samples:
     rates = [filtered.update(stamp, velocity).copy()
              for stamp, velocity in zip(samples.stamps.tolist(), samples.velocity, strict=True)]
     return replace(samples, acceleration=np.array(rates))
-
-
-def moving(samples: Samples) -> Mask:
-    """(N,) where the robot moves."""
-    motion, found = None, []
-    for row in zip(samples.stamps.tolist(), samples.position, samples.outputs, strict=True):
-        motion = at_start(*row) if motion is None else motion.after(*row)
-        found.append(motion.is_news)
-    return np.array(found)
 
 
 def nmse(errors: Array, measured: Array) -> float:

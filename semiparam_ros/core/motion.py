@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from semiparam_ros.core.compiled import INTEGER, VECTOR, compiled
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 
 STEP = 0.02
 """[rad, m] What a joint must leave its place by. Encoders jitter by less, where measured velocities at rest may reach
@@ -64,6 +67,15 @@ class Motion(NamedTuple):
 def at_start(stamp: int, position: Array, outputs: Array) -> Motion:
     """Of the first sample, and of a step."""
     return Motion(position, stamp, stamp, position, 1, outputs, True)
+
+
+def moving(samples: Samples) -> Mask:
+    """(N,) where the robot moves, of samples in order."""
+    motion, found = None, []
+    for row in zip(samples.stamps.tolist(), samples.position, samples.outputs, strict=True):
+        motion = at_start(*row) if motion is None else motion.after(*row)
+        found.append(motion.is_news)
+    return np.array(found)
 
 
 @compiled(VECTOR, VECTOR, VECTOR, returns=INTEGER)

@@ -87,7 +87,7 @@ class Products(NamedTuple):
     shared: Array
 
 
-class Prior(NamedTuple):
+class CoefficientPrior(NamedTuple):
     """What is known of the coefficients of further columns beforehand: (c,) mean and precision, in scaled units."""
 
     mean: Array
@@ -271,7 +271,7 @@ class Fit:
         grow = np.sqrt(self.train_mask.sum() / self.counts)
         return residual_scale(self.used(residual) * grow, self.used(self.samples.outputs) * grow)
 
-    def explain(self, columns: Array, prior: Prior | None = None) -> Explained:
+    def explain(self, columns: Array, prior: CoefficientPrior | None = None) -> Explained:
         """Regress the residual on columns (N, n, c), the declared ones refitted along."""
         products = self._products(columns)
         coefficients, covariance, rank, cross, _ = self._regressed(products, columns.shape[2], prior)
@@ -324,7 +324,7 @@ class Fit:
         return products
 
     def _regressed(self, products: list[Products], count: int,
-                   prior: Prior | None = None) -> tuple[Array, Array, int, Array, Array]:
+                   prior: CoefficientPrior | None = None) -> tuple[Array, Array, int, Array, Array]:
         """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.n_columns, count))
@@ -350,14 +350,6 @@ class Fit:
         _, covariance, _, cross, _ = self._regressed(self._products(columns), columns.shape[2])
         across = cross @ covariance
         return np.asarray(np.block([[self.theta_covariance() + across @ cross.T, -across], [-across.T, covariance]]))
-
-    def known_precision(self) -> tuple[Array, Array]:
-        """(p,) precision of coefficients whose values or sizes are known, zero elsewhere; and its pull on theta."""
-        mean, assembly = self.prior_mean(), self.assembly
-        known = np.where(mean != 0.0, self._precision(), 0.0)
-        known[:assembly.n_own] = 0.0
-        known[assembly.n_columns:] = 1.0
-        return known, known * (self.theta - mean)
 
     def prior_mean(self) -> Array:
         """(p,) of theta; zero for the nuisance columns."""

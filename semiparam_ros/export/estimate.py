@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
-from semiparam_ros.core.motion import at_start
+from semiparam_ros.core.motion import moving
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import smoothed
@@ -159,15 +159,15 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
     """
     model = CoupledColumns(body, effects, joint_friction, physical=True)
     step = -(-len(samples) * body.n_outputs * model.n_columns // MOST_VALUES)
-    moving = _moving(samples)
-    if moving.sum() < model.n_columns:
-        raise SemiparamError(f'{name} holds {int(moving.sum())} samples of a robot that moves; '
+    moves = moving(samples)
+    if moves.sum() < model.n_columns:
+        raise SemiparamError(f'{name} holds {int(moves.sum())} samples of a robot that moves; '
                              f'expected at least {model.n_columns}, as many as the model has '
                              'coefficients.')
     best: tuple[float, str, Table] | None = None
     for motion, measured in MOTIONS.items():
         rows = smoothed(samples, measured)[::step]
-        table = _table(model, rows, moving[::step], keep_inertias).weighed()
+        table = _table(model, rows, moves[::step], keep_inertias).weighed()
         table = _with_starts(table, rows.time)
         loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum())
                    for fold, (mean, _) in zip(table.folds, table.fold_estimates, strict=True))
@@ -198,7 +198,7 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
     columns, covariance = estimator.columns, model.recursion.theta_covariance()
     table = None
     if samples is not None and len(samples):
-        table = _table(columns, samples, _moving(samples))
+        table = _table(columns, samples, moving(samples))
     information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     n = estimator.body.n_joints
     top_speed = np.abs(estimator.inputs_learnt[:, n:2 * n]).max(axis=0)
@@ -210,15 +210,6 @@ def _table(model: CoupledColumns, samples: Samples, used: Mask,
     spread = np.maximum(samples.outputs[used].std(axis=0), 1e-9)
     return Table(model, model.batch(samples)[0], samples.outputs, used, spread,
                  np.ones(samples.outputs.shape), keep_inertias=keep_inertias)
-
-
-def _moving(samples: Samples) -> Mask:
-    """(N,) where the robot moves."""
-    motion, found = None, []
-    for row in zip(samples.stamps.tolist(), samples.position, samples.outputs, strict=True):
-        motion = at_start(*row) if motion is None else motion.after(*row)
-        found.append(motion.is_news)
-    return np.array(found)
 
 
 def _with_starts(table: Table, time: Array) -> Table:

@@ -73,9 +73,9 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
         if trial.effect.group and trial.effect.start_s is None:
             groups.setdefault(trial.effect.group, []).append(trial.effect)
     known, moves = {identity(effect) for effect in fit.effects}, []
-    order = [(kind, where) for kind in kinds for where in fit.body.joints]
+    order = list(kinds)
     for effects in groups.values():
-        effects.sort(key=lambda effect: order.index((effect.kind, str(effect.where))))
+        effects.sort(key=lambda effect: (order.index(effect.kind), effect.places(fit.body).index(effect.where)))
         if len(effects) > 1:
             after = without_impossible(declare(fit, effects), fixed)
             after = reshaped(after, known, kinds) if any(effect.searched for effect in effects) else after
@@ -125,4 +125,5 @@ def _spent(move: Move) -> int:
 
 
 def values_of(effect: Effect, fit: Fit) -> int:
+    """How many values an effect has: coefficients, calibrations and those that a search chose."""
     return len(effect.coefficients(fit.body)) + len(effect.searched) + len(effect.calibrations)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, Prior, refit_weights, with_effects
+from semiparam_ros.diagnosis.regression import CoefficientPrior, Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
 from semiparam_ros.effects import Effect
 
@@ -50,12 +50,12 @@ def objective(fit: Fit) -> float:
     return fit.loss + float(prior.precision @ prior.mean**2)
 
 
-def prior_of_steps(fit: Fit, moving: Sequence[Effect]) -> Prior:
+def prior_of_steps(fit: Fit, moving: Sequence[Effect]) -> CoefficientPrior:
     """That of further changes of calibrations, which are about zero beforehand. Neighbouring samples repeat each other,
     so it weighs as much more."""
     values = np.concatenate([np.zeros(0), *(calibrated_values(effect) for effect in moving)])
     spread = np.concatenate([np.ones(0), *(effect.calibration_scale(fit.body) for effect in moving)])
-    return Prior(-values, float(fit.correlation.mean()) * spread**-2.0)
+    return CoefficientPrior(-values, float(fit.correlation.mean()) * spread**-2.0)
 
 
 def _stepped(fit: Fit, moving: list[Effect], step: Array) -> Fit:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, Place, held, identity
+from semiparam_ros.diagnosis.search.candidates import Candidate, Place, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.prior_odds import price, prices, usual
 from semiparam_ros.diagnosis.search.refit import declare
@@ -26,11 +26,11 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
         return fit
     finer = [effect.finer() if number in numbers else effect for number, effect in enumerate(fit.effects)]
     opened = sum(one != other for one, other in zip(finer, fit.effects, strict=True))
-    plain, open_ = (settled(with_effects(fit, effects), numbers) for effects in (fit.effects, finer))
-    options = [(0.0, fit)]
-    options += [(gain(fit, after).total - spent, after)
-                for after, spent in ((plain, 0.0), (open_, opened * math.log(max(len(kinds), 1))))
-                if all_plausible(fit, after)]
+    tried = [(settled(fit, numbers), 0.0)]
+    if opened:
+        tried.append((settled(with_effects(fit, finer), numbers), opened * math.log(max(len(kinds), 1))))
+    options = [(0.0, fit), *((gain(fit, after).total - spent, after) for after, spent in tried
+                             if all_plausible(fit, after))]
     return max(options, key=lambda option: option[0])[1]
 
 
@@ -54,8 +54,7 @@ def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
         if identity(effect) in fixed or effect.is_calibration or len(searches) < 2 \
                 or effect.start.values or not effect.searched:
             continue
-        without = with_effects(after, [known for known in after.effects
-                                       if identity(known) != identity(effect)])
+        without = with_effects(after, others(after, effect))
         trial = coarse_trial(without, Candidate(type(effect), effect.where, searches))
         if trial is not None:
             other = with_effects(without, [*without.effects, trial.effect])
@@ -67,7 +66,7 @@ def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
     """The model with the plainer effects of which some at these places are made up, unless blocks tell them apart."""
     for effect in fit.effects:
         plainer = list(effect.plainer()) if identity(effect) in places else []
-        rest = with_effects(fit, [known for known in fit.effects if known is not effect])
+        rest = with_effects(fit, others(fit, effect))
         if not plainer or held(plainer) & held(rest.effects):
             continue
         simpler = declare(rest, plainer)
@@ -82,8 +81,7 @@ def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
     while True:
         weak = []
         for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):
-            others = [known for known in fit.effects if known is not effect]
-            cost = price(effect, others, fit, kinds)
+            cost = price(effect, others(fit, effect), fit, kinds)
             sure = 1.0 if usual(effect, fit) else fit.config.sure
             if identity(effect) not in fixed and not each.exceeds(cost, sure):
                 weak.append((each.total, number))

@@ -9,7 +9,7 @@ s_k^2 in channel k, of which r_k neighbouring samples repeat each other,
 
 with outputs y less those of the prior mean. A block of which the others say little is predicted with the variance that
 this leaves, and costs no more than that; a coefficient that helps nowhere costs its share of every block. Calibrations
-and the nonlinear values of effects that were found are columns too, linear near where they stand.
+are columns too, linear near where they stand; the nonlinear values of effects are taken as they are.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.diagnosis.search.candidates import added_columns, others
 from semiparam_ros.diagnosis.search.refit import calibrated_values, declare
 
 
@@ -166,9 +166,18 @@ def block_gains(before: Fit, after: Fit, start_s: float | None = None) -> Array:
     """(B,) the same of each block; where models have columns for errors of the inputs, with or without these, whichever
     gains less: what only makes up for what they spoil explains nothing, nor does what only they do better."""
     edges, repeated = block_edges(before, start_s), repetition(after)
-    found = [_densities(after, edges, repeated, taken) - _densities(before, edges, repeated, taken)
-             for taken in ((True,) if before.nuisance is None else (True, False))]
-    return min(found, key=lambda gains: float(gains.sum()))
+    return _least([_densities(after, edges, repeated, taken) - _densities(before, edges, repeated, taken)
+                   for taken in _views(before)])
+
+
+def _views(fit: Fit) -> tuple[bool, ...]:
+    """Whether columns for errors of the inputs are taken: with and without them, where the model has such."""
+    return (True,) if fit.nuisance is None else (True, False)
+
+
+def _least(gains: list[Array]) -> Array:
+    """The smallest in all of the gains (B,) in several views."""
+    return min(gains, key=lambda each: float(each.sum()))
 
 
 def repetition(fit: Fit) -> Array:
@@ -203,16 +212,15 @@ def summed(gains: Array) -> Gain:
 def worth(fit: Fit) -> list[Gain]:
     """Of each effect of the model: what it gains over the model without it, nothing else searched anew."""
     edges, repeated, gains = block_edges(fit), repetition(fit), []
-    views = (True,) if fit.nuisance is None else (True, False)
+    views = _views(fit)
     whole = [_densities(fit, edges, repeated, taken) for taken in views]
     for effect, columns in zip(fit.effects, columns_of_effects(fit), strict=True):
         if effect.is_calibration:  # linear near its value alone
-            rest = declare(with_effects(fit, [known for known in fit.effects if known is not effect]), [])
+            rest = declare(with_effects(fit, others(fit, effect)), [])
             without = [_densities(rest, edges, repeated, taken) for taken in views]
         else:
             without = [_densities(fit, edges, repeated, taken, columns) for taken in views]
-        found = [one - other for one, other in zip(whole, without, strict=True)]
-        gains.append(summed(min(found, key=lambda each: float(each.sum()))))
+        gains.append(summed(_least([one - other for one, other in zip(whole, without, strict=True)])))
     return gains
 
 

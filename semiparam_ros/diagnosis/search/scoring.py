@@ -199,12 +199,6 @@ def _towards_best_point(fit: Fit, effect: Effect) -> Effect:
     return replace(effect, where=link).with_values(**dict(zip(POINT, inside.tolist(), strict=True)))
 
 
-def retried(fit: Fit, trial: Trial) -> Trial:
-    """The trial's effect, its parameters kept, tried and scored on another declared model."""
-    again = _linear_trial(fit, trial.effect)
-    return score(fit, again, correlation_of(fit, [again]))
-
-
 def _line_search(fit: Fit, effect: Effect, name: str) -> Effect:
     """One nonlinear parameter at its best near its present value."""
     low, high = effect.bounds(name, fit.body, fit.samples, fit.residual)

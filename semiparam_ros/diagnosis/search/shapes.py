@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, Prior, predicted, with_effects
+from semiparam_ros.diagnosis.regression import CoefficientPrior, Fit, predicted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.refit import calibrations_moved, declare, objective, prior_of_steps
 from semiparam_ros.effects import Effect
@@ -72,7 +72,7 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
         slopes = [shape_columns(fit, shapes), *(added_columns(fit, effect) for effect in calibrations)]
         known = prior_of_steps(fit, calibrations)
         free = np.zeros(len(shapes))
-        prior = Prior(np.append(free, known.mean), np.append(free, known.precision))
+        prior = CoefficientPrior(np.append(free, known.mean), np.append(free, known.precision))
         steps = fit.explain(np.concatenate(slopes, axis=2), prior).coefficients
         moved = next((moved for share in (1.0, fit.config.backtracking, fit.config.backtracking**2)
                       if objective(moved := _moved(fit, shapes, calibrations, share * steps)) < objective(fit)

@@ -14,7 +14,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, candidates, identity
+from semiparam_ros.diagnosis.search.candidates import Place, candidates, identity, others
 from semiparam_ros.diagnosis.search.moves import Move, group_moves, moving_moves, simplest, single_moves, values_of
 from semiparam_ros.diagnosis.search.prior_odds import prices, usual
 from semiparam_ros.diagnosis.search.ranking import Progress, coarse, refine_foremost
@@ -134,7 +134,7 @@ def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) 
     for effect in fit.effects:
         if identity(effect) in fixed or usual(effect, fit):
             continue
-        rest = declare(with_effects(fit, [known for known in fit.effects if known is not effect]), [])
+        rest = declare(with_effects(fit, others(fit, effect)), [])
         names = {effect.kind, *effect.mistaken_for}
         pool = [candidate for candidate in candidates(rest, {name: kinds[name] for name in names if name in kinds})
                 if (candidate.kind.kind, candidate.where) != (effect.kind, effect.where)]
@@ -156,8 +156,8 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
     """Those as good as the chosen move, with odds from a bootstrap of the blocks."""
     generator, found, draws = np.random.default_rng(0), [], fit.config.bootstrap_draws
     ours = Trial(chosen.added[0], chosen.after.residual, 1)
+    known = {identity(effect) for effect in chosen.added}
     for move in moves:
-        known = {identity(effect) for effect in chosen.added}
         if len(move.added) > 1 or identity(move.added[0]) in known:
             continue
         if overlap(fit, ours, Trial(move.added[0], move.after.residual, 1)) < fit.config.rival_overlap:
