@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import dataclass, replace
 from math import isnan, log
 from typing import NamedTuple
@@ -485,6 +485,7 @@ class SingleEstimator:
     def with_window_alone(self) -> SingleEstimator:
         """A copy without what the rigid body has learnt so far: its window can be finished while this one goes on."""
         twin = copy(self)
+        twin.kept = deepcopy(self.kept)
         twin.model = twin._provisional()
         twin._begin_following()
         return twin

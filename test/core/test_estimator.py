@@ -363,6 +363,8 @@ def test_a_twin_finishes_the_window_while_the_rigid_body_goes_on(arm, recording)
     assert len(model.window) == WINDOW and not model.ready
     twin.finish_window()
     run(twin, recording[WINDOW:WINDOW + 20])
+    for own, its in zip(twin.kept.state().values(), reference.kept.state().values(), strict=True):
+        np.testing.assert_array_equal(own, its)
     sample = recording[WINDOW + 20]
     np.testing.assert_array_equal(twin.predict(sample).mean, reference.predict(sample).mean)
 
