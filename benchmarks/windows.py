@@ -56,7 +56,7 @@ from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.diagnose import Diagnosis, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_there
 from semiparam_ros.effects import Effect, kinds
-from semiparam_ros.effects.base import Start
+from semiparam_ros.effects.base import Span
 from semiparam_ros.errors import SemiparamError
 from support.mujoco_arm import Robot
 from support.plain_model import plain_model
@@ -231,7 +231,7 @@ def in_window(recording: Recording, window: str) -> list[Effect]:
     base = samples if 'rest' in window else whole
     start_s = 0.5 * len(base) * float(np.median(np.diff(base.stamps))) * 1e-9
     end_s = (samples.breaks[0] - samples.origin) * 1e-9 if samples.breaks else None
-    return [replace(effect, start=Start(start_s, end_s=end_s)) if effect.is_load else effect
+    return [replace(effect, span=Span(start_s, end_s=end_s)) if effect.is_load else effect
             for effect in recording.hidden]
 
 

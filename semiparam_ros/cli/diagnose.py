@@ -160,7 +160,7 @@ def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> No
     from semiparam_ros.effects import effect_to_text, effects_to_parameters
     from semiparam_ros.settings import dump_params
 
-    standing = {effect_to_text(effect.without_start()): effect.without_start()
+    standing = {effect_to_text(effect.without_span()): effect.without_span()
                 for effect in diagnosis.everything.effects  # two loads picked up one after the other are one now
                 if diagnosis.lasts(effect)}
     effects, reference = effects_to_parameters(list(standing.values()))

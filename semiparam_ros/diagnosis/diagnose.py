@@ -90,7 +90,7 @@ class Diagnosis:
 
     def lasts(self, effect: Effect) -> bool:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
-        return effect.start.end_s is None and effect not in own_offsets(self.first.body, self.recorded.samples)
+        return not effect.ends and effect not in own_offsets(self.first.body, self.recorded.samples)
 
     @property
     def declared(self) -> list[Finding]:
@@ -233,7 +233,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
                *fast,
                *unidentifiable(body, samples, config), *_left_out(clean),
-               *_begun_in_gaps(found, samples, margin, config)],
+               *_changed_in_gaps(found, samples, margin, config)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
 
 
@@ -318,18 +318,20 @@ def patched(steps: list[Step], structure: Structure | None, config: DiagnosisCon
         and structure.share > config.patch_share
 
 
-def _begun_in_gaps(found: list[Finding], samples: Samples, margin: int, config: DiagnosisConfig) -> list[str]:
-    """A sentence for each effect that may have begun anywhere in a gap, as between two stretches of a long recording.
+def _changed_in_gaps(found: list[Finding], samples: Samples, margin: int, config: DiagnosisConfig) -> list[str]:
+    """A sentence for each effect that may have begun, or ended, anywhere in a gap, as between two stretches of a long
+    recording.
 
     :param margin: so many samples on either side of a gap are left out.
     """
     time, sentences = samples.time, []
     for effect in (finding.effect for finding in found):
-        for gap in gaps(samples, config) if effect.start_s is not None else []:
+        for gap in gaps(samples, config) if effect.span.values else []:
             earliest, latest = time[max(gap.before - margin, 0)], time[min(gap.before + 1 + margin, len(time) - 1)]
-            if earliest <= float(effect.start_s or 0.0) <= latest:
-                sentences.append(f'{place(effect.kind, effect.where)} began between {gap.start_s:.1f} and '
-                                 f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
+            for word, time_s in (('began', effect.start_s), ('ended', effect.end_s)):
+                if time_s is not None and earliest <= time_s <= latest:
+                    sentences.append(f'{place(effect.kind, effect.where)} {word} between {gap.start_s:.1f} and '
+                                     f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
     return sentences
 
 

@@ -125,11 +125,11 @@ def evaluate_there(fit: Fit, samples: Samples, valid: Mask) -> Evaluation:
 
     What belongs to the first recording's own clock (a drift, a phase) is left out, and what ended before its end.
     """
-    effects = [effect.without_start() for effect in fit.effects]
+    effects = [effect.without_span() for effect in fit.effects]
     assembly = CoupledColumns(fit.body, effects)
     theta = fit.theta.copy()
     for index, effect in enumerate(effects):
-        if effect.of_one_recording or fit.effects[index].start.end_s is not None:
+        if effect.of_one_recording or fit.effects[index].ends:
             theta[assembly.blocks[str(index)]] = 0.0
     columns, _ = assembly.batch(samples)
     there = replace(fit, samples=samples, residual=samples.outputs - columns @ theta,

@@ -36,6 +36,7 @@ class Finding:
     def as_dict(self) -> dict[str, object]:
         """The entry of ``effects`` in the machine-readable report."""
         return {'kind': self.effect.kind, 'where': self.effect.where, 'start_s': self.effect.start_s,
+                'end_s': self.effect.end_s,
                 'sentence': self.effect.sentence, 'log_evidence_gain': self.log_evidence_gain,
                 'parameters': {name: vars(quantity) for name, quantity in self.parameters.items()},
                 'indistinguishable_from': [

@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import NamedTuple
 
-from semiparam_ros.diagnosis.data.recordings import alone
+import numpy as np
+
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
 from semiparam_ros.diagnosis.search.stepwise import Rival
@@ -95,21 +98,24 @@ def _declared(diagnosis: Diagnosis, finding: Finding) -> str:
 
 
 def when(diagnosis: Diagnosis, effect: Effect) -> str:
-    """Since when, or in which recordings, an effect is there; empty when it always was."""
-    names = diagnosis.recordings_of(effect)
-    if not names:
-        return '' if effect.start_s is None else f', since {effect.start_s:.1f} s{at_time(diagnosis, effect)}'
-    inside = f', in {listed(names)}' if len(names) < len(diagnosis.names) else ''
-    samples = diagnosis.recorded.samples
-    own = alone(samples, samples.recordings[diagnosis.names.index(names[0])])
-    late = 0.0 if effect.start_s is None else effect.start_s - (own.origin - samples.origin) * 1e-9
-    return inside + (f', since {late:.1f} s of {names[0]}{at_time(diagnosis, effect)}' if late > 0.0 else '')
+    """From when to when, or in which recordings, an effect is there; empty when it always was."""
+    names, samples = diagnosis.recordings_of(effect), diagnosis.recorded.samples
+    parts = [f', in {listed(names)}'] if names and len(names) < len(diagnosis.names) else []
+    breaks = breaks_s(samples)
+    for word, time_s in (('since', effect.start_s), ('until', effect.end_s)):
+        if time_s is None or time_s in breaks:
+            continue
+        number = int(np.searchsorted(breaks, time_s))
+        own_s = time_s - [0.0, *breaks][number]
+        of = f' of {diagnosis.names[number]}' if breaks else ''
+        parts.append(f', {word} {own_s:.1f} s{of}{at_time(samples, time_s)}')
+    return ''.join(parts)
 
 
-def at_time(diagnosis: Diagnosis, effect: Effect) -> str:
-    """The date and time of an effect's start, in brackets; empty where stamps are no dates."""
-    stamp = effect.at_stamp(diagnosis.recorded.samples.origin).start.stamp_s
-    if stamp is None or stamp < EARLIEST_DATE_S:
+def at_time(samples: Samples, time_s: float) -> str:
+    """The date and time of a moment of a recording, in brackets; empty where stamps are no dates."""
+    stamp = samples.origin * 1e-9 + time_s
+    if stamp < EARLIEST_DATE_S:
         return ''
     return datetime.fromtimestamp(round(stamp, 1), timezone.utc).strftime(' (%Y-%m-%d %H:%M:%S UTC)')
 
@@ -130,7 +136,7 @@ def _finding(diagnosis: Diagnosis, finding: Finding) -> str:
 def remarks(diagnosis: Diagnosis, effect: Effect) -> list[str]:
     """What was found of an effect of the final model, its start aside: since when, its values, what it rests on."""
     found = [finding for finding in diagnosis.findings
-             if finding.effect.without_start() == effect.without_start()]
+             if finding.effect.without_span() == effect.without_span()]
     if not found:
         return [f'{place(effect.kind, effect.where)}: {effect.sentence}. Declared before.']
     return [line for finding in found for line in _remark(diagnosis, finding)]
@@ -139,8 +145,7 @@ def remarks(diagnosis: Diagnosis, effect: Effect) -> list[str]:
 def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
     judged = [diagnosis.before, *diagnosis.by_step]
     before, after = (judged[number].nmse.mean() for number in (finding.round_number - 1, finding.round_number))
-    since = f', since {finding.effect.start_s:.1f} s of this recording' if finding.effect.start_s is not None else ''
-    since = when(diagnosis, finding.effect) if diagnosis.recordings_of(finding.effect) else since
+    since = when(diagnosis, finding.effect)
     rivals = _with_odds(finding.rivals)
     return [f'{place(finding.effect.kind, finding.effect.where)}: {finding.effect.sentence}{since}.',
             *(f'  {name}: {quantity_text(quantity)}' for name, quantity in finding.parameters.items()),

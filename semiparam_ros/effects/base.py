@@ -19,15 +19,15 @@ from semiparam_ros.core.columns import JointColumns, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_of
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.errors import SemiparamError
 
 Values = dict[str, float]
-"""Parameters, options and the start of an effect by name, as its text form has them."""
+"""Parameters, options and the times of an effect by name, as its text form has them."""
 Self = TypeVar('Self', bound='Effect')
 CHANNELS = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 NO_VALUES: Values = {}
-STARTS = ('start_s', 'start_stamp_s')
+TIMES = ('start_s', 'start_stamp_s', 'end_s', 'end_stamp_s')
 BRACKET = 2.5
 """A line search looks from a value over this factor to the value times it."""
 CALIBRATED = {'rad': 0.1, 's': 0.05, '': 0.3}
@@ -39,27 +39,72 @@ STAMP_TOLERANCE_NS = 1000
 
 
 @dataclass(frozen=True)
-class Start:
-    """When an effect begins; without either value it was always there.
+class Span:
+    """From when to when an effect acts; without a value for either side it always did, or still does.
 
-    :param seconds: [s] after the start of the recording (of the node's life).
-    :param stamp_s: [s] as the stamps of headers count.
-    :param end_s: [s] when it ends, counted as ``seconds``: set by a diagnosis of several recordings for what is in some
-        of them alone. It is no part of the text form, for nobody who declares an effect knows its end.
+    :param start_s: [s] after the start of the recording (of the node's life).
+    :param start_stamp_s: [s] the same as the stamps of headers count.
+    :param end_s: [s] when it is over, counted as ``start_s``. :param end_stamp_s: as ``start_stamp_s``.
     """
 
-    seconds: float | None = None
-    stamp_s: float | None = None
+    start_s: float | None = None
+    start_stamp_s: float | None = None
     end_s: float | None = None
+    end_stamp_s: float | None = None
 
     @property
     def values(self) -> Values:
         """By the names of the text form."""
-        named = zip(STARTS, (self.seconds, self.stamp_s), strict=True)  # without the end
-        return {name: value for name, value in named if value is not None}
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    def at_stamps(self, origin: int) -> Span:
+        """The same by stamps alone; ``origin`` [ns] is where ``start_s`` and ``end_s`` count from."""
+        def stamp(seconds: float | None, stamp_s: float | None) -> float | None:
+            return stamp_s if seconds is None else (origin + round(seconds * 1e9)) / 10**9
+
+        return Span(None, stamp(self.start_s, self.start_stamp_s), None, stamp(self.end_s, self.end_stamp_s))
+
+    def in_recording(self, origin: int) -> Span:
+        """The same by seconds after ``origin`` [ns] alone; the inverse of :meth:`at_stamps`."""
+        def seconds(seconds: float | None, stamp_s: float | None) -> float | None:
+            stamp = nanoseconds(stamp_s)
+            return seconds if stamp is None else (stamp - origin) * 1e-9
+
+        return Span(seconds(self.start_s, self.start_stamp_s), None, seconds(self.end_s, self.end_stamp_s))
+
+    def holds(self, stamps: Stamps | int, origin: int) -> Mask:
+        """(N,) whether it acts at stamps [ns]; ``origin`` [ns] is where ``start_s`` and ``end_s`` count from."""
+        inside = np.ones(np.shape(stamps), dtype=bool)
+        time = np.asarray((stamps - origin) * 1e-9)
+        start, end = (nanoseconds(stamp_s) for stamp_s in (self.start_stamp_s, self.end_stamp_s))
+        if self.start_s is not None:
+            inside &= time >= self.start_s
+        if start is not None:
+            inside &= stamps >= start - STAMP_TOLERANCE_NS
+        if self.end_s is not None:
+            inside &= time < self.end_s
+        if end is not None:
+            inside &= stamps < end - STAMP_TOLERANCE_NS
+        return inside
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with it, '' for nothing."""
+        for one, other in (TIMES[:2], TIMES[2:]):
+            if {one, other} <= self.values.keys():
+                return f'has {one} and {other}; expected one of them'
+        for first, last in ((self.start_s, self.end_s), (self.start_stamp_s, self.end_stamp_s)):
+            if first is not None and last is not None and not first < last:
+                return f'ends at {last:g} s and begins at {first:g} s; expected an end after the start'
+        return ''
 
 
-ALWAYS = Start()
+def nanoseconds(stamp_s: float | None) -> int | None:
+    """A stamp [s] in ns, to the nearest one."""
+    return None if stamp_s is None else round(Fraction(stamp_s) * 10**9)
+
+
+ALWAYS = Span()
 Axis = Literal['any', 'time', 'position', 'velocity', 'acceleration', 'output', 'output_rate', 'link_velocity', 'phase',
                'temperature']
 """What a residual is drawn against so that an effect shows; ``any``: whichever of time and motion tells most."""
@@ -79,14 +124,14 @@ class Effect:
     :param where: joint, axis or link that it acts on; None when it has no place.
     :param parameters: nonlinear parameters and calibrations by name.
     :param options: values that choose the form of the columns; they are no physical quantities.
-    :param start: when it begins.
+    :param span: from when to when it acts.
     :param reference: (p,) base parameters, for kinds with ``needs_reference``; () for those of the description.
     """
 
     where: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     options: Mapping[str, float] = field(default_factory=dict)
-    start: Start = ALWAYS
+    span: Span = ALWAYS
     reference: tuple[float, ...] = ()
 
     kind: ClassVar[str] = ''
@@ -198,11 +243,11 @@ class Effect:
         for name in self.positive:
             if name in self.parameters and not self.value(name) > 0.0:
                 raise SemiparamError(f"effect '{self.kind}' has {name} {self.value(name):g}; expected more than 0.")
-        if len(self.start.values) > 1:
-            raise SemiparamError(f"effect '{self.kind}' has {' and '.join(STARTS)}; expected one of them.")
-        if self.is_calibration and self.start != ALWAYS:
-            raise SemiparamError(f"effect '{self.kind}' has a start; expected none, for a calibration acts from the "
-                                 'beginning.')
+        if self.span.fault:
+            raise SemiparamError(f"effect '{self.kind}' {self.span.fault}.")
+        if self.is_calibration and self.span != ALWAYS:
+            raise SemiparamError(f"effect '{self.kind}' has a start or an end; expected none, for a "
+                                 'calibration always acts.')
         if len(self.reference) not in (0, body.n_parameters):
             raise SemiparamError(f"effect '{self.kind}' has a reference of {len(self.reference)} values; expected "
                                  f'{body.n_parameters}, the base parameters of this robot, or none.')
@@ -251,23 +296,31 @@ class Effect:
         return bool(self.calibrations)
 
     @property
-    def start_s(self) -> float | None:
-        """Seconds after the start of the recording when it begins; None when it was always there, or has a stamp."""
-        return self.start.seconds
+    def changes(self) -> bool:
+        """Whether it may begin, or be over, while a robot works."""
+        return self.may_start or self.must_start
 
     @property
-    def start_stamp(self) -> int | None:
-        """Stamp [ns] from which on it is there; None when it was always there, or counts from the start."""
-        return None if self.start.stamp_s is None else round(Fraction(self.start.stamp_s) * 10**9)
+    def start_s(self) -> float | None:
+        """Seconds after the start of the recording when it begins; None when it was always there, or has a stamp."""
+        return self.span.start_s
 
-    def at_stamp(self: Self, origin: int) -> Self:
-        """The same effect with the absolute stamp of its start, for whoever counts time from elsewhere.
+    @property
+    def end_s(self) -> float | None:
+        """Seconds after the start of the recording when it is over; None when it is not, or has a stamp."""
+        return self.span.end_s
 
-        :param origin: [ns] where ``start_s`` counts from.
+    @property
+    def ends(self) -> bool:
+        """Whether an end is known."""
+        return self.span.end_s is not None or self.span.end_stamp_s is not None
+
+    def at_stamps(self: Self, origin: int) -> Self:
+        """The same effect with the absolute stamps of its times, for whoever counts time from elsewhere.
+
+        :param origin: [ns] where ``start_s`` and ``end_s`` count from.
         """
-        if self.start_s is None:
-            return self
-        return replace(self, start=Start(stamp_s=(origin + round(self.start_s * 1e9)) / 10**9))
+        return replace(self, span=self.span.at_stamps(origin))
 
     def without_common_gain(self: Self) -> Self:
         """The same effect with the median of its channels' gains at one: which common gain they have beside the masses
@@ -275,14 +328,12 @@ class Effect:
         return self
 
     def in_recording(self: Self, origin: int) -> Self:
-        """The same effect with its start in seconds after ``origin`` [ns]; the inverse of :meth:`at_stamp`."""
-        if self.start_stamp is None:
-            return self
-        return replace(self, start=Start((self.start_stamp - origin) * 1e-9))
+        """The same effect with its times in seconds after ``origin`` [ns]; the inverse of :meth:`at_stamps`."""
+        return replace(self, span=self.span.in_recording(origin))
 
-    def without_start(self: Self) -> Self:
-        """The same effect, there from the beginning."""
-        return replace(self, start=ALWAYS)
+    def without_span(self: Self) -> Self:
+        """The same effect, there from the beginning to the end."""
+        return replace(self, span=ALWAYS)
 
     @property
     def only_adds(self) -> bool:
@@ -303,38 +354,33 @@ class Effect:
         return regressors
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """(N, n, c) columns, zero before the start."""
+        """(N, n, c) columns, zero before the start and from the end on."""
         columns, memory = self.basis(body, samples, memory)
-        if self.start_s is not None:
-            columns = columns * (samples.time >= self.start_s)[:, None, None]
-        if self.start_stamp is not None:
-            columns = columns * (samples.stamps >= self.start_stamp - STAMP_TOLERANCE_NS)[:, None, None]
-        if self.start.end_s is not None:
-            columns = columns * (samples.time < self.start.end_s)[:, None, None]
+        if self.span != ALWAYS:
+            columns = columns * self.span.holds(samples.stamps, samples.origin)[:, None, None]
         return columns, memory
 
     def desired(self) -> Acting:
         """The effect as it acts on a desired state; as on any other, unless a kind says otherwise.
 
-        Such a state is exact, has no past, and is taken as of now: a start that was reached counts, and a drift stands
-        where it stands. A kind that concerns the time of a measurement, or a phase that nobody knows beforehand, is
-        :class:`~semiparam_ros.core.columns.Absent`.
+        Such a state is exact, has no past, and is taken as of now: a start or an end that was reached counts, and a
+        drift stands where it stands. A kind that concerns the time of a measurement, or a phase that nobody knows
+        beforehand, is :class:`~semiparam_ros.core.columns.Absent`.
         """
         return self
 
     def with_values(self: Self, **values: float) -> Self:
         """The same effect with some values changed, by the names of the text form."""
-        start = {**self.start.values, **{name: value for name, value in values.items() if name in STARTS}}
-        seconds, stamp_s = (start.get(name) for name in STARTS)
+        times = {**self.span.values, **{name: value for name, value in values.items() if name in TIMES}}
         options = {name: value for name, value in values.items() if name in self.option_names}
-        parameters = {name: value for name, value in values.items() if name not in (*STARTS, *self.option_names)}
+        parameters = {name: value for name, value in values.items() if name not in (*TIMES, *self.option_names)}
         return replace(self, parameters={**self.parameters, **parameters}, options={**self.options, **options},
-                       start=Start(seconds, stamp_s, self.start.end_s))
+                       span=Span(**times))
 
     @property
     def values(self) -> Values:
-        """Parameters, options and start by the names of the text form; :meth:`from_values` takes them back."""
-        return {**self.parameters, **self.options, **self.start.values}
+        """Parameters, options and times by the names of the text form; :meth:`from_values` takes them back."""
+        return {**self.parameters, **self.options, **self.span.values}
 
     def value(self, name: str, default: float = 0.0) -> float:
         """A parameter or an option, ``default`` when it is not set."""
@@ -349,11 +395,11 @@ class Effect:
     @classmethod
     def value_names(cls) -> tuple[str, ...]:
         """Everything that the text form of this kind may hold."""
-        return *STARTS, *cls.parameter_units, *(name for name, _ in cls.calibrations), *cls.option_names
+        return *TIMES, *cls.parameter_units, *(name for name, _ in cls.calibrations), *cls.option_names
 
     def unit_of(self, name: str) -> str:
         """Unit of a nonlinear parameter or calibration."""
-        known: dict[str, Any] = {**dict.fromkeys(STARTS, 's'), **self.parameter_units, **dict(self.calibrations)}
+        known: dict[str, Any] = {**dict.fromkeys(TIMES, 's'), **self.parameter_units, **dict(self.calibrations)}
         return str(known.get(name, ''))
 
 

@@ -68,7 +68,7 @@ class JointEffect(Effect):
     @property
     def of_motion_alone(self) -> bool:
         """Whether :meth:`functions` say all: nothing is remembered, and it was always there."""
-        return type(self).basis is JointEffect.basis and self.start == ALWAYS
+        return type(self).basis is JointEffect.basis and self.span == ALWAYS
 
     def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> JointColumns | None:
         alike = [each for each in blocks if isinstance(each, JointEffect) and self._is_like(each)]
@@ -159,7 +159,7 @@ class _Sliding(JointEffect):
     @property
     def of_motion_alone(self) -> bool:
         own = type(self).basis is _Sliding.basis
-        return own and self.start == ALWAYS and 'presliding' not in self.parameters
+        return own and self.span == ALWAYS and 'presliding' not in self.parameters
 
     def _states(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
         """(N, c) columns of the joint."""
@@ -244,7 +244,7 @@ class StribeckFriction(_Sliding):
     def plainer(self) -> tuple[Effect, ...]:
         sticking = ('stribeck_speed', 'presliding_stuck')
         parameters = {name: value for name, value in self.parameters.items() if name not in sticking}
-        return (CoulombFriction(self.where, parameters, start=self.start),)
+        return (CoulombFriction(self.where, parameters, span=self.span),)
 
     def _states(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
         if 'presliding' not in self.parameters:
@@ -275,7 +275,7 @@ class AsymmetricFriction(_Sliding):
         return bool(coefficients.min() > -DRIVING_SHARE * np.abs(coefficients).sum())
 
     def plainer(self) -> tuple[Effect, ...]:
-        return CoulombFriction(self.where, self.parameters, start=self.start), ViscousFriction(self.where)
+        return CoulombFriction(self.where, self.parameters, span=self.span), ViscousFriction(self.where)
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
         return np.column_stack([np.maximum(direction, 0.0), np.minimum(direction, 0.0),

@@ -67,7 +67,7 @@ class TemperatureFriction(_ByTemperature, JointEffect):
         return bool(coefficients[0] > 0.0)
 
     def plainer(self) -> tuple[Effect, ...]:
-        return (ViscousFriction(self.where, start=self.start),)
+        return (ViscousFriction(self.where, span=self.span),)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         velocity = samples.velocity[:, joint_index(body, self.where)]

@@ -26,7 +26,7 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import STARTS, Coefficient, Effect
+from semiparam_ros.effects.base import TIMES, Coefficient, Effect
 from semiparam_ros.errors import SemiparamError
 
 FUNCTIONS: dict[str, Callable[[Array], Array]] = {'sin': np.sin, 'cos': np.cos, 'abs': np.abs, 'sign': np.sign}
@@ -161,7 +161,7 @@ class Terms(Effect):
 
     @classmethod
     def value_names(cls) -> tuple[str, ...]:
-        return _EveryTerm((*STARTS, 'TERM'))
+        return _EveryTerm((*TIMES, 'TERM'))
 
     @property
     def names(self) -> tuple[str, ...]:

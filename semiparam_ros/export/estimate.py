@@ -216,8 +216,8 @@ def _with_starts(table: Table, time: Array) -> Table:
     """With the columns of loads that have no start zero before the samples show them."""
     block: Indices = np.arange(len(time)) * BLOCKS // len(time)
     for index, effect in enumerate(table.model.effects):
-        start = getattr(effect, 'start', None)
-        if not effect.is_load or start is None or start.values:
+        span = getattr(effect, 'span', None)
+        if not effect.is_load or span is None or span.values:
             continue
         best = _best_start(table, table.model.blocks[str(index)], block)
         if best == 0:

@@ -182,7 +182,7 @@ class _Solution:
         self._rigid, self._absent = np.zeros((2, count), dtype=bool)
         self._rigid[columns.blocks['rigid_body']] = True
         for index, effect in enumerate(columns.effects):
-            if effect.is_load:
+            if effect.is_load and not getattr(effect, 'ends', False):
                 self._add_load(str(getattr(effect, 'where', '')), columns.blocks[str(index)],
                                estimate.mean, covariance)
         usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * size.length)

@@ -486,9 +486,9 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> 
 
 
 def declared(found: Diagnosis) -> tuple[Effect, ...]:
-    """The effects of the final model, starts as stamps: a node counts time from its own start, which a reset moves."""
+    """The effects of the final model, times as stamps: a node counts time from its own start, which a reset moves."""
     origin = found.recorded.samples.origin
-    return tuple(effect.at_stamp(origin) for effect in found.everything.effects)
+    return tuple(effect.at_stamps(origin) for effect in found.everything.effects)
 
 
 def thinned(batch: SampleBatch) -> SampleBatch:

@@ -28,7 +28,7 @@ from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Step
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.base import Axis, place
+from semiparam_ros.effects.base import ALWAYS, Axis, place
 from semiparam_ros.effects.temperature import REFERENCE_C, temperature_of
 from semiparam_ros.effects.terms import variable_values
 from semiparam_ros.report.html import FAINT, INK, page_style
@@ -62,7 +62,7 @@ def suspected_variable(effect: Effect, fit: Fit, explained: Array, channel: int)
 
     :param fit: the fit of which it explains a part. :param explained: (N,) that part, in output ``channel``.
     """
-    if effect.start_s is not None:
+    if effect.span != ALWAYS:
         return _time(fit)
     return most_telling(VARIABLES[effect.shows_against](effect, fit, channel), explained)
 
@@ -168,7 +168,7 @@ def curves(before: Array, after: Array, added: bool) -> list[Curve]:
 
 
 def over_time(time: Array, shown: list[Curve], labels: list[str], held_out: Mask,
-              starts: list[tuple[str, float]]) -> Figure:
+              changes: list[tuple[str, float]]) -> Figure:
     """Each channel's residual as the span of its values in short pieces of time."""
     with page_style():
         figure = Figure(figsize=(WIDTH, 1.25 * len(labels) + 0.7))
@@ -179,12 +179,12 @@ def over_time(time: Array, shown: list[Curve], labels: list[str], held_out: Mask
                 panel.fill_between(centre, low, high, color=curve.colour, linewidth=0.6, label=curve.name)
             for start, end in ranges(held_out):
                 panel.axvspan(time[start], time[end - 1], color=FAINT, alpha=0.45, linewidth=0, zorder=0)
-            for _, second in starts:
+            for _, second in changes:
                 panel.axvline(second, color=INK, linewidth=0.9, linestyle=(0, (2, 2)))
             panel.set_title(label, fontsize=9, pad=3)
             panel.set_ylim(*limits(*(curve.residual[:, index] for curve in shown)))
             panel.margins(x=0.0)
-        for name, second in starts:
+        for name, second in changes:
             panels[0].annotate(name, (second, 1.0), xycoords=('data', 'axes fraction'), xytext=(3, 2),
                                textcoords='offset points', fontsize=8)
         panels[-1].set_xlabel('time [s]')

@@ -14,7 +14,7 @@ from semiparam_ros.diagnosis.findings import Finding
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.formula import Formula
 from semiparam_ros.diagnosis.residual.structure import Structure
-from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
+from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report, when
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.report import diagnosis_figures as figures
@@ -112,12 +112,12 @@ def round_rows(diagnosis: Diagnosis) -> list[RoundRow]:
 
 def causes(diagnosis: Diagnosis) -> list[Cause]:
     """Every finding with its numbers and its rivals."""
-    return [_cause(finding) for finding in diagnosis.findings]
+    return [_cause(diagnosis, finding) for finding in diagnosis.findings]
 
 
-def _cause(finding: Finding) -> Cause:
+def _cause(diagnosis: Diagnosis, finding: Finding) -> Cause:
     effect = finding.effect
-    since = 'from the beginning' if effect.start_s is None else f'since {effect.start_s:.1f} s'
+    since = when(diagnosis, effect).removeprefix(', ') or 'from the beginning'
     parameters = [Parameter(name, f'{quantity.value:.4g}', '' if quantity.std is None else f'{quantity.std:.2g}',
                             quantity.unit.replace('^2', '²')) for name, quantity in finding.parameters.items()]
     alternatives = [Alternative(place(rival.kind, rival.where), odds_text(rival.odds),
@@ -187,15 +187,15 @@ def _outputs(diagnosis: Diagnosis) -> Picture:
 def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     """Of the recording that was diagnosed, and of the one that judged, where that is another."""
     first, final, added = diagnosis.first, diagnosis.final, bool(diagnosis.steps)
-    starts = [(place(effect.kind, effect.where), effect.start_s) for effect in diagnosis.everything.effects
-              if effect.start_s is not None]
+    changes = [(name + place(effect.kind, effect.where), time_s) for effect in diagnosis.everything.effects
+               for name, time_s in (('', effect.start_s), ('end of ', effect.end_s)) if time_s is not None]
     held_out = diagnosis.held_out if diagnosis.elsewhere is None else np.zeros(len(first.samples), dtype=bool)
     caption = 'What the model does not explain of each output'
     caption += ', before and after the effects were added.' if added else '.'
     caption += ' The shaded blocks were not used for the fit.' if held_out.any() else ''
-    caption += ' A dashed line marks the start of an effect.' if starts else ''
+    caption += ' A dashed line marks the start or the end of an effect.' if changes else ''
     own = figures.over_time(first.samples.time, figures.curves(first.residual, final.residual, added),
-                            _labels(diagnosis), held_out, starts)
+                            _labels(diagnosis), held_out, changes)
     shown = [picture('Residual over time', 'time', own, caption)]
     if diagnosis.elsewhere is not None:
         shown.append(_over_time_elsewhere(diagnosis, diagnosis.elsewhere))

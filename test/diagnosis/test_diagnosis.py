@@ -23,15 +23,16 @@ from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.noise import noise_floor
-from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start
+from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns
 from semiparam_ros.diagnosis.search.ranking import worth_refining
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
+from semiparam_ros.diagnosis.search.spans import best_edge, best_span
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
-from semiparam_ros.effects.base import CHANNELS, Start
+from semiparam_ros.effects.base import CHANNELS, Span
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, deviations_off, samples_of
 from semiparam_ros.experiments.variants_with_effects import evaluate_variants
@@ -144,7 +145,7 @@ def test_a_push_beside_every_link_is_found_and_is_no_wrong_description(outputs, 
     """Between the links' origins, and so strong that the arm's own weight hardly shows."""
     recording = simulate(Scenario(samples=SAMPLES, outputs=outputs, seed=2))
     body, samples = body_of(recording), samples_of(recording)
-    push = kinds()['external_force']('r_gripper', {'x': -0.032, 'y': 0.02, 'z': 0.034}, start=Start(START_S))
+    push = kinds()['external_force']('r_gripper', {'x': -0.032, 'y': 0.02, 'z': 0.034}, span=Span(START_S))
     pushed = replace(samples, outputs=samples.outputs + push.columns(body, samples, None)[0] @ np.array(force))
     found = diagnose(body, pushed)
     assert found.verdict == 'effect_found' and not found.setup
@@ -163,7 +164,7 @@ def test_a_wrong_description_is_not_taken_for_an_effect(force):
     body, samples = body_of(recording), samples_of(recording)
     others = np.random.default_rng(0).permuted(body.inertial_parameters)
     elsewhere = samples[np.random.default_rng(1).permutation(len(samples))]
-    push = kinds()['external_force']('r_gripper', start=Start(START_S)).columns(body, samples, None)[0]
+    push = kinds()['external_force']('r_gripper', span=Span(START_S)).columns(body, samples, None)[0]
     outputs = body.full_regressors(elsewhere) @ others + push @ np.array(force)
     found = diagnose(body, replace(samples, outputs=outputs))
     assert (found.verdict, [problem.what for problem in found.setup]) == ('unexplained', ['robot_description'])
@@ -298,7 +299,7 @@ def test_the_written_effects_say_what_was_found_of_them(tmp_path, payload):
     text, found = (tmp_path / 'found.yaml').read_text(), payload.findings[0]
     above, _, _ = text.partition("- 'payload@")
     remark = ' '.join(above.rpartition('effects:')[2].replace('#', '').split())
-    assert f'{found.effect.sentence}, since {found.effect.start_s:.1f} s of this recording.' in remark
+    assert f'{found.effect.sentence}, since {found.effect.start_s:.1f} s.' in remark
     mass = found.parameters['mass']
     assert f' mass: {quantity_text(mass)} ' in remark
     assert f'log evidence +{found.log_evidence_gain:.0f}; round 1 changed' in remark
@@ -331,7 +332,7 @@ def test_a_node_is_told_the_stamp_of_the_start_and_understands_it_again(payload)
     effects = worker.declared(payload)
     stamp = payload.recorded.samples.origin + payload.everything.effects[0].start_s * 1e9
     assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
-    assert effects[0].start_stamp == pytest.approx(stamp, abs=1000)
+    assert 1e9 * effects[0].span.start_stamp_s == pytest.approx(stamp, abs=1000)
     again = found_in(PAYLOAD(), effects=effects)
     assert again.verdict == 'nothing_missing'
     assert worker.declared(again) == worker.declared(payload)  # so that nothing is to be applied
@@ -354,7 +355,7 @@ def test_a_start_inside_a_held_out_block_is_found_to_the_sample(kind, start_s):
     assert found.held_out[at - 10:at + 10].all() and not found.final.train_mask[at - 10:at + 10].any()
     assert [finding.effect.kind for finding in found.findings] == [kind]
     assert found.findings[0].effect.start_s == pytest.approx(start_s, abs=0.1)
-    assert worker.declared(found)[0].start_stamp == pytest.approx(
+    assert 1e9 * worker.declared(found)[0].span.start_stamp_s == pytest.approx(
         found.recorded.samples.origin + found.findings[0].effect.start_s * 1e9, abs=1000)
     assert found.everything.train_mask.sum() == found.final.train_mask.sum() + found.held_out.sum()
     assert found.on_all_samples.nmse.mean() < found.after.nmse.mean()
@@ -695,13 +696,16 @@ def test_the_start_is_where_a_search_over_all_samples_puts_it():
     true = 251
     jumped = RECORDED.outputs + 0.3 * (np.arange(400) >= true)[:, None]
     fit = state_of(replace(RECORDED, outputs=jumped))
-    columns = added_columns(fit, kinds()['sensor_offset'](None, {}))
-    start, gain, always = best_start(fit, columns)
+    jump = kinds()['sensor_offset'](None, {})
+    columns = added_columns(fit, jump)
+    span = best_span(fit, jump, columns)
     late = {index: np.sum(((fit.residual - fit.explain(
         columns * (np.arange(400) >= index)[:, None, None]).residual) / fit.scale) ** 2)
         for index in range(true - 3, true + 4)}
-    assert start == max(late, key=late.get) == true
-    assert gain > 10.0 * abs(always)
+    assert list(span.values) == ['start_s'] and span.start_s == fit.samples.time[max(late, key=late.get)]
+    assert max(late, key=late.get) == true
+    near = best_edge(fit, columns, Span(1.0), 'start_s', tuple(fit.samples.time[[0, -1]]))
+    assert near == span
 
 
 def test_a_calibration_is_settled_by_gauss_newton():
@@ -758,7 +762,7 @@ def test_errors_are_over_the_variance_and_over_the_horizon():
 
 def test_what_belongs_to_one_recording_is_not_carried_to_another():
     """A drift does not go on in a later recording; a load that was picked up is there from its start."""
-    drift, load = kinds()['sensor_drift'](None, {}), kinds()['payload']('r_hand', start=Start(10.0))
+    drift, load = kinds()['sensor_drift'](None, {}), kinds()['payload']('r_hand', span=Span(10.0))
     fit = state_of(RECORDED, [drift, load])
     blocks = CoupledColumns(BODY, [drift, load]).blocks
     theta = fit.theta.copy()

@@ -29,7 +29,7 @@ from semiparam_ros.diagnosis.search.score import gain
 from semiparam_ros.diagnosis.search.stepwise import search, starting_fit
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_from_text, kinds
-from semiparam_ros.effects.base import Start
+from semiparam_ros.effects.base import Span
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
@@ -232,7 +232,7 @@ def test_friction_that_drives_its_joint_in_one_direction_is_impossible():
 
 def with_load(theta, noise, seed=0):
     samples = moving(seed)
-    load = kinds()['payload']('tool', start=Start(20.0))
+    load = kinds()['payload']('tool', span=Span(20.0))
     columns = load.columns(BODY, samples, None)[0]
     rng = np.random.default_rng(seed)
     outputs = samples.outputs + columns @ theta + noise * rng.standard_normal(samples.outputs.shape)
@@ -242,7 +242,7 @@ def with_load(theta, noise, seed=0):
 
 def test_a_load_that_comes_in_a_gap_is_said_to_have_come_there():
     samples = moving(3)
-    columns = kinds()['payload']('tool', start=Start(18.5)).columns(BODY, samples, None)[0]
+    columns = kinds()['payload']('tool', span=Span(18.5)).columns(BODY, samples, None)[0]
     loaded = replace(samples, outputs=samples.outputs + columns @ np.array([0.4, 0.01, 0.0, 0.02, *[0.0] * 6]))
     seen = loaded[(samples.time < 17.0) | (samples.time > 20.0)]
     found = diagnose(BODY, seen, only=['payload', 'external_force'])
@@ -257,9 +257,9 @@ def test_a_second_load_is_not_taken_for_the_one_that_was_declared():
     samples = moving(3)
     outputs = samples.outputs
     for start_s, mass in ((6.0, 0.4), (18.0, 0.9)):
-        columns = kinds()['payload']('tool', start=Start(start_s)).columns(BODY, samples, None)[0]
+        columns = kinds()['payload']('tool', span=Span(start_s)).columns(BODY, samples, None)[0]
         outputs = outputs + columns @ np.array([mass, 0.01, 0.0, 0.02, *[0.0] * 6])
-    known = kinds()['payload']('tool', start=Start(6.0))
+    known = kinds()['payload']('tool', span=Span(6.0))
     found = diagnose(BODY, replace(samples, outputs=outputs), [known], only=['payload'])
     assert [round(finding.effect.start_s) for finding in found.findings] == [18]
     assert [round(finding.effect.start_s) for finding in found.declared] == [6]

@@ -25,7 +25,7 @@ from semiparam_ros.diagnosis.search.score import (
 )
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
-from semiparam_ros.effects.base import Start
+from semiparam_ros.effects.base import Span
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 
 BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
@@ -97,7 +97,7 @@ def offset_columns(fit):
 def test_blocks_lie_on_both_sides_of_a_start():
     fit = fitted(moving())
     start = 0.9 * fit.samples.time[-1]
-    edges = block_edges(fit, start)
+    edges = block_edges(fit, [start])
     assert len(edges) == fit.config.blocks - 1
     assert np.sum(fit.samples.time[edges] < start) == fit.config.blocks // 2 - 1
 
@@ -140,7 +140,7 @@ def test_a_kind_that_is_elsewhere_costs_less_and_a_start_more():
     pushes = [KINDS['external_force'](link) for link in KINDS['external_force'].places(BODY)[:2]]
     assert price(pushes[1], pushes[:1], fit, KINDS) == price(pushes[1], (), fit, KINDS)  # no friction of all joints
     offset = KINDS['effort_offset']('turn')
-    late = replace(offset, start=Start(3.0))
+    late = replace(offset, span=Span(3.0))
     assert price(late, (), fit, KINDS) - price(offset, (), fit, KINDS) == pytest.approx(np.log(fit.config.start_grid))
 
 

@@ -72,10 +72,10 @@ def test_runs_of_recordings():
     _, samples = recorded('wrench')
     joined = Samples.joined(samples)
     load = kinds()['payload']('r_gripper')
-    runs = [present(joined, 'ABC', replace(load, start=span)) for span in spans(joined)]
+    runs = [present(joined, 'ABC', replace(load, span=span)) for span in spans(joined)]
     assert runs == [('A',), ('A', 'B'), ('B',), ('B', 'C'), ('C',)]
     assert present(joined, 'ABC', during(joined, 1, load)) == ('B',)
-    assert effect_to_text(during(joined, 1, load).without_start()) == 'payload@r_gripper'
+    assert effect_to_text(during(joined, 1, load).without_span()) == 'payload@r_gripper'
 
 
 def test_the_command_takes_several_bags(tmp_path, capsys):

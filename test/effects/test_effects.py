@@ -23,7 +23,7 @@ from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, effects_to_parameters, kinds, registry
 from semiparam_ros.effects.application_point import AtPoint
-from semiparam_ros.effects.base import CHANNELS, Coefficient, Start
+from semiparam_ros.effects.base import CHANNELS, Coefficient, Span
 from semiparam_ros.effects.friction import JointEffect
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
@@ -169,11 +169,13 @@ BARE = [(outputs, kind(where)) for outputs, body in BODIES.items() for kind in k
 
 @pytest.mark.parametrize(('outputs', 'effect'), BARE, ids=[f'{outputs}-{effect.kind}@{effect.where}'
                                                            for outputs, effect in BARE])
-@pytest.mark.parametrize('start', [{}, {'start_s': START_S}, {'start_stamp_s': START_S}], ids=['always', 's', 'stamp'])
+@pytest.mark.parametrize('start', [{}, {'start_s': START_S}, {'start_stamp_s': START_S},
+                                   {'start_s': START_S, 'end_s': 2 * START_S}, {'end_stamp_s': START_S}],
+                         ids=['always', 's', 'stamp', 'between', 'end'])
 def test_every_kind_is_declared_without_values_where_it_is_permitted_and_starts_if_it_can(outputs, effect, start):
     declared = effect.with_values(**start)
     if start and effect.is_calibration:  # it has no columns that could begin
-        with pytest.raises(SemiparamError, match=f"effect '{effect.kind}' has a start; expected none"):
+        with pytest.raises(SemiparamError, match=f"effect '{effect.kind}' has a start or an end; expected none"):
             CoupledColumns(BODIES[outputs], [declared])
         return
     assembly = CoupledColumns(BODIES[outputs], [declared])
@@ -208,6 +210,7 @@ MISDECLARED = {
     'cable_hysteresis@r_hand{"slip": -0.1}': 'has slip -0.1; expected more than 0',
     'cable_hysteresis@r_elbow{"slip": 0.1, "azimuth": 0.1}': 'has a direction at the joint r_elbow',
     'payload@r_hand{"start_s": 3, "start_stamp_s": 1.7e9}': 'has start_s and start_stamp_s; expected one of them',
+    'payload@r_hand{"start_s": 3, "end_s": 3}': 'ends at 3 s and begins at 3 s; expected an end after the start',
     'terms@fx{"sin(q_elbow)": 1}': "names the joint 'elbow'; expected one of r_shoulder_pitch",
 }
 
@@ -253,7 +256,7 @@ def test_a_reference_model_stands_once_beside_the_texts():
 def test_values_go_where_they_belong():
     shaking = effect_from_text('periodic_disturbance@r_hand{"link_axes": 1, "start_s": 2, "frequency_hz": 3}')
     assert (shaking.parameters, shaking.options) == ({'frequency_hz': 3.0}, {'link_axes': 1.0})
-    assert shaking.start == Start(2.0) and shaking.searched == ('frequency_hz',)
+    assert shaking.span == Span(2.0) and shaking.searched == ('frequency_hz',)
     assert (shaking.value('frequency_hz'), shaking.value('link_axes')) == (3.0, 1.0)
     assert effect_to_text(shaking) == \
         'periodic_disturbance@r_hand{"frequency_hz": 3.0, "link_axes": 1.0, "start_s": 2.0}'
@@ -311,8 +314,8 @@ STAMPED = replace(MOTION, stamps=MOTION.stamps - MOTION.stamps[0] + ORIGIN, orig
 @pytest.mark.parametrize('row', range(0, 40, 3))
 def test_a_start_may_be_told_as_a_stamp(row):
     """To the sample, whoever counts time from wherever: a double holds such a stamp to 0.24 us."""
-    payload = kinds()['payload']('r_hand', start=Start(float(STAMPED.time[row])))
-    stamped = payload.at_stamp(ORIGIN)
+    payload = kinds()['payload']('r_hand', span=Span(float(STAMPED.time[row])))
+    stamped = payload.at_stamps(ORIGIN)
     assert set(stamped.values) == {'start_stamp_s'}
     expected, _ = payload.columns(BODIES['wrench'], STAMPED, None)
     assert np.abs(expected[row]).max() > 0.0
@@ -321,7 +324,20 @@ def test_a_start_may_be_told_as_a_stamp(row):
         np.testing.assert_array_equal(columns, expected)
     back = effect_from_text(effect_to_text(stamped)).in_recording(ORIGIN)
     assert back.start_s == pytest.approx(payload.start_s, abs=1e-6)
-    assert back.at_stamp(ORIGIN) == stamped  # to the last digit, however often it goes to and fro
+    assert back.at_stamps(ORIGIN) == stamped  # to the last digit, however often it goes to and fro
+
+def test_an_effect_is_there_from_its_start_until_before_its_end():
+    payload = kinds()['payload']('r_hand')
+    throughout, _ = payload.columns(BODIES['wrench'], STAMPED, None)
+    times = STAMPED.time[[10, 20]].tolist()
+    between = payload.with_values(start_s=times[0], end_s=times[1])
+    for effect in (between, between.at_stamps(ORIGIN), effect_from_text(effect_to_text(between))):
+        columns, _ = effect.columns(BODIES['wrench'], STAMPED, None)
+        np.testing.assert_array_equal(columns[10:20], throughout[10:20])
+        assert not columns[:10].any() and not columns[20:].any()
+    assert set(between.at_stamps(ORIGIN).values) == {'start_stamp_s', 'end_stamp_s'} and between.ends
+    assert between.at_stamps(ORIGIN).in_recording(ORIGIN).end_s == pytest.approx(times[1], abs=1e-6)
+
 
 def late_and_uneven() -> Samples:
     """The motion at 1 kHz a day after the origin, then rest; a pause of half an hour, stamps that come twice."""
@@ -399,10 +415,10 @@ def test_a_kind_whose_functions_take_single_values_is_computed_by_itself_where_t
 
 def test_without_a_start_an_effect_is_always_there():
     effect = kinds()['external_force']('r_hand', {'x': 0.1})
-    assert effect.at_stamp(ORIGIN) == effect.in_recording(ORIGIN) == effect
-    for start in ('start_s', 'start_stamp_s'):
-        assert effect.with_values(**{start: 3.0}).without_start() == effect
-    terms = kinds()['terms']('fx', {'sin(q_r_elbow)': 1.0}, start=Start(stamp_s=3.0))
+    assert effect.at_stamps(ORIGIN) == effect.in_recording(ORIGIN) == effect
+    for start in ('start_s', 'start_stamp_s', 'end_s', 'end_stamp_s'):
+        assert effect.with_values(**{start: 3.0}).without_span() == effect
+    terms = kinds()['terms']('fx', {'sin(q_r_elbow)': 1.0}, span=Span(start_stamp_s=3.0))
     assert terms.names == ('sin(q_r_elbow)',)
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
-from semiparam_ros.effects.base import Start
+from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.terms import Terms, parse_term, term_unit, term_values
 from semiparam_ros.errors import SemiparamError
 from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
@@ -48,7 +48,7 @@ def test_no_text_does_anything_but_parse_or_refuse(text):
 
 
 def test_columns_stand_in_their_channel_alone_and_begin_when_they_should():
-    effect = Terms('tz', {'sin(q_r_elbow)': 1.0, 'dq_r_elbow': -2.0}, start=Start(1.0))
+    effect = Terms('tz', {'sin(q_r_elbow)': 1.0, 'dq_r_elbow': -2.0}, span=Span(1.0))
     columns = effect.columns(icub(), MOTION, None)[0]
     assert columns.shape == (50, 6, 2) and not columns[:, :5].any()
     np.testing.assert_array_equal(columns[:, 5, 1], np.where(MOTION.time >= 1.0, ELBOW[1], 0.0))

@@ -18,7 +18,7 @@ from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
 from semiparam_ros.effects import Effect, kinds
-from semiparam_ros.effects.base import Start
+from semiparam_ros.effects.base import Span
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report import diagnosis_figures as figures
 from semiparam_ros.report.diagnosis_figures import dependence, suspected_variable, suspicions
@@ -255,7 +255,7 @@ def test_all_listed_kinds_have_a_variable_of_their_own():
 
 
 def test_what_starts_is_drawn_against_time():
-    effect = kinds()['external_force']('r_hand', start=Start(3.0))
+    effect = kinds()['external_force']('r_hand', span=Span(3.0))
     assert suspected_variable(effect, state_of('wrench'), MOTION.position[:, 1], 0).label == 'time [s]'
 
 

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip('covertable')
 from semiparam_ros.core.variants import AVERAGED, CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
-from semiparam_ros.effects.base import STARTS
+from semiparam_ros.effects.base import TIMES
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import new_estimator
 from support import settings_matrix as matrix
@@ -26,7 +26,7 @@ def test_an_effect_with_all_of_its_values_has_them_all(name):
         for place in ('first', 'last') if name != 'terms' else ():
             effect = matrix.effect_of({'effect': name, 'outputs': outputs, 'values': 'all', 'start': 'none',
                                        'place': place}, 3.0)
-            assert {*effect.values, *STARTS} >= set(kind.value_names()) - set(kind.option_names)
+            assert {*effect.values, *TIMES} >= set(kind.value_names()) - set(kind.option_names)
 
 
 @pytest.mark.parametrize(('effect', 'factor', 'value'), matrix.IMPOSSIBLE)

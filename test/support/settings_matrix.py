@@ -62,7 +62,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'efforts': ('all', 'last'),
     'asked': ('by name', 'auto'),
     'values': ('bare', 'all'),
-    'start': ('none', 'late', 'stamp'),
+    'times': ('none', 'late', 'stamps'),
     'place': ('first', 'last'),
     'forgetting': ('auto', 1.0, 0.999, 0.9),
     'noise': ('output', 'one'),
@@ -92,7 +92,7 @@ background: hyperparameters are estimated at once, or while further samples come
 
 TRIPLES: tuple[tuple[str, ...], ...] = (
     ('effect', 'outputs', 'values'), ('effect', 'outputs', 'place'), ('effect', 'outputs', 'efforts'),
-    ('effect', 'values', 'start'), ('variant', 'outputs', 'forgetting', 'still', 'background'),
+    ('effect', 'values', 'times'), ('variant', 'outputs', 'forgetting', 'still', 'background'),
     ('variant', 'forgetting', 'gate', 'tare'), ('variant', 'forgetting', 'horizon'), ('variant', 'outputs', 'motion'),
     ('variant', 'noise', 'length_scales'), ('variant', 'forgetting', 'features'))
 """Groups of factors of which any three values meet: they cost hardly a row more, as each variant meets each effect."""
@@ -100,8 +100,8 @@ TRIPLES: tuple[tuple[str, ...], ...] = (
 IMPOSSIBLE: dict[tuple[str, str, str], str] = {
     **{(name, 'outputs', outputs): f'does not act on outputs {outputs}'
        for name, kind in kinds().items() for outputs in OUTPUTS if outputs not in kind.outputs},
-    **{(name, 'start', start): 'has a start; expected none'
-       for name, kind in kinds().items() for start in ('late', 'stamp') if kind.calibrations}}
+    **{(name, 'times', times): 'has a start or an end; expected none'
+       for name, kind in kinds().items() for times in ('late', 'stamps') if kind.calibrations}}
 """(effect, factor, value) that cannot be together; they are refused, and a test asks for this part of the sentence."""
 
 WINDOW = 24
@@ -121,14 +121,14 @@ def is_possible(row: Row) -> bool:
     """Whether a row, or the part of it that is there, can be."""
     if (row.get('effect'), row.get('values'), row.get('place')) == ('cable_hysteresis', 'all', 'last'):
         return False  # its last place is a joint, where a cable has no direction
-    return not any((row.get('effect'), factor, row.get(factor)) in IMPOSSIBLE for factor in ('outputs', 'start'))
+    return not any((row.get('effect'), factor, row.get(factor)) in IMPOSSIBLE for factor in ('outputs', 'times'))
 
 
 @cache
 def rows() -> tuple[Row, ...]:
     """Rows in which every possible pair of values occurs; always the same ones."""
     excluded = [{'operator': 'fn', 'requires': ['effect', factor], 'evaluate': is_possible}
-                for factor in ('outputs', 'start')]
+                for factor in ('outputs', 'times')]
     excluded.append({'operator': 'fn', 'requires': ['effect', 'values', 'place'], 'evaluate': is_possible})
     triples = [{'fields': list(group), 'strength': 3} for group in TRIPLES]
     return tuple(make({name: list(values) for name, values in FACTORS.items()}, constraints=excluded,
@@ -178,10 +178,11 @@ def effect_of(row: Row, duration_s: float) -> Effect | None:
     if row['values'] == 'all':
         shape = all_values(kind, where, body)
         reference = tuple(body.base_parameters)
-    if row['start'] == 'late':
+    if row['times'] == 'late':
         shape['start_s'] = 0.7 * duration_s
-    elif row['start'] == 'stamp':
+    elif row['times'] == 'stamps':
         shape['start_stamp_s'] = 1e-9 * START_NS + 0.05 * duration_s
+        shape['end_stamp_s'] = 1e-9 * START_NS + 0.8 * duration_s
     return kind.from_values(where, shape, reference)
 
 

@@ -11,7 +11,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.effects import Effect, kinds
-from semiparam_ros.effects.base import Start
+from semiparam_ros.effects.base import Span
 
 
 def whole_groups(samples: Samples, factor: int) -> Samples:
@@ -44,32 +44,37 @@ def alone(samples: Samples, part: slice) -> Samples:
     return replace(samples[part], breaks=(), origin=int(samples.stamps[part.start]))
 
 
+def breaks_s(samples: Samples) -> list[float]:
+    """[s] where recordings after the first begin."""
+    return [(stamp - samples.origin) * 1e-9 for stamp in samples.breaks]
+
+
 def own_offsets(body: RigidBody, samples: Samples) -> list[Effect]:
     """The offset of a wrench in each recording after the first, whose offset belongs to the model."""
-    times = [(stamp - samples.origin) * 1e-9 for stamp in samples.breaks]
-    return [kind(start=Start(start, end_s=end)) for kind in kinds(body.outputs).values() if kind.own_in_each_recording
+    times = breaks_s(samples)
+    return [kind(span=Span(start, end_s=end)) for kind in kinds(body.outputs).values() if kind.own_in_each_recording
             for start, end in zip(times, [*times[1:], None], strict=False)]
 
 
-def spans(samples: Samples) -> Iterator[Start]:
+def spans(samples: Samples) -> Iterator[Span]:
     """Every run of recordings that is not all of them, as when something begins and ends."""
-    edges: list[float | None] = [None, *((stamp - samples.origin) * 1e-9 for stamp in samples.breaks), None]
+    edges: list[float | None] = [None, *breaks_s(samples), None]
     for first in range(len(edges) - 1):
         for last in range(first + 1, len(edges)):
             if (first, last) != (0, len(edges) - 1):
-                yield Start(edges[first], end_s=edges[last])
+                yield Span(edges[first], end_s=edges[last])
 
 
 def during(samples: Samples, number: int, effect: Effect) -> Effect:
     """The effect in one of the recordings alone; with a start of its own, until that recording ends."""
-    edges: list[float | None] = [None, *((stamp - samples.origin) * 1e-9 for stamp in samples.breaks), None]
-    own = effect.start if effect.start.values else Start(edges[number])
-    return replace(effect, start=replace(own, end_s=edges[number + 1]))
+    edges: list[float | None] = [None, *breaks_s(samples), None]
+    own = effect.span if effect.span.values else Span(edges[number])
+    return replace(effect, span=replace(own, end_s=edges[number + 1]))
 
 
 def present(samples: Samples, names: Sequence[str], effect: Effect) -> tuple[str, ...]:
     """Names of the recordings in which the effect acts, at least for a part."""
-    start, end = effect.start.seconds, effect.start.end_s
+    start, end = effect.span.start_s, effect.span.end_s
     times = [samples.time[[part.start, part.stop - 1]] for part in samples.recordings]
     return tuple(name for name, (begin, stop) in zip(names, times, strict=True)
                  if (start is None or start <= stop) and (end is None or begin < end))

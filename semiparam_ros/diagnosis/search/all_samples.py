@@ -1,6 +1,6 @@
-"""After the judgement: the model found, fitted once more to all samples, its starts searched to the sample.
+"""After the judgement: the model found, fitted once more to all samples, its times searched to the sample.
 
-What judges must not fit. But a start inside a block that was held out is known to that block only, and what is declared
+What judges must not fit. But a time inside a block that was held out is known to that block only, and what is declared
 from then on should rest on everything that was recorded.
 """
 
@@ -10,23 +10,24 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from semiparam_ros.core.types import Mask
+from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns, best_start
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.shapes import settled
+from semiparam_ros.diagnosis.search.spans import around, with_best_edge
 from semiparam_ros.effects import Effect
 
 
 def fitted_to_all(fit: Fit, usable: Mask, found: Collection[int]) -> Fit:
     """The same effects in the same order, fitted to all usable samples (N,).
 
-    :param found: numbers of the effects that were found, whose starts are searched again near where they are, and whose
+    :param found: numbers of the effects that were found, whose times are searched again near where they are, and whose
         nonlinear values are settled.
     """
     everything = replace(fit, train_mask=usable)
     effects = list(fit.effects)
     for number in found:
-        effects[number] = _started_anew(everything, effects, number)
+        effects[number] = _timed_anew(everything, effects, number)
     return _without_common_gain(settled(declare(with_effects(everything, effects), []), found))
 
 
@@ -36,12 +37,10 @@ def _without_common_gain(fit: Fit) -> Fit:
     return fit if fit.knows_mass or effects == list(fit.effects) else refit_weights(with_effects(fit, effects))
 
 
-def _started_anew(fit: Fit, effects: list[Effect], number: int) -> Effect:
+def _timed_anew(fit: Fit, effects: list[Effect], number: int) -> Effect:
     effect = effects[number]
-    breaks = [(stamp - fit.samples.origin) * 1e-9 for stamp in fit.samples.breaks]
-    if effect.start_s is None or effect.start_s in breaks or effect.is_calibration:
-        return effect
     rest = with_effects(fit, [*effects[:number], *effects[number + 1:]])
-    columns = added_columns(rest, effect.without_start())
-    start, _, _ = best_start(rest, columns, near_s=effect.start_s)
-    return replace(effect, start=replace(effect.start, seconds=float(fit.samples.time[start])))
+    for name, time_s in effect.span.values.items():
+        if time_s not in breaks_s(fit.samples):
+            effect = with_best_edge(rest, effect, name, around(fit, time_s))
+    return effect

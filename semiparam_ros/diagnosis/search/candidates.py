@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, predicted
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Values
@@ -20,7 +18,6 @@ from semiparam_ros.effects.base import Values
 DERIVATIVE_STEP = 1e-3
 """Half the difference [rad, s or 1] that stands for a derivative: dry friction that turns over between two samples is
 no smooth function of a delay, and a much smaller one would see it jump or not at all."""
-START_RIDGE = 1e-6
 Place = tuple[str, str | None, float | None]
 """Kind and place of an effect, and when it began where several may come one after the other, as loads do."""
 
@@ -135,68 +132,3 @@ def _of_effects(fit: Fit, body: RigidBody, inputs: Samples, loads: bool) -> Arra
         if effect.is_load == loads and not effect.is_calibration:
             outputs += predicted(effect.columns(body, inputs, None)[0], fit.theta[blocks[str(index)]])
     return outputs[:, :, None]
-
-
-def best_start(fit: Fit, columns: Array, near_s: float | None = None) -> tuple[int, float, float]:
-    """Sample number where columns (N, n, c) should begin, and what they explain from there and from the beginning.
-
-    Sums over time make every start cheap; explained squares are in scaled units. Between two samples that fit nothing
-    tells one start from another: halfway errs least.
-
-    :param near_s: looks within the length of a block around this time [s] alone.
-    """
-    fitting = np.flatnonzero(fit.train_mask)
-    count = len(fitting)
-
-    def gains(starts: Indices) -> list[float]:
-        return _explained(fit, *_sums_from(fit, columns, fitting[starts])).tolist()
-
-    margin = max(int(fit.config.start_margin * count), 1)
-    low, high = margin, count - margin
-    if near_s is not None:
-        times = fit.samples.time[fitting]
-        reach = float(times[-1] - times[0]) / fit.config.split_blocks
-        low, high = np.clip(np.searchsorted(times, (near_s - reach, near_s + reach)), 1, count - 1).tolist()
-    coarse = np.unique(np.linspace(low, high, fit.config.start_grid).astype(int))
-    always, *coarse_gains = gains(np.append(0, coarse))
-    rough = int(coarse[np.argmax(coarse_gains)])
-    step = int(coarse[1] - coarse[0]) if len(coarse) > 1 else 1
-    for finer in (max(step // 8, 1), 1):
-        near = np.arange(max(rough - step, 1), min(rough + step + 1, count), finer)
-        near_gains = gains(near)
-        rough, step = int(near[np.argmax(near_gains)]), 2 * finer
-    return int(fitting[rough - 1] + fitting[rough] + 1) // 2, max(near_gains), always
-
-
-def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array, Array]:
-    """Products of columns (N, n, c) with one another (s, c, c), with the residual (s, c) and with the declared ones
-    (s, p, c) over the samples in use from each of the starts (s,) on, sample numbers in ascending order."""
-    size = columns.shape[2]
-    gram, right = np.zeros((len(starts), size, size)), np.zeros((len(starts), size))
-    cross = np.zeros((len(starts), fit.n_columns, size))
-    for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
-        used, rows, felt = fit.in_use[channel], fit.rows[channel], fit.felt[channel]
-        own, residual, weight = columns[used, channel], fit.residual[used, channel, None], fit.scale[channel] ** -2.0
-        # One product a start: a few samples lie between most of them, and then a call costs more than its sums.
-        left, part, sums = np.hstack([own, residual, rows]).T, own * weight, []
-        for start, end in pairwise([*np.searchsorted(used, starts).tolist(), len(used)]):
-            sums.append(left[:, start:end] @ part[start:end])
-        channel_gram, channel_right, channel_cross = np.split(np.stack(sums), [size, size + 1], axis=1)
-        gram += channel_gram
-        right += channel_right[:, 0]
-        cross[:, felt] += channel_cross
-    return _suffix(gram), _suffix(right), _suffix(cross)
-
-
-def _explained(fit: Fit, gram: Array, right: Array, cross: Array) -> Array:
-    """(s,) squares in scaled units that columns explain beside the declared ones, from :func:`_sums_from`."""
-    size = 1.0 / np.sqrt(np.diagonal(gram, axis1=1, axis2=2) + 1e-300)
-    solved = cho_solve(fit.factor, np.hstack(list(cross))).reshape(fit.n_columns, *right.shape)
-    inner = gram - np.swapaxes(cross, 1, 2) @ np.swapaxes(solved, 0, 1)
-    scaled = inner * size[:, :, None] * size[:, None, :] + START_RIDGE * np.eye(right.shape[1])
-    target = right * size
-    return np.asarray((target * np.linalg.solve(scaled, target[:, :, None])[:, :, 0]).sum(axis=1))
-
-
-def _suffix(values: Array) -> Array:
-    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])

@@ -8,7 +8,6 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.recordings import spans
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.base import Start
 
 
 def in_some_recordings(fit: Fit, effect: Effect, started: Array, always: Array) -> tuple[Effect, Array]:
@@ -20,16 +19,13 @@ def in_some_recordings(fit: Fit, effect: Effect, started: Array, always: Array) 
         return effect, started
     found = (effect, started)
     best = _explained(fit, effect, started)
-    least = best * (1.0 - fit.config.whole_recording_share) if effect.start.values \
+    least = best * (1.0 - fit.config.whole_recording_share) if effect.span.values \
         else best * fit.config.some_recordings_ratio
-    time = fit.samples.time
     for span in spans(fit.samples):
-        inside = (time >= (-1e300 if span.seconds is None else span.seconds)) \
-            & (time < (1e300 if span.end_s is None else span.end_s))
-        columns = always * inside[:, None, None]
+        columns = always * span.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
         explained = _explained(fit, effect, columns)
         if explained > least:
-            least, found = explained, (replace(effect, start=Start(span.seconds, end_s=span.end_s)), columns)
+            least, found = explained, (replace(effect, span=span), columns)
     return found
 
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, identity
+from semiparam_ros.diagnosis.search.candidates import Place, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.prior_odds import prices
 from semiparam_ros.diagnosis.search.refit import declare, moved_by
 from semiparam_ros.diagnosis.search.revision import bent, formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
 from semiparam_ros.diagnosis.search.scoring import Trial, refined
+from semiparam_ros.diagnosis.search.spans import with_best_edge
 from semiparam_ros.effects import Effect
 
 
@@ -44,8 +47,24 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
         if trial.many_valued:
             trial, after = _at_its_best(fit, trial, after, kinds)
         if all_plausible(fit, after):
-            moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.start_s),
+            moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.span.values.values()),
                               prices([trial.effect], fit, kinds)))
+    return moves
+
+
+def ending_moves(fit: Fit) -> list[Move]:
+    """What the model holds and may be over: a load that was put down."""
+    moves = []
+    for effect in fit.effects:
+        of_recording = effect.own_in_each_recording and effect.start_s in breaks_s(fit.samples)
+        if effect.changes and effect.end_s is None and not of_recording:
+            rest = with_effects(fit, others(fit, effect))
+            first, *_, last = fit.samples.time[fit.train_mask].tolist()
+            ended = with_best_edge(rest, effect, 'end_s', (max(first, effect.start_s or first), last))
+            after = declare(with_effects(fit, [ended if known is effect else known for known in fit.effects]), [])
+            if all_plausible(fit, after):
+                moves.append(Move((ended,), after, gain(fit, after, ended.span.values.values()),
+                                  math.log(fit.config.start_grid)))
     return moves
 
 
@@ -70,7 +89,7 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
     """Kinds at all their places at once: what one joint lacks bends the rigid body's fit of the others."""
     groups: dict[str, list[Effect]] = {}
     for trial in trials:
-        if trial.effect.group and trial.effect.start_s is None:
+        if trial.effect.group and not trial.effect.span.values:
             groups.setdefault(trial.effect.group, []).append(trial.effect)
     known, moves = {identity(effect) for effect in fit.effects}, []
     order = list(kinds)
@@ -126,4 +145,5 @@ def _spent(move: Move) -> int:
 
 def values_of(effect: Effect, fit: Fit) -> int:
     """How many values an effect has: coefficients, calibrations and those that a search chose."""
-    return len(effect.coefficients(fit.body)) + len(effect.searched) + len(effect.calibrations)
+    return (len(effect.coefficients(fit.body)) + len(effect.searched) + len(effect.calibrations)
+            + len(effect.span.values))

@@ -52,7 +52,7 @@ def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
         searches = tuple(dict(values) for values in effect.searches(
             fit.body, fit.samples, effect.where, fit.residual))
         if identity(effect) in fixed or effect.is_calibration or len(searches) < 2 \
-                or effect.start.values or not effect.searched:
+                or effect.span.values or not effect.searched:
             continue
         without = with_effects(after, others(after, effect))
         trial = coarse_trial(without, Candidate(type(effect), effect.where, searches))

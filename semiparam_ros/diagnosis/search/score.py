@@ -14,6 +14,7 @@ are columns too, linear near where they stand; the nonlinear values of effects a
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -128,17 +129,15 @@ def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
             np.concatenate([np.zeros(0), *spread]), np.concatenate([np.zeros(0), *values]))
 
 
-def block_edges(fit: Fit, start_s: float | None = None) -> Array:
-    """(B - 1,) sample numbers at which blocks begin: as many samples in use each; where something begins in between,
-    half of the blocks before that, half after."""
-    used, blocks = np.flatnonzero(fit.train_mask), fit.config.blocks
-    since = int(np.searchsorted(used, np.searchsorted(fit.samples.time, start_s))) if start_s is not None else 0
-    if not 0 < since < len(used):
-        return np.asarray(used[np.arange(1, blocks) * len(used) // blocks])
-    half = blocks // 2
-    before = np.arange(1, half) * since // half
-    after = since + np.arange(half) * (len(used) - since) // half
-    return np.asarray(used[np.append(before, after)])
+def block_edges(fit: Fit, times_s: Collection[float] = ()) -> Array:
+    """(B - 1,) sample numbers at which blocks begin: as many samples in use each; where something begins or ends, as
+    many blocks before that as after it."""
+    used = np.flatnonzero(fit.train_mask)
+    changes = np.searchsorted(used, np.searchsorted(fit.samples.time, sorted(times_s)))
+    parts = [0, *np.unique(changes[(changes > 0) & (changes < len(used))]).tolist(), len(used)]
+    blocks = fit.config.blocks // (len(parts) - 1)
+    edges = [start + np.arange(blocks) * (end - start) // blocks for start, end in pairwise(parts)]
+    return np.asarray(used[np.concatenate(edges)[1:]])
 
 
 _known: WeakKeyDictionary[Fit, dict[bytes, BlockGrams]] = WeakKeyDictionary()
@@ -154,18 +153,18 @@ def grams_of(fit: Fit, edges: Array) -> BlockGrams:
     return known[key]
 
 
-def gain(before: Fit, after: Fit, start_s: float | None = None) -> Gain:
+def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
     """Of the second model over the first, with as many independent samples as the second one's residual leaves.
 
-    :param start_s: [s] when something begins that one of them has and the other lacks.
+    :param times_s: [s] when something begins or ends that one of them has and the other lacks.
     """
-    return summed(block_gains(before, after, start_s))
+    return summed(block_gains(before, after, times_s))
 
 
-def block_gains(before: Fit, after: Fit, start_s: float | None = None) -> Array:
+def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Array:
     """(B,) the same of each block; where models have columns for errors of the inputs, with or without these, whichever
     gains less: what only makes up for what they spoil explains nothing, nor does what only they do better."""
-    edges, repeated = block_edges(before, start_s), repetition(after)
+    edges, repeated = block_edges(before, times_s), repetition(after)
     return _least([_densities(after, edges, repeated, taken) - _densities(before, edges, repeated, taken)
                    for taken in _views(before)])
 

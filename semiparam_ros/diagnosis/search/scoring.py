@@ -18,12 +18,12 @@ from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.correlation import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects, with_values
-from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, best_start, predicted_with
+from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, predicted_with
 from semiparam_ros.diagnosis.search.in_some_recordings import in_some_recordings
 from semiparam_ros.diagnosis.search.refit import calibrated_values, gauss_newton, moved_by
+from semiparam_ros.diagnosis.search.spans import best_span
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
-from semiparam_ros.effects.base import ALWAYS, Start
 
 POINT_DIFFERENCE = 1e-3
 """Difference of a point of application [m] that stands for a derivative."""
@@ -72,20 +72,18 @@ def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
 
 
 def _started(fit: Fit, effect: Effect) -> tuple[Effect, Array]:
-    """The effect starting when it explains most, if it can start, and its columns."""
+    """The effect when it explains most, if it can begin or end, and its columns."""
     columns = always = added_columns(fit, effect)
     if effect.is_calibration:
         return effect, columns
-    if effect.must_start or effect.may_start:
-        start, late, throughout = best_start(fit, columns)
-        if effect.must_start or late > fit.config.start_worth * throughout:
-            effect = replace(effect, start=Start(float(fit.samples.time[start])))
-            columns = columns * (np.arange(len(columns)) >= start)[:, None, None]
+    if effect.changes:
+        effect = replace(effect, span=best_span(fit, effect, always))
+        columns = always * effect.span.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
     return in_some_recordings(fit, effect, columns, always)
 
 
 def _linear_trial(fit: Fit, effect: Effect) -> Trial:
-    """The effect with its coefficients fitted, starting when it explains most if it can start."""
+    """The effect with its coefficients fitted, when it explains most, if it can begin or end."""
     return _fitted(fit, *_started(fit, effect))
 
 
@@ -111,7 +109,7 @@ def _squares(fit: Fit, trial: Trial) -> Array:
 
 def nonlinear(effect: Effect) -> int:
     """Number of values that an effect's search chose."""
-    return len(effect.searched) + (effect.start != ALWAYS)
+    return len(effect.searched) + len(effect.span.values)
 
 
 def squared_loss(fit: Fit, trial: Trial) -> float:
@@ -153,7 +151,7 @@ def _refined_once(fit: Fit, trial: Trial) -> Trial:
     for name in effect.searched:
         if name not in POINT:
             effect = _line_search(fit, effect, name)
-    best = _linear_trial(fit, effect.without_start())
+    best = _linear_trial(fit, effect.without_span())
     return best if effect.parameters.keys() & POINT.keys() else _at_best_link(fit, best)
 
 

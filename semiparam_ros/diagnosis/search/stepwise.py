@@ -15,7 +15,15 @@ from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, candidates, identity, others
-from semiparam_ros.diagnosis.search.moves import Move, group_moves, moving_moves, simplest, single_moves, values_of
+from semiparam_ros.diagnosis.search.moves import (
+    Move,
+    ending_moves,
+    group_moves,
+    moving_moves,
+    simplest,
+    single_moves,
+    values_of,
+)
 from semiparam_ros.diagnosis.search.prior_odds import prices, usual
 from semiparam_ros.diagnosis.search.ranking import Progress, coarse, refine_foremost
 from semiparam_ros.diagnosis.search.refit import declare
@@ -93,7 +101,7 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
     """
     trials = coarse(fit, list(candidates(fit, kinds)), report)
     ranking = refine_foremost(fit, trials)
-    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds)]
+    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit)]
     if late or not any(move.good for move in moves):
         moves += moving_moves(fit, fixed, kinds)
     good = [move for move in moves if move.good]
@@ -112,9 +120,9 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
     added = [identity(effect) for effect in best.added]
     after = bent(best.after, added, kinds)
     after = pruned(split(after, added, kinds), fixed, kinds)
-    before = {identity(effect) for effect in fit.effects}
+    before = {(identity(effect), effect.end_s) for effect in fit.effects}
     names = {identity(effect) for effect in after.effects}
-    found = tuple(effect for effect in after.effects if identity(effect) not in before)
+    found = tuple(effect for effect in after.effects if (identity(effect), effect.end_s) not in before)
     if not found:
         return None
     alone = len(found) == 1 == len(best.added)
@@ -143,7 +151,7 @@ def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) 
                   if trial.evidence > fit.config.worth_swapping * own]
         ranking = refine_foremost(rest, trials[:fit.config.swapped])
         cost = prices([effect], rest, kinds)
-        moves = [move._replace(gain=gain(fit, move.after, move.added[0].start_s), price=move.price - cost)
+        moves = [move._replace(gain=gain(fit, move.after, move.added[0].span.values.values()), price=move.price - cost)
                  for move in single_moves(rest, ranking, kinds)]
         best = max((move for move in moves if move.good), key=lambda move: move.net, default=None)
         step = None if best is None else _made(fit, best, moves, ranking, fixed, kinds)

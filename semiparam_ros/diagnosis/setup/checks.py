@@ -29,6 +29,7 @@ from semiparam_ros.diagnosis.setup.prior_misfit import (
     Equations,
     equations,
     evidence,
+    independent,
     misfit,
     nuisances,
 )
@@ -401,7 +402,7 @@ def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig
                 alternative.samples.outputs)
 
     best = max(_alternatives(body, samples, config), key=lambda alternative: evidence(*of(alternative)).log)
-    share = evidence(*of(best)).independent
+    share = independent(*of(best), evidence(*of(best)).change)
     gain = evidence(*of(best), share).log - evidence(equal, samples.outputs, share).log
     return best if gain > config.setup_evidence else None
 

@@ -16,7 +16,8 @@ of a joint, but for what that share could put in: that is part of the prior.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,8 @@ from semiparam_ros.diagnosis.config import DiagnosisConfig
 RIDGE = 1e-10
 
 
-class Equations(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Equations:
     """Normal equations of the inputs alone, for any outputs."""
 
     columns: Array  # (N, n, c) psi beside the nuisances
@@ -42,6 +44,22 @@ class Equations(NamedTuple):
     rounds: int  # in which the noise is fitted
     speed: Array  # (n,) root mean square speed of the joints; (0,) of a wrench
     power: Array  # (n, c) mean power of each joint's friction; (0, c) of a wrench
+
+    @cached_property
+    def size(self) -> Array:
+        """(c,) of each column, the largest of all channels."""
+        size = np.sqrt(np.max(np.mean(self.columns**2, axis=0), axis=0))
+        return np.where(size > 0.0, size, 1.0)
+
+    @cached_property
+    def scaled(self) -> Array:
+        """(n, N, c) columns over their size."""
+        return np.ascontiguousarray((self.columns / self.size).transpose(1, 0, 2))
+
+    @cached_property
+    def grams(self) -> Array:
+        """(n, c, c) products of each channel's scaled columns."""
+        return self.scaled.transpose(0, 2, 1) @ self.scaled
 
 
 class Misfit(NamedTuple):
@@ -89,34 +107,39 @@ def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Arra
 
 
 class Evidence(NamedTuple):
-    """Log evidence [nat] of the outputs, and the share of the samples whose residuals are independent."""
+    """Log evidence [nat] of the outputs, and the parameters' (c,) most likely departure from the mean."""
 
     log: float
-    independent: float
+    change: Array
 
 
 def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> Evidence:
     """Of outputs (N, n) when ``share`` of the samples count."""
     deviation, telling = channel_scale(outputs, not len(equal.power)), np.ptp(outputs, axis=0) > 0.0
-    size = np.sqrt(np.max(np.mean(equal.columns**2, axis=0), axis=0))
-    size = np.where(size > 0.0, size, 1.0)
+    size, count = equal.size, len(outputs)
     precision = equal.precision + np.diag(_nuisance_precision(equal, size, deviation))
-    left, noise = (outputs - equal.columns @ equal.mean)[:, telling], deviation[telling]
-    columns = equal.columns[:, telling]
+    left = outputs - equal.columns @ equal.mean
+    grams, squares = equal.grams[telling], np.sum(left[:, telling] ** 2, axis=0)
+    moments = np.matmul(left.T[telling, None], equal.scaled[telling])[:, 0]
+    noise = deviation[telling]
     for _ in range(equal.rounds):
-        weight = np.sqrt(share) / noise
-        rows = (columns * weight[:, None]).reshape(-1, columns.shape[2]) / size
-        normal = rows.T @ rows + precision / np.outer(size, size)
-        factor = cho_factor(normal)
-        change = cho_solve(factor, rows.T @ (left * weight).ravel()) / size
-        residual = left - columns @ change
-        noise = np.sqrt(np.mean(residual**2, axis=0) + equal.wrong * deviation[telling] ** 2)
-    likelihood = -share * len(outputs) * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
+        weight = share / noise**2
+        factor = cho_factor(np.tensordot(weight, grams, 1) + precision / np.outer(size, size))
+        scaled = cho_solve(factor, weight @ moments)
+        residual = squares - 2.0 * moments @ scaled + (grams @ scaled) @ scaled
+        noise = np.sqrt(np.maximum(residual, 0.0) / count + equal.wrong * deviation[telling] ** 2)
+    change = scaled / size
+    likelihood = -share * count * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
     likelihood += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(factor[0]) * size).sum())
-    after, before = residual[1:], residual[:-1]
-    alike = np.clip(np.sum(after * before, axis=0) / np.sum(residual**2, axis=0), 0.0, 1.0)
-    return Evidence(likelihood + _braking(equal, change, deviation, factor, size),
-                    float(np.mean((1.0 - alike) / (1.0 + alike))))
+    return Evidence(likelihood + _braking(equal, change, deviation, factor, size), change)
+
+
+def independent(equal: Equations, outputs: Array, change: Array) -> float:
+    """Share of the samples whose residuals are independent."""
+    residual = outputs - equal.columns @ (equal.mean + change)
+    residual = residual[:, np.ptp(outputs, axis=0) > 0.0]
+    alike = np.clip(np.sum(residual[1:] * residual[:-1], axis=0) / np.sum(residual**2, axis=0), 0.0, 1.0)
+    return float(np.mean((1.0 - alike) / (1.0 + alike)))
 
 
 def _nuisance_precision(equal: Equations, size: Array, deviation: Array) -> Array:

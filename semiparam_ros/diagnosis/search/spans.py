@@ -1,0 +1,134 @@
+"""From when to when an effect acts.
+
+With sums of products from each of some times to the end of the recording, A_i, what columns explain between times i and
+j beside the declared ones follows from A_i - A_j, so that every span of time is cheap to try.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import Span
+
+START_RIDGE = 1e-6
+
+
+def best_span(fit: Fit, effect: Effect, columns: Array) -> Span:
+    """When the effect acts, with columns (N, n, c) as if it always did: always, from a start on, or until an end,
+    whichever is plainest unless another explains much more. What must begin, as a load is picked up, may also end.
+
+    What was there until a time and what began then with the opposite sign are often one and the same to the model:
+    then the sign tells them apart where the kind has one, and else it began.
+    """
+    fitting, config = np.flatnonzero(fit.train_mask), fit.config
+    margin = max(int(config.start_margin * len(fitting)), 1)
+    edges = np.unique(np.linspace(margin, len(fitting) - margin, config.start_grid).astype(int))
+    block, last = len(fitting) / config.blocks, len(edges) + 1
+    spans = [(0, last), *((i, last) for i in range(1, last)), *((0, j) for j in range(1, last))]
+    if effect.must_start:
+        spans += [(i, j) for i in range(1, last) for j in range(i + 1, last) if edges[j - 1] - edges[i - 1] >= block]
+    gains, coefficients = _explained(fit, columns, fitting[np.append(0, edges)], np.array(spans))
+    parts = np.split(np.arange(len(spans)), [1, last, 2 * last - 1])
+    always, *best = [int(part[gains[part].argmax()]) for part in parts if len(part)]
+    chosen = None if effect.must_start else always
+    for number in best:
+        if effect.physical(coefficients[number]) and (
+                chosen is None or gains[number] > config.start_worth * gains[chosen]):
+            chosen = number
+    start, end = spans[best[0] if chosen is None else chosen]
+    return _to_the_sample(fit, columns, edges, start, end if end < last else 0)
+
+
+def _to_the_sample(fit: Fit, columns: Array, edges: Indices, start: int, end: int) -> Span:
+    """The best span near one of which the start and the end are edges number ``start`` and ``end``, 0 for none."""
+    times = fit.samples.time[fit.train_mask]
+    step = int(np.diff(edges).max(initial=1))
+    numbers = {name: int(edges[number - 1]) for name, number in (('start_s', start), ('end_s', end)) if number}
+    span = Span(**{name: float(times[number]) for name, number in numbers.items()})
+    for name in (*numbers, *list(numbers)[:len(numbers) - 1]):
+        low, high = np.clip((numbers[name] - step, numbers[name] + step), 0, len(times) - 1)
+        span = best_edge(fit, columns, span, name, (float(times[low]), float(times[high])))
+    return span
+
+
+def best_edge(fit: Fit, columns: Array, span: Span, name: str, within_s: tuple[float, float]) -> Span:
+    """The span with its ``start_s`` or ``end_s`` where columns (N, n, c), as if always there, explain most, between two
+    times [s]. Between two samples that fit nothing tells one time from another: halfway errs least."""
+    fitting, other = np.flatnonzero(fit.train_mask), replace(span, **{name: None})
+    held = columns * other.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
+    count = len(fitting)
+    low, high = np.clip(np.searchsorted(fit.samples.time[fitting], within_s), 1, count - 1).tolist()
+    near = np.unique(np.linspace(low, high, fit.config.start_grid).astype(int))
+    step = int(np.diff(near).max(initial=1))
+    for finer in (max(step // 8, 1), 1, 0):
+        number = np.arange(1, len(near) + 1)
+        spans = np.stack([number, np.full(len(near), len(near) + 1)] if name == 'start_s' else [0 * number, number], 1)
+        best = int(near[np.argmax(_explained(fit, held, fitting[np.append(0, near)], spans)[0])])
+        if step <= 1 and finer <= 1:
+            break
+        near, step = np.arange(max(best - step, 1), min(best + step + 1, count), max(finer, 1)), 2 * finer
+    edge = int(fitting[best - 1] + fitting[best] + 1) // 2
+    return replace(other, **{name: float(fit.samples.time[edge])})
+
+
+def with_best_edge(fit: Fit, effect: Effect, name: str, within_s: tuple[float, float]) -> Effect:
+    """The effect with its ``start_s`` or ``end_s`` at the best between two times [s].
+
+    :param fit: the model without the effect.
+    """
+    columns = added_columns(fit, effect.without_span())
+    return replace(effect, span=best_edge(fit, columns, effect.span, name, within_s))
+
+
+def around(fit: Fit, time_s: float) -> tuple[float, float]:
+    """[s] from one block before a time to one after it."""
+    times = fit.samples.time[fit.train_mask]
+    reach = float(times[-1] - times[0]) / fit.config.split_blocks
+    return time_s - reach, time_s + reach
+
+
+def _explained(fit: Fit, columns: Array, edges: Indices, spans: Indices) -> tuple[Array, Array]:
+    """(k,) squares in scaled units that columns (N, n, c) explain beside the declared ones in spans (k, 2) between
+    edges (s,), sample numbers in ascending order, and their coefficients (k, c); edge s is the end of the recording."""
+    sums = _sums_from(fit, columns, edges)
+    solved = cho_solve(fit.factor, np.hstack(list(sums[2]))).reshape(fit.n_columns, *sums[1].shape)
+    i, j = spans.T
+    gram, right, cross, solved = (each[i] - each[j] for each in (
+        np.concatenate([each, 0.0 * each[:1]]) for each in (*sums, solved.transpose(1, 0, 2))))
+    inner = gram - cross.transpose(0, 2, 1) @ solved
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
+    scaled = inner * unit[:, :, None] * unit[:, None, :] + START_RIDGE * np.eye(right.shape[1])
+    found = np.linalg.solve(scaled, (right * unit)[:, :, None])[:, :, 0]
+    return np.asarray((right * unit * found).sum(axis=1)), found * unit
+
+
+def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array, Array]:
+    """Products of columns (N, n, c) with one another (s, c, c), with the residual (s, c) and with the declared ones
+    (s, p, c) over the samples in use from each of the starts (s,) on, sample numbers in ascending order."""
+    size = columns.shape[2]
+    gram, right = np.zeros((len(starts), size, size)), np.zeros((len(starts), size))
+    cross = np.zeros((len(starts), fit.n_columns, size))
+    for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
+        used, rows, felt = fit.in_use[channel], fit.rows[channel], fit.felt[channel]
+        own, residual, weight = columns[used, channel], fit.residual[used, channel, None], fit.scale[channel] ** -2.0
+        # One product a start: a few samples lie between most of them, and then a call costs more than its sums.
+        left, part, sums = np.hstack([own, residual, rows]).T, own * weight, []
+        for start, end in pairwise([*np.searchsorted(used, starts).tolist(), len(used)]):
+            sums.append(left[:, start:end] @ part[start:end])
+        channel_gram, channel_right, channel_cross = np.split(np.stack(sums), [size, size + 1], axis=1)
+        gram += channel_gram
+        right += channel_right[:, 0]
+        cross[:, felt] += channel_cross
+    return _suffix(gram), _suffix(right), _suffix(cross)
+
+
+def _suffix(values: Array) -> Array:
+    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
