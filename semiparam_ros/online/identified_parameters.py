@@ -100,14 +100,14 @@ def quantities(estimator: Estimator) -> list[Quantity]:
 
 
 def payload(estimator: Estimator) -> Payload | None:
-    """The declared payload, or else what the estimate adds to the last link that the outputs feel.
+    """The declared payload that is still there, or else what the estimate adds to the last link that the outputs feel.
 
     None while the initial window is not over, and while the model learns no base parameters.
     """
     if not estimator.ready:
         return None
     for index, effect in enumerate(estimator.columns.effects):
-        if getattr(effect, 'is_load', False):
+        if getattr(effect, 'is_load', False) and not getattr(effect, 'ends', False):
             theta, covariance = _block(estimator.model, estimator.columns.blocks[str(index)])
             return _payload(str(getattr(effect, 'where', '')), theta, covariance) if len(theta) else None
     theta, covariance = _block(estimator.model, slice(0, estimator.body.n_parameters))

@@ -64,7 +64,7 @@ def _values(kind: type[Effect], body: RigidBody) -> str:
     tried = [kind.from_values(where, values).finer() for where in kind.places(body) or kind.permitted(body)
              for values in kind.searches(body, motion, where, motion.outputs)]
     forms = dict.fromkeys(_listed([*effect.coefficients(body), *kind.calibrations]) for effect in tried)
-    start = ('start_s',) if kind.may_start or kind.must_start else ()
+    start = ('start_s', 'end_s') if kind.may_start or kind.must_start else ()
     names = dict.fromkeys([*start, *(name for effect in tried for name in effect.parameters)])
     searched = [Coefficient(name, kind().unit_of(name)) for name in names]
     return '; or '.join(forms) + (f'; searched: {_listed(searched)}' if searched else '')

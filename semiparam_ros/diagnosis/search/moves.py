@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, identity, others
+from semiparam_ros.diagnosis.search.candidates import Candidate, Place, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.prior_odds import prices
 from semiparam_ros.diagnosis.search.refit import declare, moved_by
 from semiparam_ros.diagnosis.search.revision import bent, formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
-from semiparam_ros.diagnosis.search.scoring import Trial, refined
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, refined
 from semiparam_ros.diagnosis.search.spans import with_best_edge
 from semiparam_ros.effects import Effect
 
@@ -49,6 +49,23 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
         if all_plausible(fit, after):
             moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.span.values.values()),
                               prices([trial.effect], fit, kinds)))
+    return moves
+
+
+def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Effect]]) -> list[Move]:
+    """What begins twice, as a load that is picked up again: with one of them alone the model is no better, for the rest
+    of it bends towards the other."""
+    moves = []
+    foremost = {trial.effect.kind: trial for trial in reversed(ranking) if trial.effect.must_start}
+    for trial in foremost.values():
+        once, where = declare(fit, [trial.effect]), trial.effect.where
+        searches = tuple(type(trial.effect).searches(fit.body, fit.samples, where, once.residual))
+        again = coarse_trial(once, Candidate(type(trial.effect), where, searches))
+        if again is not None:
+            added = trial.effect, again.effect
+            after, times = declare(once, [again.effect]), [s for each in added for s in each.span.values.values()]
+            if all_plausible(fit, after):
+                moves.append(Move(added, after, gain(fit, after, times), prices(added, fit, kinds)))
     return moves
 
 

@@ -20,6 +20,7 @@ from semiparam_ros.diagnosis.search.moves import (
     ending_moves,
     group_moves,
     moving_moves,
+    repeated_moves,
     simplest,
     single_moves,
     values_of,
@@ -103,7 +104,7 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
     ranking = refine_foremost(fit, trials)
     moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit)]
     if late or not any(move.good for move in moves):
-        moves += moving_moves(fit, fixed, kinds)
+        moves += [*moving_moves(fit, fixed, kinds), *repeated_moves(fit, ranking, kinds)]
     good = [move for move in moves if move.good]
     if not good:
         return None

@@ -1,0 +1,88 @@
+"""From when to when an effect acts: loads picked up and put down, declared or not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.text_report import summary, text_report
+from semiparam_ros.effects import kinds
+from semiparam_ros.effects.base import Span
+from semiparam_ros.online import worker
+from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+
+BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+COUNT = 1500
+LOAD = np.array([0.4, 0.01, 0.0, 0.02, *[0.0] * 6])
+ONLY = ('payload', 'external_force', 'effort_offset')
+
+
+def carrying(*spans, seed=3):
+    """An odd arm in motion that carries a load in each of these spans [s]; its efforts with 1 % of noise."""
+    motion = smooth_motion(4, COUNT, seed=seed, speed=0.5)
+    outputs = BODY.regressors(motion) @ BODY.base_parameters
+    outputs += 0.01 * outputs.std(axis=0) * np.random.default_rng(seed).standard_normal(outputs.shape)
+    for start_s, end_s in spans:
+        load = kinds()['payload']('tool', span=Span(start_s, end_s=end_s))
+        outputs += load.columns(BODY, motion, None)[0] @ LOAD
+    return replace(motion, outputs=outputs)
+
+
+@cache
+def found_in(*spans):
+    return diagnose(BODY, carrying(*spans), only=ONLY)
+
+
+END_S = float(smooth_motion(4, COUNT, seed=3, speed=0.5).time[-1])
+
+
+@pytest.mark.parametrize('span', [(None, 0.6 * END_S), (0.3 * END_S, 0.7 * END_S), (0.4 * END_S, 0.6 * END_S),
+                                  (0.5 * END_S, None)])
+def test_a_load_that_is_picked_up_and_put_down_is_one_load_with_both_times(span):
+    found = found_in(span)
+    assert [finding.effect.kind for finding in found.findings] == ['payload']
+    effect, mass = found.findings[0].effect, found.findings[0].parameters['mass']
+    for told, true in zip((effect.start_s, effect.end_s), span, strict=True):
+        assert (told is None) == (true is None)
+        assert true is None or told == pytest.approx(true, abs=0.15)
+    assert abs(mass.value - LOAD[0]) < 4.0 * mass.std + 0.01
+    assert found.after.nmse.mean() < 0.5 * found.before.nmse.mean()
+    assert found.lasts(effect) == (span[1] is None)
+    entry = found.as_dict()['effects'][0]
+    assert (entry['start_s'], entry['end_s']) == (effect.start_s, effect.end_s)
+
+
+def test_when_it_was_is_said():
+    found = found_in((0.3 * END_S, 0.7 * END_S))
+    effect = found.findings[0].effect
+    said = f', since {effect.start_s:.1f} s, until {effect.end_s:.1f} s'
+    assert any(said in line for line in text_report(found)) and any(said in line for line in summary(found))
+
+
+def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():
+    samples = carrying((0.2 * END_S, 0.6 * END_S))
+    known = kinds()['payload']('tool', span=Span(0.2 * END_S))
+    found = diagnose(BODY, samples, [known], only=ONLY)
+    assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [('payload', 'tool')]
+    assert found.findings[0].effect.end_s == pytest.approx(0.6 * END_S, abs=0.15) and not found.declared
+    effects = worker.declared(found)
+    assert [set(effect.span.values) for effect in effects] == [{'start_stamp_s', 'end_stamp_s'}]
+    again = diagnose(BODY, samples, effects, only=ONLY)
+    assert again.verdict == 'nothing_missing' and worker.declared(again) == effects
+
+
+def test_a_load_that_comes_again_is_another_one():
+    found = found_in((0.15 * END_S, 0.4 * END_S), (0.65 * END_S, None))
+    told = sorted((finding.effect.start_s, finding.effect.end_s) for finding in found.findings)
+    assert [finding.effect.kind for finding in found.findings] == ['payload'] * 2
+    assert told[0] == pytest.approx((0.15 * END_S, 0.4 * END_S), abs=0.15)
+    assert told[1][0] == pytest.approx(0.65 * END_S, abs=0.15) and told[1][1] is None
+
+
+def test_a_load_that_stays_is_not_ended():
+    known = kinds()['payload']('tool', span=Span(0.3 * END_S))
+    found = diagnose(BODY, carrying((0.3 * END_S, None)), [known], only=ONLY)
+    assert found.verdict == 'nothing_missing' and not found.declared[0].effect.ends
