@@ -18,7 +18,14 @@ from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
-from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, too_fast, working_factor
+from semiparam_ros.diagnosis.preparation import (
+    FROM_POSITIONS,
+    Inputs,
+    best_inputs,
+    require_enough,
+    too_fast,
+    working_factor,
+)
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor
@@ -231,7 +238,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         deviations=sure, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
-               *fast,
+               *_late(inputs), *fast,
                *unidentifiable(body, samples, config), *_left_out(clean),
                *_changed_in_gaps(found, samples, margin, config)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
@@ -333,6 +340,13 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, margin: int, config
                     sentences.append(f'{place(effect.kind, effect.where)} {word} between {gap.start_s:.1f} and '
                                      f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
     return sentences
+
+
+def _late(inputs: Inputs) -> list[str]:
+    """A sentence about velocities or accelerations that are those of a while ago."""
+    return [f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as filtered ones do; they were '
+            'taken as much earlier.' for name, lag in zip(('velocities', 'accelerations'), inputs.lags, strict=True)
+            if lag > 0.0 and inputs.motion != FROM_POSITIONS]
 
 
 def _left_out(valid: Mask) -> list[str]:

@@ -28,10 +28,12 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
 BUT_ACCELERATIONS = 'smoothed, accelerations recorded'
+FROM_POSITIONS = 'smoothed from positions'
 SMOOTHED = {'smoothed with accelerations': (3, 4), 'smoothed more, with accelerations': (3, 6), 'smoothed': (2, 4),
-            'smoothed more': (2, 6), 'smoothed from positions': (1, 4)}
+            'smoothed more': (2, 6), FROM_POSITIONS: (1, 4)}
 """How many of positions, velocities and accelerations the smoother uses, and which derivative it takes for white."""
-ESTIMATED = ('smoothed', 'smoothed more', 'smoothed from positions')
+ESTIMATED = ('smoothed', 'smoothed more', FROM_POSITIONS)
+DERIVATIVES = ('velocity', 'acceleration')
 OPTIONS = (*SMOOTHED, 'recorded', BUT_ACCELERATIONS)
 """All of them, first those that leave the least noise in the motion."""
 MEASURED = tuple(name for name in OPTIONS if name not in ESTIMATED)
@@ -39,12 +41,13 @@ MEASURED = tuple(name for name in OPTIONS if name not in ESTIMATED)
 
 
 class Inputs(NamedTuple):
-    """How a recording was prepared: which motion, how many samples each working sample averages, and how many working
-    samples at either end of a smoothed recording are left out."""
+    """How a recording was prepared: which motion, how many samples each working sample averages, how many of these are
+    left out at either end of a smoothed recording, and by how much [s] velocities and accelerations came late."""
 
     motion: str
     factor: int
     ends: int = DEFAULTS.smoothing_ends
+    lags: tuple[float, float] = (0.0, 0.0)
 
     @property
     def measured_accelerations(self) -> bool:
@@ -60,7 +63,11 @@ class Inputs(NamedTuple):
         motion is the recorded one, of which nobody knows the errors."""
         if self.motion not in SMOOTHED:
             return ()
-        return smoothed_again(averaged(samples, self.factor), self.prepare(samples), *SMOOTHED[self.motion])
+        return smoothed_again(self.working(samples), self.prepare(samples), *SMOOTHED[self.motion])
+
+    def working(self, samples: Samples) -> Samples:
+        """The working samples before they are smoothed, velocities and accelerations as early as positions."""
+        return _aligned(averaged(samples, self.factor), self.lags)
 
     def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true.
@@ -76,10 +83,47 @@ class Inputs(NamedTuple):
 
 @lru_cache(maxsize=len(OPTIONS) + 1)
 def _prepared(inputs: Inputs, samples: Samples) -> Samples:
-    working = averaged(samples, inputs.factor)
+    working = inputs.working(samples)
     if inputs.motion == BUT_ACCELERATIONS:
         return replace(_prepared(inputs._replace(motion='smoothed'), samples), acceleration=working.acceleration)
     return replace(moved(working, inputs.motion), whole=True)
+
+
+def measured_lags(samples: Samples, inputs: Inputs, config: DiagnosisConfig = DEFAULTS) -> tuple[float, float]:
+    """[s] by how much recorded velocities, and accelerations, come after what the positions say, as filtered ones do; 0
+    where the blocks are not sure of it.
+
+    A late derivative is x'(t - tau) = x'(t) - tau x''(t), so tau is a regression of what it differs by from that of
+    smoothed positions on the next derivative, each joint weighed by what it scatters.
+    """
+    smooth = inputs._replace(motion=FROM_POSITIONS).prepare(samples)
+    jerk = np.gradient(smooth.acceleration, smooth.time, axis=0)
+    moves = inputs.mask(np.ones(len(samples), dtype=bool))
+    late = [_lag(recorded[moves], told[moves], next_one[moves], config) if recorded.any() else 0.0
+            for recorded, told, next_one in zip(
+                (getattr(averaged(samples, inputs.factor), name) for name in DERIVATIVES),
+                (smooth.velocity, smooth.acceleration), (smooth.acceleration, jerk), strict=True)]
+    return late[0], late[1]
+
+
+def _lag(recorded: Array, told: Array, derivative: Array, config: DiagnosisConfig) -> float:
+    differs = told - recorded
+    weight = 1.0 / np.maximum(differs.var(axis=0), 1e-300)
+    right, left = ((values @ weight) for values in (differs * derivative, derivative**2))
+    blocks = np.array_split(np.arange(len(right)), config.blocks)
+    right, left = (np.array([values[block].sum() for block in blocks]) for values in (right, left))
+    lag = float(right.sum() / max(left.sum(), 1e-300))
+    error = float(np.sqrt(np.sum((right - lag * left) ** 2)) / max(left.sum(), 1e-300))
+    return lag if abs(lag) > config.sure * error else 0.0
+
+
+def _aligned(samples: Samples, lags: tuple[float, float]) -> Samples:
+    def earlier(values: Array, lag: float) -> Array:
+        at = samples.time + lag
+        return np.column_stack([np.interp(at, samples.time, each) for each in values.T]) if lag else values
+
+    return replace(samples, velocity=earlier(samples.velocity, lags[0]),
+                   acceleration=earlier(samples.acceleration, lags[1])) if any(lags) else samples
 
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
@@ -91,7 +135,8 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     """
     factor = working_factor(samples, config)
     possible = OPTIONS if samples.acceleration.any() else (*ESTIMATED, 'recorded')
-    options = {name: Inputs(name, factor, config.smoothing_ends) for name in OPTIONS if name in possible}
+    lags = measured_lags(samples, Inputs(FROM_POSITIONS, factor, config.smoothing_ends), config)
+    options = {name: Inputs(name, factor, config.smoothing_ends, lags) for name in OPTIONS if name in possible}
     common = np.all([inputs.mask(train_mask) for inputs in options.values()], axis=0)
     require_enough(config, common)
     outputs = samples.outputs[train_mask]
@@ -114,7 +159,7 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     """
     if inputs.measured_accelerations or samples.breaks:
         return []
-    config, raw, smoother = fit.config, averaged(samples, inputs.factor), SMOOTHED[inputs.motion]
+    config, raw, smoother = fit.config, inputs.working(samples), SMOOTHED[inputs.motion]
     spread = fit.samples.acceleration.std(axis=0)
     left = fit.squares / np.maximum(fit.counts, 1.0)
     still = body.outputs_of(fit.samples, fit.rigid_part)

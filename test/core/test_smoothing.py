@@ -8,7 +8,7 @@ import pytest
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.preparation import Inputs
+from semiparam_ros.diagnosis.preparation import Inputs, measured_lags
 from support.arms import smooth_motion
 from support.node_helpers import motion
 
@@ -38,6 +38,24 @@ def test_derivatives_of_slow_and_fast_motion_at_every_rate(rate, speed, motion):
     assert relative_error(found.position, true.position).max() < 1e-3
     assert relative_error(found.velocity, true.velocity).max() < 5e-3
     assert relative_error(found.acceleration, true.acceleration).max() < 0.05
+
+
+@pytest.mark.parametrize('rate', [20.0, 125.0])
+@pytest.mark.parametrize('late_s', [0.0, 0.004, 0.03])
+def test_late_derivatives_are_measured_and_taken_as_early_as_the_positions(rate, late_s):
+    truth, seen = recorded(rate)
+    later = [np.column_stack([np.interp(truth.time - lag, truth.time, values) for values in derivative.T])
+             for derivative, lag in ((seen.velocity, late_s), (truth.acceleration, 1.5 * late_s))]
+    late = replace(seen, velocity=later[0], acceleration=later[1])
+    inputs = Inputs('smoothed', max(int(rate / DEFAULTS.working_rate_hz), 1))
+    lags = measured_lags(late, inputs)
+    assert lags == pytest.approx((late_s, 1.5 * late_s), abs=1e-3)
+    recorded_motion = inputs._replace(motion='recorded')
+    true = recorded_motion.prepare(truth)
+    for name in ('velocity', 'acceleration'):
+        as_it_is, aligned = (relative_error(getattr(each.prepare(late), name)[5:-5], getattr(true, name)[5:-5]).max()
+                             for each in (recorded_motion, recorded_motion._replace(lags=lags)))
+        assert aligned < 0.03 and (late_s < 0.01 or as_it_is > 3.0 * aligned)
 
 
 def test_a_rest_at_the_beginning_does_not_smooth_the_motion_away():
