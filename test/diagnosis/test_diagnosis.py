@@ -299,7 +299,7 @@ def test_the_written_effects_say_what_was_found_of_them(tmp_path, payload):
     text, found = (tmp_path / 'found.yaml').read_text(), payload.findings[0]
     above, _, _ = text.partition("- 'payload@")
     remark = ' '.join(above.rpartition('effects:')[2].replace('#', '').split())
-    assert f'{found.effect.sentence}, since {found.effect.start_s:.1f} s.' in remark
+    assert f'{found.effect.sentence}, since {found.effect.start_s:.1f} s (' in remark
     mass = found.parameters['mass']
     assert f' mass: {quantity_text(mass)} ' in remark
     assert f'log evidence +{found.log_evidence_gain:.0f}; round 1 changed' in remark

@@ -24,6 +24,7 @@ from semiparam_ros.diagnosis.search.refit import calibrated_values, gauss_newton
 from semiparam_ros.diagnosis.search.spans import best_span
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
+from semiparam_ros.effects.base import ALWAYS
 
 POINT_DIFFERENCE = 1e-3
 """Difference of a point of application [m] that stands for a derivative."""
@@ -72,11 +73,11 @@ def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
 
 
 def _started(fit: Fit, effect: Effect) -> tuple[Effect, Array]:
-    """The effect when it explains most, if it can begin or end, and its columns."""
+    """The effect when it explains most, if it can begin or end and its times are open, and its columns."""
     columns = always = added_columns(fit, effect)
     if effect.is_calibration:
         return effect, columns
-    if effect.changes:
+    if effect.changes and effect.span == ALWAYS:
         effect = replace(effect, span=best_span(fit, effect, always))
         columns = always * effect.span.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
     return in_some_recordings(fit, effect, columns, always)
