@@ -19,7 +19,7 @@ from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.preparation import (
-    FROM_POSITIONS,
+    SMOOTHED,
     Inputs,
     best_inputs,
     require_enough,
@@ -238,7 +238,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         deviations=sure, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
-               *_late(inputs), *fast,
+               *_late(inputs, samples), *fast,
                *unidentifiable(body, samples, config), *_left_out(clean),
                *_changed_in_gaps(found, samples, margin, config)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
@@ -342,11 +342,12 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, margin: int, config
     return sentences
 
 
-def _late(inputs: Inputs) -> list[str]:
-    """A sentence about velocities or accelerations that are those of a while ago."""
+def _late(inputs: Inputs, samples: Samples) -> list[str]:
+    """A sentence about velocities or accelerations that are those of another sample."""
+    least, used = 0.5e-9 * float(np.median(np.diff(samples.stamps))), SMOOTHED.get(inputs.motion, (1,))[0]
+    names = ('velocities', 'accelerations')[:used - 1]
     return [f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as filtered ones do; they were '
-            'taken as much earlier.' for name, lag in zip(('velocities', 'accelerations'), inputs.lags, strict=True)
-            if lag > 0.0 and inputs.motion != FROM_POSITIONS]
+            'taken as much earlier.' for name, lag in zip(names, inputs.lags, strict=False) if lag > least]
 
 
 def _left_out(valid: Mask) -> list[str]:

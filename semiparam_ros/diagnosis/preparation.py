@@ -66,8 +66,10 @@ class Inputs(NamedTuple):
         return smoothed_again(self.working(samples), self.prepare(samples), *SMOOTHED[self.motion])
 
     def working(self, samples: Samples) -> Samples:
-        """The working samples before they are smoothed, velocities and accelerations as early as positions."""
-        return _aligned(averaged(samples, self.factor), self.lags)
+        """The working samples before they are smoothed, velocities and accelerations as early as positions; those that
+        were recorded where nothing is smoothed, for between two samples nobody knows them exactly."""
+        working = averaged(samples, self.factor)
+        return _aligned(working, self.lags) if self.motion in SMOOTHED else working
 
     def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true.

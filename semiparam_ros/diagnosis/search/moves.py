@@ -55,13 +55,14 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
 def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Effect]]) -> list[Move]:
     """What begins twice, as a load that is picked up again: with one of them alone the model is no better, for the rest
     of it bends towards the other."""
-    moves = []
-    foremost = {trial.effect.kind: trial for trial in reversed(ranking) if trial.effect.must_start}
+    moves, known = [], {identity(effect) for effect in fit.effects}
+    foremost = {trial.effect.kind: trial for trial in reversed(ranking) if trial.effect.must_start
+                and trial.evidence > 0.0 and identity(trial.effect) not in known}
     for trial in foremost.values():
         once, where = declare(fit, [trial.effect]), trial.effect.where
         searches = tuple(type(trial.effect).searches(fit.body, fit.samples, where, once.residual))
         again = coarse_trial(once, Candidate(type(trial.effect), where, searches))
-        if again is not None:
+        if again is not None and identity(again.effect) not in {*known, identity(trial.effect)}:
             added = trial.effect, again.effect
             after, times = declare(once, [again.effect]), [s for each in added for s in each.span.values.values()]
             if all_plausible(fit, after):
