@@ -117,7 +117,7 @@ def causes(diagnosis: Diagnosis) -> list[Cause]:
 
 def _cause(diagnosis: Diagnosis, finding: Finding) -> Cause:
     effect = finding.effect
-    since = when(diagnosis, effect).removeprefix(', ') or 'from the beginning'
+    since = when(diagnosis, effect).removeprefix(', ').partition(' (')[0] or 'from the beginning'
     parameters = [Parameter(name, f'{quantity.value:.4g}', '' if quantity.std is None else f'{quantity.std:.2g}',
                             quantity.unit.replace('^2', '²')) for name, quantity in finding.parameters.items()]
     alternatives = [Alternative(place(rival.kind, rival.where), odds_text(rival.odds),
