@@ -279,6 +279,12 @@ def resident_mb(process_id):
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith('VmRSS')) / 1024
 
 
+def children_of(process_id):
+    """The processes that any thread of a process has begun."""
+    threads = Path(f'/proc/{process_id}/task').iterdir()
+    return [int(child) for thread in threads for child in (thread / 'children').read_text().split()]
+
+
 def messages(values):
     return [item if isinstance(item, ParameterMessage) else
             Parameter(name.replace('__', '.'), value=item).to_parameter_msg()
