@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
 import hypothesis
@@ -18,8 +20,12 @@ from hypothesis import Phase
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from semiparam_ros.core.robot.consistency import is_consistent
 from semiparam_ros.core.single_estimator import PRIORS
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.export.estimate import from_estimator
+from semiparam_ros.export.files import export_to
+from semiparam_ros.export.urdf import described_links
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.learning import Learning, learning_of, observe
@@ -230,6 +236,20 @@ class Lives(RuleBasedStateMachine):
         state, given = self.saved[0]
         self.given[:] = given
         self.learner.restore(pickle.loads(pickle.dumps(state)))
+
+    @rule()
+    def exports(self):
+        """Bodies that can be, whatever was learnt; nothing of the life changes."""
+        try:
+            estimate = from_estimator(self.learner.estimator, None, 'the life')
+        except SemiparamError as error:
+            assert 'no model yet' in str(error) or 'learns no inertial parameters' in str(error), error
+            return
+        with TemporaryDirectory() as folder:
+            export_to(Path(folder), 'life', self.settings.robot_description, estimate)
+            text = Path(folder, 'life.urdf').read_text()
+        assert np.isfinite(build_rigid_body(replace(self.settings, robot_description=text)).base_parameters).all()
+        assert all(map(is_consistent, described_links(text).values()))
 
     # The background
 

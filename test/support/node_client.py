@@ -256,6 +256,27 @@ class Client:
         try_shutdown(context=self.context)
 
 
+class Gaps:
+    """The longest time [s] in which nothing was answered although something was published.
+
+    Looked at again and again; time in which this process was not given the machine does not count.
+    """
+
+    LONGEST_LOOK_S = 0.05
+
+    def __init__(self):
+        self.worst = self._silent = 0.0
+        self._looked, self._answers = time.monotonic(), 0
+
+    def look(self, published, answered):
+        """So many samples so far."""
+        now = time.monotonic()
+        passed, self._looked = min(now - self._looked, self.LONGEST_LOOK_S), now
+        waits = published > answered == self._answers
+        self._silent, self._answers = self._silent + passed if waits else 0.0, answered
+        self.worst = max(self.worst, self._silent)
+
+
 class Robot:
     """A motion that goes on from one ``move`` to the next, and the check that each of its samples is answered once."""
 
