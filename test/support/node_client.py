@@ -251,7 +251,7 @@ class Client:
     def __exit__(self, *_):
         self.stopping.set()
         self.thread.join()
-        self.executor.remove_node(self.node)
+        self.executor.shutdown()
         self.node.destroy_node()
         try_shutdown(context=self.context)
 

@@ -17,6 +17,7 @@ import random
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,20 +42,23 @@ class Pair:
     """The node under fire and the other, each with a client in its namespace."""
 
     def __init__(self, folder, settings):
-        self.nodes, self.clients, self.states = [], [], []
-        for name in ('fuzzed', 'spared'):
-            own = folder / name
-            own.mkdir()
-            self.states.append(own / 'state.npz')
-            dump_params(replace(settings, state_file='state.npz', state_folder=str(own)), own / 'p.yaml', node='/**')
-            self.nodes.append(NodeProcess(own, own / 'p.yaml', '-r', f'__ns:=/{name}'))
-            self.clients.append(Client('estimator', f'/{name}'))
-        self.gaps = Gaps()
+        self.nodes, self.clients, self.states, self.gaps = [], [], [], Gaps()
         self.answered, self.worst, self.memory = 0, dict.fromkeys(ANSWERS, 0.0), []
         self.taken_over, self.window = 0, settings.initial_samples
-        for client in self.clients:
-            client.connect()
-            client.offer(*TOPICS)
+        with ExitStack() as opened:
+            for name in ('fuzzed', 'spared'):
+                own = folder / name
+                own.mkdir()
+                self.states.append(own / 'state.npz')
+                dump_params(replace(settings, state_file='state.npz', state_folder=str(own)), own / 'p.yaml',
+                            node='/**')
+                node = NodeProcess(own, own / 'p.yaml', '-r', f'__ns:=/{name}')
+                self.nodes.append(opened.enter_context(node))
+                self.clients.append(opened.enter_context(Client('estimator', f'/{name}')))
+            for client in self.clients:
+                client.connect()
+                client.offer(*TOPICS)
+            self.opened = opened.pop_all()
 
     def compare(self, count):
         """Wait until both have answered so many samples in all; how far apart the answers are.
@@ -107,16 +111,13 @@ class Pair:
         return ours == theirs
 
     def stop(self):
-        for client in self.clients:
-            client.__exit__()
         return [node.stop() for node in self.nodes]
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
-        for node in self.nodes:
-            node.__exit__()
+        self.opened.close()
 
 
 def settings_of(options):
