@@ -17,6 +17,7 @@ import pytest
 
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import identified_parameters, state_file, worker
@@ -777,6 +778,21 @@ def test_a_diagnosis_looks_at_as_many_samples_as_its_share_of_a_processor_allows
     for part in looked.values():
         assert len(set(np.diff(part.stamps))) == 1, 'no gap of its own making'
     assert len(worker.thinned(batch.part(0, 1500), 0.1)) == 1500 and len(worker.thinned(batch.part(0, 7), 0.1)) == 7
+
+
+def test_gaps_are_told_where_the_robot_rested_and_none_of_thinning():
+    """Of a rest a history keeps its last samples alone."""
+    moving, history = motion(3000), History(60, 60_000, 2)
+    for number, sample in enumerate(moving):
+        if number == 1500:
+            for rest in range(500):
+                history.append(sample._replace(stamp=sample.stamp + rest * PERIOD_NS), False, is_news=False)
+        history.append(sample._replace(stamp=sample.stamp + (number >= 1500) * 500 * PERIOD_NS), True)
+    batch = history.span(300.0)
+    for share in (1.0, 0.1):
+        samples = worker.thinned(batch, share).samples
+        (told,) = [note for note in unidentifiable(BODY, samples) if 'gap' in note]
+        assert told.startswith('The samples looked at have 1 gap in time, namely 9.'), told
 
 
 def test_how_long_a_diagnosis_takes_yet_follows_what_it_gets():

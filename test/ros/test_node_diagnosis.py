@@ -73,6 +73,7 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         assert any(re.match(r'round 1: found .*viscous_friction at a', sentence) for sentence in progress), progress
         report = json.loads(client.heard['diagnosis'][0].data)
         assert report['schema'] == 1 and report['verdict'] == 'effect_found'
+        assert re.match(r'(\d+) of \1 samples, evenly spread over \d+ s$', report['looked_at'])
         assert {effect['kind'] for effect in report['effects']} == {'viscous_friction'}
         before = np.mean([message.position[2] for message in client.heard['horizon_error'][-50:]])
         applied = client.trigger('apply_diagnosis')

@@ -150,7 +150,7 @@ class Diagnosing:
         effects, (head, *found) = self._running.effects, outcome.summary
         answer = '\n'.join([f'With {_listed(effects)} declared: {head}', *found, 'Details:',
                             f'It looked at {looked}.', *outcome.words])
-        report = json.dumps({'schema': 1, **outcome.report})
+        report = json.dumps({'schema': 1, 'looked_at': looked, **outcome.report})
         self._node.get_logger().info(f'the diagnosis is over. {answer}')
         self._outcome, self._examined = outcome, effects
         self._report.publish(String(data=report))
