@@ -69,7 +69,7 @@ OLDER_OF_DRAFT = 1000
 
 SAMPLES_AT_MOST, SAMPLES_AT_LEAST = 5000, 1000
 """That a diagnosis looks at, where it gets a whole processor, and however little of one."""
-PROBED_S = 0.25
+PROBED_S = 0.5
 """So long the share of a processor is measured."""
 FIXED_S, EACH_S = 3.5, 4.2e-3
 """[s] Processor time of a diagnosis, and of each of its samples: 24 s for 4688 of a six-joint arm
