@@ -130,7 +130,8 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
     Raises SemiparamError when no link that the outputs feel has a mass.
     """
     columns = estimate.columns
-    covariance = np.asarray(np.linalg.inv(estimate.information), dtype=np.float64)
+    inverse = np.asarray(np.linalg.pinv(root_of(estimate.information)), dtype=np.float64)
+    covariance = inverse @ inverse.T
     solution = _Solution(estimate, described, covariance)
     solution.hold(estimate, everything=keep_inertias)
     links, loads, theta = solution.found(estimate.mean, estimate.information)

@@ -31,7 +31,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, cho_solve
+from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -206,13 +206,14 @@ class _Problem:
         columns = np.hstack(list(self._columns @ np.swapaxes(inertial_parameters(sizes), 1, 2)))
         slope = np.einsum('kab,kiba->ki', self._inverse, sizes)
         slope -= np.trace(SYMMETRIC, axis1=1, axis2=2)
-        bends = np.tile(np.eye(10), (len(roots), 1, 1))
         toward = np.einsum('kab,kiba->ki', self._inside, sizes[self._bound])
         left = np.einsum('kab,kba->k', self._inside, pseudo[self._bound])
         slope[self._bound] += (1.0 / self._room - 1.0 / left)[:, None] * toward
-        bends[self._bound] += np.einsum('k,ki,kj->kij', left**-2.0, toward, toward)
         seen = self._root @ columns
-        curvature = np.vstack([np.sqrt(share) * seen, block_diag(*np.linalg.cholesky(bends)).T])
+        bounds = np.zeros((len(toward), *slope.shape))
+        bounds[np.arange(len(toward)), np.flatnonzero(self._bound)] = toward / left[:, None]
+        curvature = np.vstack([np.sqrt(share) * seen, np.eye(slope.size),
+                               bounds.reshape(-1, slope.size)])
         return share * seen.T @ (self._root @ self._error(pseudo)) + slope.ravel(), curvature
 
     def _error(self, pseudo: Array) -> Array:
