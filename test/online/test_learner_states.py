@@ -27,6 +27,7 @@ from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.export.files import export_to
 from semiparam_ros.export.urdf import described_links
 from semiparam_ros.online.feedforward import Feedforward
+from semiparam_ros.online.history import KEPT_OF_REST
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.learning import Learning, learning_of, observe
 from semiparam_ros.online.model_switcher import State, same_model
@@ -70,6 +71,7 @@ class Lives(RuleBasedStateMachine):
         self.offered, self.answers, self.given, self.saved = [], [], [], []
         self.stamp, self.place, self.warmth = self.motion[0].stamp, 0, np.nan
         self.learner, self.feedforward = None, Feedforward()
+        self.since = set()  # the last motion: 'rest', 'jump'
         self.drafted = False  # a draft from the initial window is in force
         self.kept = False  # and stays, as the window after it failed
 
@@ -118,6 +120,7 @@ class Lives(RuleBasedStateMachine):
     def offer(self, sample):
         sample = self.now(sample)
         self.stamp = sample.stamp
+        self.since.clear()
         self.place += 1
         self.offered.append(sample.stamp)
         self.learner.offer(sample)
@@ -140,23 +143,28 @@ class Lives(RuleBasedStateMachine):
             dead = np.full(self.body.n_outputs, 1.0)
             self.offer(self.motion[self.place % len(self.motion)]._replace(outputs=dead))
 
-    @rule(count=st.integers(1, 100))
+    @precondition(lambda self: 'rest' not in self.since)
+    @rule(count=st.integers(1, 50 + KEPT_OF_REST))
     def rests(self, count):
-        """The same place, with a noise of the sensor: for more than a second it is not learnt."""
+        """The same place, with a noise of the sensor: after a second it is not learnt, and a model that is built later
+        knows the last samples of it alone."""
         rng = np.random.default_rng(count)
         for _ in range(count):
             self.offer(self.motion[self.place % len(self.motion)]._replace(
                 position=self.motion[7].position,
                 outputs=self.motion[7].outputs + 0.01 * rng.standard_normal(self.body.n_outputs)))
+        self.since.add('rest')
 
     @rule(warmth=st.sampled_from([20.0, 21.5, 40.0]))
     def warms(self, warmth):
         """A temperature comes; before the first, none is known."""
         self.warmth = warmth
 
+    @precondition(lambda self: 'jump' not in self.since)  # two of them without a sample between may be none
     @rule(jump=st.sampled_from([-YEAR_NS, -10**10, 2 * 3600 * 10**9, YEAR_NS]))
     def clock_jumps(self, jump):
         self.stamp += jump
+        self.since.add('jump')
         self.learner.clear_pending()
 
     # Settings, as the node checks and applies them
