@@ -273,7 +273,7 @@ def spoilt(data):
     spoilt_matrix = arrays[matrix].copy()
     spoilt_matrix.flat[0] = NAN
     chance = random.Random(1)
-    names = sorted(name for name in arrays if name != 'meta')
+    names = sorted(name for name in arrays if name != 'meta' and arrays[name].size)
     crafted = {f'an array {how}': packed(**{name: wrong(arrays[name])}) for how, wrong in CRAFTED.items()
                for name in [chance.choice(names)]}
     return crafted | {
