@@ -20,7 +20,7 @@ $(STAMP): pyproject.toml setup.py setup.cfg Makefile
 	@test -x $(BIN)/python || test -n "$(PYTHON)" || \
 	    { echo 'make: no python3 of version 3.10 to 3.13 with the venv module was found (make setup PYTHON=...)' >&2; exit 1; }
 	@echo 'Installing into $(VENV) (once): numerics, ROS 2 and tools, from the package index.'
-	@echo 'This takes minutes, as the network is; nothing else is printed meanwhile.'
+	@echo 'This takes two to five minutes, by the network; nothing else is printed meanwhile.'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip 'setuptools<80' wheel
 	@# setuptools warns of the source tree in every editable installation

@@ -246,6 +246,12 @@ def environment() -> dict[str, str]:
 
 
 @pytest.mark.slow
+def test_make_says_what_it_installs_and_about_how_long_before_it_begins(tmp_path):
+    said = subprocess.run(['make', '--dry-run', f'VENV={tmp_path / "none"}', 'demo'], cwd=REPOSITORY, text=True,
+                          capture_output=True, check=True).stdout
+    assert 'from the package index' in said and said.index('takes two to five minutes') < said.index('-m venv')
+
+
 def test_colcon_makes_every_command_reachable_by_ros2_run(workspace):
     programs = workspace / 'install/semiparam_ros/lib/semiparam_ros'
     assert {path.name for path in programs.iterdir()} == {*PROGRAMS, *COMMANDS}

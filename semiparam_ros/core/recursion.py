@@ -226,6 +226,10 @@ class SemiParametricRecursion:
         inverse, _ = dtrtrs(self._information[:-1, :-1], np.eye(self.n_columns))
         return np.asarray((inverse @ inverse.T)[::-1, ::-1])
 
+    def theta_root(self) -> Array:
+        """(p, p) R of the information R'R, which is the inverse of :meth:`theta_covariance`."""
+        return np.asarray(self._information[:-1, :-1][:, ::-1])
+
     def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
         before = {} if self.before is None else self.before.state()

@@ -195,14 +195,13 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
     if model.variant.pi != 'learnt':
         raise SemiparamError(f'{name} learns no inertial parameters: its variant is '
                              f'{estimator.options.variant}; expected P, SPK-ML or auto.')
-    columns, covariance = estimator.columns, model.recursion.theta_covariance()
+    columns, root = estimator.columns, model.recursion.theta_root()
     table = None
     if samples is not None and len(samples):
         table = _table(columns, samples, moving(samples))
-    information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     n = estimator.body.n_joints
     top_speed = np.abs(estimator.inputs_learnt[:, n:2 * n]).max(axis=0)
-    return Estimate(columns, model.theta, information, f'the model of {name}', top_speed, table)
+    return Estimate(columns, model.theta, root.T @ root, f'the model of {name}', top_speed, table)
 
 
 def _table(model: CoupledColumns, samples: Samples, used: Mask,

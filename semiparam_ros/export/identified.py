@@ -130,7 +130,8 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
     Raises SemiparamError when no link that the outputs feel has a mass.
     """
     columns = estimate.columns
-    covariance = np.asarray(np.linalg.inv(estimate.information), dtype=np.float64)
+    inverse = np.asarray(np.linalg.pinv(root_of(estimate.information)), dtype=np.float64)
+    covariance = inverse @ inverse.T
     solution = _Solution(estimate, described, covariance)
     solution.hold(estimate, everything=keep_inertias)
     links, loads, theta = solution.found(estimate.mean, estimate.information)
@@ -255,10 +256,15 @@ class _Solution:
         if zero:
             _, singular, axes = np.linalg.svd(np.array(zero) @ free)
             free = free @ axes[int(np.sum(singular > RANK)):].T
-        pull, inner = information @ mean, free.T @ information @ free
-        gain = np.linalg.solve(inner, free.T @ information @ fixed)
-        marginal = fixed.T @ information @ (fixed - free @ gain)
-        most_probable = np.linalg.solve(marginal, fixed.T @ pull - gain.T @ (free.T @ pull))
+        # Elimination by rotations: differences of information would lose the digits that a sensor
+        # without noise needs.
+        root = root_of(information)
+        parts = np.column_stack([free, fixed, mean])
+        rows = np.asarray(np.linalg.qr(root @ parts, mode='r'), dtype=np.float64)
+        f, r = free.shape[1], fixed.shape[1]
+        inner, gain, pull = rows[:f, :f], rows[:f, f:f + r], rows[:f, f + r]
+        marginal = rows[f:f + r, f:f + r]
+        most_probable = np.linalg.solve(marginal, rows[f:f + r, f + r])
         links = np.array([body.reference for body in self._bodies])
         bodies = [body._replace(columns=body.columns[self._rigid])
                   for body in (*self._bodies, *self._load_bodies)]
@@ -268,8 +274,15 @@ class _Solution:
         found = consistent_bodies(most_probable - known, marginal, moved)
         rigid = known + _contribution(moved, found, len(marginal))
         links[~self._held] = found[:len(found) - len(self.loads)]
-        theta = fixed @ rigid + free @ (np.linalg.solve(inner, free.T @ pull) - gain @ rigid)
+        theta = fixed @ rigid + free @ np.linalg.solve(inner, pull - gain @ rigid)
         return links, found[len(found) - len(self.loads):], theta
+
+
+def root_of(information: Array) -> Array:
+    """R (p, p) with R'R = information, or the nearest that has a root."""
+    scale = np.sqrt(np.diag(information))
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T) / np.outer(scale, scale))
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * scale)
 
 
 def _given_up(estimate: Estimate, theta: Array) -> float:

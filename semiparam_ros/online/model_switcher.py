@@ -25,7 +25,7 @@ from semiparam_ros.online import worker
 from semiparam_ros.online.history import History, SampleLog
 from semiparam_ros.online.learning import observe
 from semiparam_ros.online.renewal import LaterWindow, has_draft
-from semiparam_ros.online.worker import Background, Job
+from semiparam_ros.online.worker import Background, Job, Urgency
 from semiparam_ros.settings.snapshot import Settings
 
 MODEL_PARAMETERS = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise', 'forgetting',
@@ -118,6 +118,11 @@ class StandbyModel:
         self._waiting.append((sample, learnt))
         self._learn(FOR_EACH_ANSWER)
 
+    def hasten(self) -> None:
+        """It is to take over now: what the background does for it comes first."""
+        if self._job is not None:
+            self._job.urgency = self._switcher.urgency_of(self)
+
     def clear_pending(self) -> None:
         """Forget half-finished horizons, as after a jump of the clock."""
         self._waiting.append(None)
@@ -137,7 +142,7 @@ class StandbyModel:
             self._waiting.popleft()
         self._in_background = True
         self._job = self._background.submit(function, *arguments, done=self._done,
-                                            urgent=self._switcher.is_awaited(self))
+                                            urgency=self._switcher.urgency_of(self))
 
     def _done(self, estimator: Estimator | None, error: BaseException | None) -> None:
         self._in_background, self._job = False, None
@@ -206,9 +211,9 @@ class ModelSwitcher:
         """Shadows, draft and successor."""
         return [*self.shadows.values(), *(model for model in (self.draft, self.successor) if model)]
 
-    def is_awaited(self, model: StandbyModel) -> bool:
-        """Whether it is to take over: shadows wait for it."""
-        return model is self.successor or model is self.draft
+    def urgency_of(self, model: StandbyModel) -> Urgency:
+        """Shadows wait for those that are to take over."""
+        return Urgency.TAKES_OVER if model in (self.successor, self.draft) else Urgency.SHADOW
 
     def offer(self, sample: Sample, learnt: int) -> None:
         """Let all of them see a sample."""
@@ -263,6 +268,7 @@ class ModelSwitcher:
         shadow = self.shadows.get(settings.variant)
         if shadow is not None and same_model(shadow.settings, settings):
             self.successor = self.shadows.pop(settings.variant)
+            shadow.hasten()
             if shadow.state is State.LIVE:
                 self.on_live(shadow)
                 return True

@@ -12,11 +12,13 @@ import os
 import pickle
 import signal
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -65,15 +67,33 @@ new motion is fitted the worse."""
 OLDER_OF_DRAFT = 1000
 """Of a draft, which is wanted soon, so many at most."""
 
-SAMPLES_AT_MOST = 5000
-
+SAMPLES_AT_MOST, SAMPLES_AT_LEAST = 5000, 1000
+"""That a diagnosis looks at, where it gets a whole processor, and however little of one."""
+PROBED_S = 0.5
+"""So long the share of a processor is measured."""
+FIXED_S, EACH_S = 3.5, 4.2e-3
+"""[s] Processor time of a diagnosis, and of each of its samples: 24 s for 4688 of a six-joint arm
+that lacks 14 effects, 6 s for 600 (measured)."""
+LINGERS = 0.2
+"""What takes longer than expected takes this share of the time so far yet."""
 
 Later: TypeAlias = Callable[..., object]
 """Takes a function and its arguments, and calls it in the executor's thread."""
 
 
+class Urgency(IntEnum):
+    """Of a job: those of more come first, and a shadow gives way to a model that is to take over."""
+
+    SHADOW = 0
+    ASKED = 1
+    """Somebody waits for the answer."""
+    TAKES_OVER = 2
+
+
 class Job(Protocol):
     """Work that was handed to a background."""
+
+    urgency: Urgency
 
     def cancel(self) -> None:
         """Its result is of no interest any more; it need not begin, or end."""
@@ -83,10 +103,10 @@ class Background(Protocol):
     """Runs functions elsewhere and hands their results back to the caller's own thread, in order."""
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result],
-               urgent: bool = False) -> Job:
+               urgency: Urgency = Urgency.SHADOW) -> Job:
         """Run ``function(*arguments)``, then ``done(result, None)`` or ``done(None, error)``.
 
-        :param urgent: before those that are not; one of them that runs is interrupted, and begun anew later.
+        :param urgency: a job that gives way is begun anew later.
         """
 
     def later(self, function: Callable[[], None]) -> None:
@@ -128,7 +148,7 @@ class ProcessBackground:
     :param first: the first process; spawned if left out, as later ones are, which come while threads run.
     """
 
-    def __init__(self, later: Later, told: Callable[[str], None] = lambda sentence: None,
+    def __init__(self, later: Later, told: Callable[[Any], None] = lambda news: None,
                  still_s: float = STILL_S, first: Worker | None = None) -> None:
         self._later, self._told, self._still_s = later, told, still_s
         self._closed = False
@@ -140,11 +160,9 @@ class ProcessBackground:
         self._thread.start()
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result],
-               urgent: bool = False) -> Job:
+               urgency: Urgency = Urgency.SHADOW) -> Job:
         """See :class:`Background`."""
-        job = _ProcessJob(function, arguments, done, urgent)
-        if urgent and self._running is not None and not self._running.urgent:
-            self._running.interrupted = True
+        job = _ProcessJob(function, arguments, done, urgency)
         # Those that were cancelled hold a history each, and may lie behind a job of many seconds.
         self._queue = deque(waiting for waiting in (*self._queue, job) if not waiting.cancelled)
         self._start_next()
@@ -163,13 +181,13 @@ class ProcessBackground:
             self._process.kill()  # a stopped one would not hear anything less
         self._thread.join()
 
-    def _hear(self, sentence: str) -> None:
-        if not self._closed:
-            self._told(sentence)
+    def _hear(self, job: _ProcessJob, news: Any) -> None:
+        if not (self._closed or job.cancelled):
+            self._told(news)
 
     def _start_next(self) -> None:
         while self._running is None and self._queue and not self._closed:
-            job = next((job for job in self._queue if job.urgent and not job.cancelled), self._queue[0])
+            job = max(self._queue, key=lambda job: job.urgency)  # the first of them
             self._queue.remove(job)
             if not job.cancelled:
                 self._running = job
@@ -183,7 +201,6 @@ class ProcessBackground:
             if outcome is None:
                 self._died(job)
             elif outcome.given_up and not job.cancelled:
-                job.interrupted = False
                 self._queue.appendleft(job)
             elif not job.cancelled:
                 error = outcome.error
@@ -233,12 +250,13 @@ class ProcessBackground:
             transport.send(line, (job.function, job.arguments))
             while True:
                 while not line.poll(GIVE_UP_S):
-                    if job.cancelled or job.interrupted:  # again and again: a process that has not begun does not hear
+                    # Again and again: a process that has not begun does not hear.
+                    if job.cancelled or self._gives_way(job):
                         os.kill(process.pid or 0, signal.SIGUSR1)
                 answer = transport.receive(line)
                 if isinstance(answer, _Outcome):
                     return answer
-                self._later(self._hear, answer)
+                self._later(self._hear, job, answer)
         except (EOFError, OSError):
             pass
         except Exception as error:
@@ -246,6 +264,10 @@ class ProcessBackground:
         process.kill()  # who knows how much has gone either way
         process.join()
         return outcome
+
+    def _gives_way(self, job: _ProcessJob) -> bool:
+        return job.urgency < Urgency.TAKES_OVER and any(
+            waiting.urgency == Urgency.TAKES_OVER and not waiting.cancelled for waiting in tuple(self._queue))
 
     def _watch(self, process: BaseProcess) -> None:
         """Kill a process that stands still over a job.
@@ -279,10 +301,9 @@ class _ProcessJob:
     function: Callable[..., object]
     arguments: tuple[object, ...]
     done: Done[Any]
-    urgent: bool = False
+    urgency: Urgency
     deaths: int = 0
     cancelled: bool = False
-    interrupted: bool = False
 
     def cancel(self) -> None:
         self.cancelled = True
@@ -303,13 +324,13 @@ class _Outcome(NamedTuple):
     given_up: bool = False
 
 
-def tell(sentence: str) -> None:
+def tell(news: object) -> None:
     """Tell of a job's progress, from within the job; nobody hears it where no background runs the job."""
     global _working
     if _line is not None:
-        _working = False  # one that is given up half-way through a sentence could send nothing more
+        _working = False  # one that is given up half-way through could send nothing more
         with suppress(OSError):
-            transport.send(_line, sentence)
+            transport.send(_line, news)
         _working = True
 
 
@@ -461,6 +482,32 @@ def known_of(estimator: Estimator) -> Known | None:
                  estimator.window_samples, estimator.others)
 
 
+class Progress(NamedTuple):
+    """Of a diagnosis: what is being tried, and how long it is expected to take yet [s]."""
+
+    words: str
+    left_s: float
+
+
+def expected_s(samples: int) -> float:
+    """Processor time [s] of a diagnosis of so many samples."""
+    return FIXED_S + EACH_S * samples
+
+
+def left_s(samples: int, passed: float, used: float) -> float:
+    """How long [s] a diagnosis is expected to take yet that ``passed`` seconds ago began, and has ``used`` so much of
+    a processor."""
+    return max(expected_s(samples) - used, LINGERS * used) * passed / max(used, 1e-3)
+
+
+def processor_share() -> float:
+    """The share of a processor that this process gets at present, above 0 and at most 1."""
+    begun, used, passed = time.perf_counter(), time.process_time(), 0.0
+    while passed < PROBED_S:
+        passed = time.perf_counter() - begun
+    return min(max((time.process_time() - used) / passed, 0.01), 1.0)
+
+
 class Outcome(NamedTuple):
     """A diagnosis in words and as the machine-readable report; ``effects`` are all that the model then declares.
 
@@ -479,9 +526,14 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> 
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.diagnosis.text_report import summary, text_report
 
-    samples = batch.samples
+    samples, begun, used = batch.samples, time.perf_counter(), time.process_time()
     assert samples is not None
-    found = diagnose(body, samples, effects, progress=lambda words, share: tell(f'{words} ({share:.0%})'))
+
+    def progress(words: str, share: float) -> None:
+        tell(Progress(f'{words} ({share:.0%})', left_s(len(batch), time.perf_counter() - begun,
+                                                       time.process_time() - used)))
+
+    found = diagnose(body, samples, effects, progress=progress)
     return Outcome(found.verdict, summary(found), text_report(found), found.as_dict(), declared(found))
 
 
@@ -491,6 +543,8 @@ def declared(found: Diagnosis) -> tuple[Effect, ...]:
     return tuple(effect.at_stamps(origin) for effect in found.everything.effects)
 
 
-def thinned(batch: SampleBatch) -> SampleBatch:
-    """Evenly fewer of them, where a fast sensor gave more than a diagnosis can look at in half a minute."""
-    return batch.part(0, step=max(-(-len(batch) // SAMPLES_AT_MOST), 1))
+def thinned(batch: SampleBatch, share: float) -> SampleBatch:
+    """As many of them, evenly spread, as a diagnosis looks at that gets a share of a processor."""
+    count = len(batch)
+    step = min(-(-count // int(share * SAMPLES_AT_MOST)), count // SAMPLES_AT_LEAST)
+    return batch.part(0, step=max(step, 1))

@@ -287,7 +287,7 @@ class Table:
         minimum=0.0, maximum=60.0, live=True)
     gate_timeout: float = declare(
         'gate.timeout', 5.0, 'A gate closed for longer opens: the robot has changed, it is not touched. 0: never.',
-        unit='s', minimum=0.0, live=True)
+        unit='s', minimum=0.0, maximum=1e6, live=True)
 
     # Feedforward
     feedforward_before_ready: str = declare(
@@ -309,7 +309,7 @@ class Table:
         'diagnose.', minimum=0, maximum=10000000)
     diagnosis_window: float = declare(
         'diagnosis.window', 300.0, 'Span of the latest samples that ~/diagnose looks at, as far as they are retained.',
-        unit='s', minimum=1.0, live=True)
+        unit='s', minimum=1.0, maximum=1e6, live=True)
     state_file: str = declare(
         'state_file', 'semiparam_state.npz', 'File of save_state and load_state: a plain name in state_folder.',
         live=True)

@@ -5,6 +5,7 @@ import pickle
 import queue
 import signal
 import struct
+import subprocess
 import sys
 import time
 import weakref
@@ -16,14 +17,15 @@ import pytest
 
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.online import identified_parameters, state_file
-from semiparam_ros.online.history import History
+from semiparam_ros.online import identified_parameters, state_file, worker
+from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload, quantities
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
-from semiparam_ros.online.worker import ProcessBackground, new_estimator
+from semiparam_ros.online.worker import ProcessBackground, Urgency, new_estimator
 from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
@@ -722,25 +724,82 @@ def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
     tasks = queue.Queue()
     background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
 
-    def submit(function, *arguments, urgent=False):
-        background.submit(function, *arguments, done=lambda result, error: results.append(result), urgent=urgent)
+    def submit(function, *arguments, urgency=Urgency.SHADOW):
+        return background.submit(function, *arguments, done=lambda result, error: results.append(result),
+                                 urgency=urgency)
 
     submit(wait_until_there, tmp_path / 'begun', tmp_path / 'go on')
     submit(max, 1, 2)
     while not (tmp_path / 'begun').exists():
         time.sleep(0.01)
     (tmp_path / 'begun').unlink()
-    submit(max, 3, 4, urgent=True)
-    submit(max, 5, 6, urgent=True)
-    while len(results) < 2:
+    submit(max, 7, 8, urgency=Urgency.ASKED)
+    assert not wait_for(tmp_path / 'begun', seconds=0.3), 'who asks comes next, and interrupts nothing'
+    submit(max, 3, 4).urgency = Urgency.TAKES_OVER  # a shadow that succeeds before it is built
+    submit(max, 5, 6, urgency=Urgency.TAKES_OVER)
+    while len(results) < 3:
         tasks.get(timeout=60)()
     while not (tmp_path / 'begun').exists():
         time.sleep(0.01)
     (tmp_path / 'go on').touch()
-    while len(results) < 4:
+    while len(results) < 5:
         tasks.get(timeout=60)()
     background.close()
-    assert results == [4, 6, 'done', 2]
+    assert results == [4, 6, 8, 'done', 2]
+
+
+def wait_for(path, seconds):
+    """Whether a file comes in that time."""
+    end = time.monotonic() + seconds
+    while not path.exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    return path.exists()
+
+
+SHARED = """
+import os, time
+from semiparam_ros.online.worker import processor_share
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+busy = os.fork()
+while not busy:
+    pass
+time.sleep(0.1)
+print(processor_share())
+os.kill(busy, 9)
+"""
+
+
+def test_a_diagnosis_looks_at_as_many_samples_as_its_share_of_a_processor_allows():
+    shared = subprocess.run([sys.executable, '-c', SHARED], capture_output=True, text=True, check=True)
+    assert 0.0 < float(shared.stdout) < 0.75, 'another one has half of it'
+    batch = batch_of((sample._replace(stamp=number), True) for number, sample in enumerate(motion(500) * 25))
+    looked = {share: worker.thinned(batch, share) for share in (1.0, 0.5, 0.25, 0.1, 0.01)}
+    assert [len(part) for part in looked.values()] == [4167, 2500, 1250, 1042, 1042]
+    for part in looked.values():
+        assert len(set(np.diff(part.stamps))) == 1, 'no gap of its own making'
+    assert len(worker.thinned(batch.part(0, 1500), 0.1)) == 1500 and len(worker.thinned(batch.part(0, 7), 0.1)) == 7
+
+
+def test_gaps_are_told_where_the_robot_rested_and_none_of_thinning():
+    """Of a rest a history keeps its last samples alone."""
+    moving, history = motion(3000), History(60, 60_000, 2)
+    for number, sample in enumerate(moving):
+        if number == 1500:
+            for rest in range(500):
+                history.append(sample._replace(stamp=sample.stamp + rest * PERIOD_NS), False, is_news=False)
+        history.append(sample._replace(stamp=sample.stamp + (number >= 1500) * 500 * PERIOD_NS), True)
+    batch = history.span(300.0)
+    for share in (1.0, 0.1):
+        samples = worker.thinned(batch, share).samples
+        (told,) = [note for note in unidentifiable(BODY, samples) if 'gap' in note]
+        assert told.startswith('The samples looked at have 1 gap in time, namely 9.'), told
+
+
+def test_how_long_a_diagnosis_takes_yet_follows_what_it_gets():
+    expected = worker.expected_s(5000)
+    assert worker.left_s(5000, 20.0, 5.0) == pytest.approx(4.0 * (expected - 5.0))
+    assert worker.left_s(5000, 200.0, 50.0) == pytest.approx(worker.LINGERS * 200.0)
+    assert worker.left_s(5000, 0.0, 0.0) == 0.0
 
 
 def wait_until_there(begun, there):

@@ -11,8 +11,9 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.learning import Learning
+from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.renewal import LaterWindow, later_window
-from semiparam_ros.online.worker import ProcessBackground, known_of, new_estimator, renew
+from semiparam_ros.online.worker import ProcessBackground, Urgency, known_of, new_estimator, renew
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, InlineBackground, faster, motion
 
@@ -121,6 +122,26 @@ def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, eve
             expected.observe(expected.predict(sample), False)
     for sample in DAY[330:340]:
         np.testing.assert_allclose(renewed.predict(sample)[:2], expected.predict(sample)[:2], rtol=1e-9)
+
+
+@pytest.mark.parametrize('wish', [{'effects': ('sensor_drift',)}, {'variant': 'P'}])
+def test_an_estimate_from_a_later_window_gives_way_to_what_a_user_asks_for(wish):
+    """And none begins before that is there."""
+    stage = Stage(SLOWER)
+    stage.offer(DAY[:100])
+    stage.background.run()
+    played = 100
+    while not stage.background.jobs:
+        stage.offer(DAY[played:played + 1])
+        played += 1
+    estimate, wanted = stage.background.jobs[0], replace(SLOWER, **wish)
+    stage.learner.change(wanted)
+    stage.offer(DAY[played:])
+    assert estimate.cancelled and not stage.learner.switcher.renewed
+    (asked,) = [job for job in stage.background.jobs if not job.cancelled]
+    assert asked.urgency == Urgency.TAKES_OVER
+    stage.background.run(3)  # the estimate, which nobody wants, and the model in two parts
+    assert same_model(stage.learner.built, wanted) and 'takes over' in stage.news[-1]
 
 
 def test_motion_within_the_window_is_no_reason():

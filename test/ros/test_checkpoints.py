@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.settings import dump_params
-from support import checkpoint_kills
+from support import checkpoint_kills, node_restarts
 from support.node_client import Client, NodeProcess
 from support.node_helpers import SETTINGS, InlineBackground, motion
 
@@ -83,3 +83,12 @@ def test_a_second_node_of_the_same_name_says_so_and_does_not_write(tmp_path, ros
         assert first.stop() == 0
         assert first.process.pid == int((states / 'estimator.lock').read_text())
         assert not any('aside' in found.name for found in states.iterdir())
+
+
+@pytest.mark.slow
+def test_restarts_with_random_configurations_lose_no_state_of_another(tmp_path, ros_domain):
+    restarts = node_restarts.Restarts(tmp_path, 1)
+    restarts.number = 2  # the fifth has another node of its name beside it
+    for _ in range(4):
+        restarts.start()
+    assert restarts.tell() and restarts.done['another node of the same name beside it'] == 1

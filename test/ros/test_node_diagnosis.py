@@ -1,7 +1,9 @@
 """The loop closed live: the node says what its model lacks, adds it, and the horizon error falls."""
 
 import json
+import os
 import re
+import signal
 import threading
 import time
 from dataclasses import replace
@@ -13,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.build import build_rigid_body
-from support.node_client import Client, NodeProcess
+from support.node_client import Client, NodeProcess, children_of
 from support.node_helpers import JOINTS, SETTINGS, motion
 
 LIVE = replace(SETTINGS, outputs='effort', sensor_frame='', variant='P', acceleration_source='measured',
@@ -71,6 +73,7 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         assert any(re.match(r'round 1: found .*viscous_friction at a', sentence) for sentence in progress), progress
         report = json.loads(client.heard['diagnosis'][0].data)
         assert report['schema'] == 1 and report['verdict'] == 'effect_found'
+        assert re.match(r'(\d+) of \1 samples, evenly spread over \d+ s$', report['looked_at'])
         assert {effect['kind'] for effect in report['effects']} == {'viscous_friction'}
         before = np.mean([message.position[2] for message in client.heard['horizon_error'][-50:]])
         applied = client.trigger('apply_diagnosis')
@@ -93,3 +96,35 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         assert client.stamps('residual') == [sample.stamp for sample in samples]
         code = node.stop()
     assert code == 0 and 'internal error' not in node.output
+
+
+def test_one_that_is_cancelled_leaves_no_result_and_what_was_changed_since_is_not_undone(tmp_path):
+    dump_params(LIVE, tmp_path / 'p.yaml')
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
+        client.connect('effort')
+        client.listen(String, 'diagnosis', 'diagnosis_progress')
+        client.offer('joint_states', 'joint_accelerations')
+        assert client.trigger('cancel_diagnosis').message == 'no diagnosis is running.'
+        play(client, rubbing(900))
+        running, told = client.begin(Trigger, 'diagnose', Trigger.Request()), client.heard['diagnosis_progress']
+        client.wait(lambda: told and len(children_of(node.process.pid)) > 1, 'it has begun')
+        for child in children_of(node.process.pid):
+            os.kill(child, signal.SIGSTOP)  # so that it is not done before it is cancelled
+        _, message, values = client.wait_report('diagnosis', lambda level, message, values: values['running'] == 'True')
+        assert re.search(r'; about \d+ s left\.$', message) and float(values['elapsed [s]']) >= 0.0
+        cancelled = client.trigger('cancel_diagnosis')
+        assert cancelled.success and cancelled.message == 'the diagnosis is cancelled; there is none.'
+        client.wait(running.done, 'whoever waits for it is told')
+        assert (running.result().success, running.result().message) == (False, 'the diagnosis was cancelled.')
+        assert 'no diagnosis yet' in client.trigger('apply_diagnosis').message
+        client.wait_report('diagnosis', lambda level, message, values: message == 'the last one was cancelled.')
+        for child in children_of(node.process.pid):
+            os.kill(child, signal.SIGCONT)
+        answer = client.trigger('diagnose')
+        assert answer.success and 'It looked at 900 of 900 samples, evenly spread over 18 s.' in answer.message
+        client.wait(lambda: client.heard['diagnosis'], 'the report')
+        assert len(client.heard['diagnosis']) == 1 and 'cancelled' in ' '.join(message.data for message in told)
+        assert client.set(effects=['viscous_friction@b'])[0].successful
+        late = client.trigger('apply_diagnosis')
+        assert not late.success and late.message.startswith('the effects have changed since the last diagnosis')
+        assert node.stop() == 0 and 'internal error' not in node.output

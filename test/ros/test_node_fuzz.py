@@ -1,8 +1,20 @@
 """The fuzzer of docs/robustness.md for a few seconds."""
 
+import threading
+
 import pytest
 
 from support import node_fuzz
+from support.node_helpers import SETTINGS
+
+
+def test_a_fuzz_that_fails_leaves_no_thread_that_spins(tmp_path, ros_domain):
+    """The interpreter ends such a thread within C++, which ends the process: "terminate called without ..."."""
+    before = threading.active_count()
+    with pytest.raises(ZeroDivisionError), node_fuzz.Pair(tmp_path, SETTINGS):
+        assert threading.active_count() == before + 2
+        raise ZeroDivisionError
+    assert threading.active_count() == before
 
 
 @pytest.mark.slow

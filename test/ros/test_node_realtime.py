@@ -6,7 +6,7 @@ from pathlib import Path
 
 from semiparam_ros.ros.estimator.process import take_priority
 from semiparam_ros.settings import dump_params
-from support.node_client import Client, NodeProcess
+from support.node_client import Client, NodeProcess, children_of
 from support.node_helpers import JOINTS, SETTINGS, motion
 
 PRIORITY = 3
@@ -26,12 +26,6 @@ def policy_of(process_id):
 
 def threads_of(process_id):
     return [int(entry.name) for entry in Path(f'/proc/{process_id}/task').iterdir()]
-
-
-def children_of(process_id):
-    listed = [Path(f'/proc/{process_id}/task/{thread}/children').read_text().split()
-              for thread in threads_of(process_id)]
-    return [int(child) for children in listed for child in children]
 
 
 def test_the_node_takes_the_priority_and_the_processes_beside_it_do_not(tmp_path):

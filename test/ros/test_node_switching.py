@@ -21,7 +21,7 @@ from semiparam_ros.settings.build import build_estimator
 from support.node_client import Client, NodeProcess
 from support.node_helpers import write_bag
 
-COMPARED, SLOW_MACHINE_S = 20, 120.0
+COMPARED, SLOW_MACHINE_S = 20, 15.0
 ORDER = [*(variant for variant in CHOICES if variant != 'SPK-ML'), 'SPK-ML']
 
 
@@ -33,6 +33,19 @@ def in_turn(*recordings):
         samples += [sample._replace(stamp=int(sample.stamp + shift)) for sample in recording.samples]
         start = samples[-1].stamp + 50_000_000
     return samples
+
+
+def wait_for_model(client, variant):
+    """While the bag plays; on a machine so slow that it would end before the last switch the bag waits."""
+    def answers(level, message, values):
+        return message == f'learning with {variant}.'
+
+    try:
+        client.wait_report('learning', answers, SLOW_MACHINE_S)
+    except AssertionError:
+        assert client.call(Trigger, '/bag_replay/pause', Trigger.Request()).success
+        client.wait_report('learning', answers)
+        assert client.call(Trigger, '/bag_replay/resume', Trigger.Request()).success
 
 
 @pytest.mark.slow
@@ -60,8 +73,7 @@ def test_every_variant_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_pat
             replied = time.monotonic() - start
             assert answer.successful
             if 'is being built' in answer.reason:
-                client.wait_report('learning', lambda level, message, values, v=variant:
-                                   message == f'learning with {v}.', SLOW_MACHINE_S)
+                wait_for_model(client, variant)
             took = time.monotonic() - start
             print(f'{variant}: answered after {1e3 * replied:.0f} ms, takes over within {took:.1f} s')
             switched.append((variant, len(client.heard['residual']) + 3))

@@ -8,8 +8,8 @@ from semiparam_ros.cli.main import main
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.ros.estimator import diagnostics
+from semiparam_ros.ros.estimator.diagnosing import Diagnosing
 from semiparam_ros.ros.estimator.publishers import Outputs
-from semiparam_ros.ros.estimator.services import Diagnosing
 
 UNLUCKY_STAMP_NS = 1_200_000_000
 

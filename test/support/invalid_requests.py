@@ -7,6 +7,8 @@ import io
 import json
 import pickle
 import random
+import warnings
+import zipfile
 from collections import Counter, deque
 
 import numpy as np
@@ -52,14 +54,16 @@ NO_DESCRIPTIONS = {
     'a negative mass': URDF.replace('"0.5"', '"-0.5"'), '100 kB of noise': ''.join(
         chr(code) for code in np.random.default_rng(0).integers(32, 127, 100_000)),
 }
-SERVICES = ('reset', 'tare', 'save_state', 'load_state', 'diagnose', 'apply_diagnosis')
+SERVICES = ('reset', 'tare', 'save_state', 'load_state', 'diagnose', 'apply_diagnosis', 'cancel_diagnosis',
+            'export_model')
+WITHOUT_A_MODEL = {'apply_diagnosis': 'there is no diagnosis yet', 'cancel_diagnosis': 'no diagnosis is running'}
 
 
 class InvalidRequests:
     """Throws by a seed what must be refused; ``wrong`` holds what was not."""
 
     CHANGES = CHANGES
-    CALLS = ('load', 'load', 'load', 'apply', 'pause', 'save', 'save nowhere')
+    CALLS = ('load', 'load', 'load', 'apply', 'pause', 'save', 'save nowhere', 'export', 'export nowhere')
 
     def __init__(self, client, state_file, seed):
         self.client, self.state_file, self.chance = client, state_file, random.Random(seed + 1)
@@ -75,8 +79,7 @@ class InvalidRequests:
             self.client.wait_report('inputs', lambda level, message, values, number=number: values.get(
                 'refused: robot_description') == str(number))
         for name in SERVICES:
-            self._service(f'~/{name} without a model', name, 'there is no diagnosis yet' if name == 'apply_diagnosis'
-                          else 'there is no model yet')
+            self._service(f'~/{name} without a model', name, WITHOUT_A_MODEL.get(name, 'there is no model yet'))
         self._drain()
 
     def wait_until_open(self, clients):
@@ -161,6 +164,14 @@ class InvalidRequests:
         elif kind == 'pause':
             self._note('~/pause_learning, not to pause', DONE)
             self._call(SetBool, 'pause_learning', SetBool.Request(data=False), 'go on', lambda reply: [], True)
+        elif kind == 'export':
+            self._note('~/export_model while samples come', 'done, or refused without a rigid body that is learnt')
+            self._call(Trigger, 'export_model', Trigger.Request(), 'export', lambda reply: [], None)
+        elif kind == 'export nowhere':
+            self._set_file(self._other_file().name)
+            self._other_file().with_suffix('.urdf').write_text('<robot/>')
+            self._service('~/export_model over what is no export', 'export_model', '')
+            self._set_file(self.state_file.name)
         elif kind == 'save':
             self._note('~/save_state while samples come', 'done, or refused while hyperparameters are estimated')
             self._call(Trigger, 'save_state', Trigger.Request(), 'save', lambda reply: [], None)
@@ -237,6 +248,14 @@ class InvalidRequests:
                 self.wrong.append(f'{name}: {successful}, {reason!r}')
 
 
+CRAFTED = {
+    'of another type': lambda values: values.astype(np.float32 if values.dtype != np.float32 else np.float64),
+    'of texts': lambda values: values.astype('U9'), 'with one more axis': lambda values: values[None],
+    'of objects': lambda values: np.array([print], dtype=object),
+    'twice': lambda values: np.concatenate([values, values]) if values.ndim else np.array([values, values]),
+}
+
+
 def spoilt(data):
     """Files that are not what ``save_state`` wrote, from one that is."""
     arrays = dict(np.load(io.BytesIO(data)))
@@ -253,7 +272,15 @@ def spoilt(data):
     matrix = max((name for name in arrays if name != 'probe'), key=lambda name: arrays[name].size)
     spoilt_matrix = arrays[matrix].copy()
     spoilt_matrix.flat[0] = NAN
-    return {
+    chance = random.Random(1)
+    names = sorted(name for name in arrays if name != 'meta' and arrays[name].size)
+    crafted = {f'an array {how}': packed(**{name: wrong(arrays[name])}) for how, wrong in CRAFTED.items()
+               for name in [chance.choice(names)]}
+    return crafted | {
+        'an array compressed, 100 MB of zeros': compressed(arrays), 'an array more': packed(more=arrays[matrix]),
+        'an array twice in the archive': doubled(data), 'a name that leads out of the archive': packed(
+            **{'../../meta': arrays['meta']}), 'a size that is not there': data.replace(
+            b"'shape': (", b"'shape': (9", 1),
         'an empty file': b'', 'noise': random.Random(0).randbytes(10_000), 'a pickle': pickle.dumps({'meta': 1}),
         'a file cut short': data[:len(data) // 2], 'a file with a hole': data[:500] + bytes(2000) + data[2500:],
         'no JSON': packed(meta=np.array('{')), 'another version': with_meta(version=99),
@@ -270,4 +297,20 @@ def spoilt(data):
 def packed_without(arrays, name):
     stream = io.BytesIO()
     np.savez(stream, **{other: values for other, values in arrays.items() if other != name})
+    return stream.getvalue()
+
+
+def compressed(arrays):
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays, more=np.zeros(12_500_000))
+    return stream.getvalue()
+
+
+def doubled(data):
+    """The archive with its last array in it once more."""
+    stream = io.BytesIO(data)
+    with warnings.catch_warnings(), zipfile.ZipFile(stream, 'a') as archive:
+        warnings.simplefilter('ignore')  # of the name that is there already
+        name = archive.namelist()[-1]
+        archive.writestr(name, archive.read(name))
     return stream.getvalue()

@@ -251,9 +251,30 @@ class Client:
     def __exit__(self, *_):
         self.stopping.set()
         self.thread.join()
-        self.executor.remove_node(self.node)
+        self.executor.shutdown()
         self.node.destroy_node()
         try_shutdown(context=self.context)
+
+
+class Gaps:
+    """The longest time [s] in which nothing was answered although something was published.
+
+    Looked at again and again; time in which this process was not given the machine does not count.
+    """
+
+    LONGEST_LOOK_S = 0.05
+
+    def __init__(self):
+        self.worst = self._silent = 0.0
+        self._looked, self._answers = time.monotonic(), 0
+
+    def look(self, published, answered):
+        """So many samples so far."""
+        now = time.monotonic()
+        passed, self._looked = min(now - self._looked, self.LONGEST_LOOK_S), now
+        waits = published > answered == self._answers
+        self._silent, self._answers = self._silent + passed if waits else 0.0, answered
+        self.worst = max(self.worst, self._silent)
 
 
 class Robot:
@@ -277,6 +298,12 @@ def resident_mb(process_id):
     """Memory that a process holds now [MB]."""
     status = Path(f'/proc/{process_id}/status').read_text()
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith('VmRSS')) / 1024
+
+
+def children_of(process_id):
+    """The processes that any thread of a process has begun."""
+    threads = Path(f'/proc/{process_id}/task').iterdir()
+    return [int(child) for thread in threads for child in (thread / 'children').read_text().split()]
 
 
 def messages(values):

@@ -1,6 +1,7 @@
 """Every kind of bad message, thrown at a live node between good ones, by a seeded choice."""
 
 import random
+import struct
 import time
 from collections import Counter
 
@@ -11,6 +12,9 @@ from semiparam_ros.ros.estimator.diagnostics import PERIOD_S
 from support.node_client import TYPES
 
 NAN, INFINITE = float('nan'), float('inf')
+LARGEST, SMALLEST = 1.7976931348623157e308, 5e-324
+FIRST_STAMP_NS, LAST_STAMP = -2**31 * 10**9, (2**31 - 1, 2**32 - 1)
+"""Of the types that a header's stamp has."""
 GAP_NS = 100_000_000
 ANSWERS = ('predicted_wrench', 'predicted_wrench_std', 'residual')
 CHECK_EVERY = 500
@@ -68,6 +72,33 @@ class Fuzzer:
             'acceleration of one joint': ('missing_joint', lambda sample: self.accelerations(sample, [[0.0]], one)),
             'acceleration of the past': ('backward_stamp', lambda sample: client.accelerations(self.past(sample),
                                                                                                joints)),
+            'position of the largest double': ('out_of_range', lambda sample: self.state(
+                sample, position=[LARGEST, 0.0])),
+            'velocity of minus the largest double': ('out_of_range', lambda sample: self.state(
+                sample, velocity=[0.0, -LARGEST])),
+            'force of the largest double': ('out_of_range', lambda sample: self.wrench(sample, 0, LARGEST)),
+            'acceleration of the largest double': ('out_of_range', lambda sample: self.accelerations(
+                sample, [[LARGEST, -LARGEST]])),
+            'the smallest doubles, again': ('duplicate_stamp', lambda sample: self.state(
+                self.again(sample), position=[SMALLEST, -0.0], velocity=[-SMALLEST, 0.0])),
+            'efforts at the ends of doubles, again': ('duplicate_stamp', lambda sample: self.state(
+                self.again(sample), effort=[NAN, -INFINITE])),
+            'joint state of the first stamp': ('backward_stamp', lambda sample: self.state(
+                sample._replace(stamp=FIRST_STAMP_NS))),
+            'wrench of the first stamp': ('backward_stamp', lambda sample: client.wrench(
+                sample._replace(stamp=FIRST_STAMP_NS))),
+            'joint state of the last stamp': ('out_of_range', lambda sample: self.stamped(
+                'joint_states', TYPES['joint_states'](name=self.joints, position=[0.0] * 2, velocity=[0.0] * 2))),
+            'wrench of the last stamp': ('out_of_range', lambda sample: self.stamped('wrench', TYPES['wrench']())),
+            'a joint without a name': ('missing_joint', lambda sample: client.state(sample, ['', self.joints[1]])),
+            'wrench in a frame of 2000 letters': ('wrong_frame', lambda sample: client.wrench(
+                sample, frame='f' * 2000)),
+            'joint state, a name that is no text': ('missing_joint', lambda sample: self.changed(
+                'joint_states', TYPES['joint_states'](name=self.joints), b'a\0', b'\xff\0')),
+            'wrench, a frame that is no text': ('wrong_frame', lambda sample: self.changed(
+                'wrench', self.framed(), b'ft\0', b'\xc3\x28\0')),
+            'joint state, 2^32 - 1 names': ('joint_states', lambda sample: self.counted(2**32 - 1)),
+            'joint state, 2^27 names': ('joint_states', lambda sample: self.counted(2**27)),
             'acceleration again': ('duplicate_stamp', lambda sample: client.accelerations(self.again(sample), joints)),
         }
 
@@ -131,6 +162,27 @@ class Fuzzer:
         """The beginning of a message's bytes."""
         data = serialize_message(message)
         self.client.outputs[topic].publish(data[:self.chance.randrange(6, len(data) // 2)])
+
+    def changed(self, topic, message, old, new):
+        """The bytes of a message, some of them replaced."""
+        data = serialize_message(message)
+        assert old in data
+        self.client.outputs[topic].publish(data.replace(old, new, 1))
+
+    def counted(self, count):
+        """A joint state that says it has so many names."""
+        self.changed('joint_states', TYPES['joint_states'](name=self.joints), struct.pack('<I', len(self.joints)),
+                     struct.pack('<I', count))
+
+    def stamped(self, topic, message):
+        message.header.stamp.sec, message.header.stamp.nanosec = LAST_STAMP
+        message.header.frame_id = 'ft'
+        self.client.outputs[topic].publish(message)
+
+    def framed(self):
+        message = TYPES['wrench']()
+        message.header.frame_id = 'ft'
+        return message
 
     def past(self, sample):
         return sample._replace(stamp=self.chance.choice([5, 0, -10**9, self.first_stamp - 1]))

@@ -11,6 +11,7 @@ from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.stamps import stamp_fields
+from semiparam_ros.online.worker import Urgency
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
 
@@ -65,6 +66,7 @@ def faster(samples, factor):
 class DelayedJob:
     packed: bytes
     done: Callable[[object, BaseException | None], None]
+    urgency: Urgency = Urgency.SHADOW
     cancelled: bool = False
 
     def cancel(self):
@@ -74,7 +76,7 @@ class DelayedJob:
 class InlineBackground:
     """A background without a process: everything happens at once."""
 
-    def submit(self, function, *arguments, done, urgent=False):
+    def submit(self, function, *arguments, done, urgency=Urgency.SHADOW):
         try:
             result, error = function(*arguments), None
         except Exception as caught:
@@ -93,8 +95,8 @@ class DelayedBackground:
         self.jobs = deque()
         self.tasks = deque()
 
-    def submit(self, function, *arguments, done, urgent=False):
-        self.jobs.append(DelayedJob(pickle.dumps((function, arguments)), done))
+    def submit(self, function, *arguments, done, urgency=Urgency.SHADOW):
+        self.jobs.append(DelayedJob(pickle.dumps((function, arguments)), done, urgency))
         return self.jobs[-1]
 
     def later(self, function):

@@ -23,7 +23,7 @@ from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.parameter_table import PARAMETERS
 from support.invalid_requests import NAN, InvalidRequests
-from support.node_client import RECENT, Client, NodeProcess, messages, resident_mb, stamp_of, values_of
+from support.node_client import RECENT, Client, Gaps, NodeProcess, messages, resident_mb, stamp_of, values_of
 from support.node_faults import ANSWERS, CHECK_EVERY, Fuzzer, counts_of, tell_thrown, with_gaps
 from support.node_helpers import BODY, JOINTS, URDF, motion
 
@@ -36,6 +36,7 @@ WRONG_TYPES = {'bool': [1, 'true'], 'integer': ['5', 0.5, True], 'double': ['1.0
 BURST, QUIET = 3000, 1000
 """Samples with changes of the settings, and without, in turns: a model needs seconds to be there."""
 MOST_WAITING, RETAINED, MEMORY_MB, GAP_EVERY = 5, 3000, 60.0, 100
+MOST_SILENT_S = 1.0
 NOT_BUILT = 'could not be built'
 TOGETHER = 'several in one atomic set'
 
@@ -165,7 +166,7 @@ class SettingsChanges(InvalidRequests):
     def act(self):
         """A service that changes the model, or looks at it."""
         name = self.chance.choice(['reset', *['tare', 'pause', 'save and load', 'diagnose', 'diagnose',
-                                              'apply_diagnosis'] * 2])
+                                              'cancel_diagnosis', 'apply_diagnosis', 'apply_diagnosis'] * 2])
         if name == 'pause':
             self._call(SetBool, 'pause_learning', SetBool.Request(data=self.chance.random() < 0.5), [name],
                        lambda reply: [], [True])
@@ -226,34 +227,36 @@ def fuzz(folder, options, settings):
         client.outputs['robot_description'].publish(String(data=URDF))
         client.wait(lambda: client.node.count_publishers('estimator/residual'), 'the answers')
         changes.wait_until_open([client])
-        chance, start = random.Random(options.seed), time.monotonic()
+        chance, gaps, start = random.Random(options.seed), Gaps(), time.monotonic()
         for index, sample in enumerate(samples):
             time.sleep(max(0.0, start + index / options.rate - time.monotonic()))
+            gaps.look(index % CHECK_EVERY, len(client.heard['residual']))
             fuzzer.throw(sample, bad=chance.choice([1, 2]))
             changes.throw(index, sample)
             if index % CHECK_EVERY == CHECK_EVERY - 1:
                 asked = time.monotonic()
-                check_answers(client, samples[index + 1 - CHECK_EVERY:index + 1])
+                check_answers(client, samples[index + 1 - CHECK_EVERY:index + 1], gaps)
                 start += time.monotonic() - asked  # what was waited for is not made up for in a flood
                 memory.append(resident_mb(node.process.pid))
         took = time.monotonic() - start
         changes.finish()
-        check_answers(client, samples[len(samples) - len(samples) % CHECK_EVERY:])
+        check_answers(client, samples[len(samples) - len(samples) % CHECK_EVERY:], gaps)
         counted = counts_of(client, {**fuzzer.rejections(), **changes.rejections()})
         last = goes_on(client, samples[-1], options.window + 200)
         internal = errors_of(client)
         alive, code = node.process.poll() is None, node.stop()
     return {'samples': len(samples), 'took_s': took, 'fuzzer': fuzzer, 'changes': changes, 'memory': memory,
-            'alive': alive, 'goes on': last, 'code': code, 'counted': counted, 'internal': internal
+            'alive': alive, 'gap_s': gaps.worst, 'goes on': last, 'code': code, 'counted': counted, 'internal': internal
             + node.output.count('internal error') + node.output.count('Traceback'), 'log': node.output}
 
 
-def check_answers(client, samples):
+def check_answers(client, samples, gaps):
     """Each of these samples is answered once, in order, by finite numbers, and no other is."""
     wanted = [sample.stamp for sample in samples]
     for topic in ANSWERS:
         heard = client.heard[topic]
-        client.wait(lambda heard=heard: len(heard) >= len(wanted), f'{len(wanted)} answers on {topic}')
+        client.wait(lambda heard=heard: gaps.look(len(wanted), len(heard)) or len(heard) >= len(wanted),
+                    f'{len(wanted)} answers on {topic}')
         assert [stamp_of(message) for message in heard] == wanted, f'answers on {topic}'
         assert np.isfinite([values_of(message) for message in heard]).all(), f'values on {topic}'
         heard.clear()
@@ -290,10 +293,11 @@ def tell(found):
     print(f'\n{changes.done.total()} altogether. Memory: {memory[0]:.1f} MB after {CHECK_EVERY} samples, '
           f'{memory[len(memory) // 10]:.1f} MB after a tenth, {memory[len(memory) // 2]:.1f} MB halfway, '
           f'{memory[-1]:.1f} MB at the end, {max(memory):.1f} MB at most.')
+    print(f'longest time without an answer that was due: {found["gap_s"]:.2f} s')
     print(f'alive: {found["alive"]}; learns afterwards: {found["goes on"]}; exit code after SIGINT: {found["code"]}; '
           f'internal errors: {found["internal"]}')
     if found['internal']:
         print(found['log'][-20_000:])
     return (found['alive'] and found['goes on'] and found['code'] == 0 and not found['internal'] and not changes.wrong
             and all(counted == wanted for counted, wanted in found['counted'].values())
-            and memory[-1] < memory[len(memory) // 10] + MEMORY_MB)
+            and found['gap_s'] < MOST_SILENT_S and memory[-1] < memory[len(memory) // 10] + MEMORY_MB)

@@ -31,7 +31,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -121,17 +121,19 @@ def ball(mass: float, radius: float) -> Array:
     return inertial_parameters(mass * np.diag([radius**2] * 3 + [1.0]))
 
 
-def consistent_bodies(mean: Array, information: Array, bodies: Sequence[Body]) -> Array:
-    """(n, 10) the bodies that an estimate (p,) with its information (p, p) asks for; see above.
+def consistent_bodies(mean: Array, root: Array, bodies: Sequence[Body]) -> Array:
+    """(n, 10) the bodies that an estimate (p,) with the information R'R asks for; see above.
+
+    :param root: R (q, p). Of a sensor without noise R'R spans more digits than a number has.
 
     Raises SemiparamError when the estimate is not finite.
     """
-    if not (np.isfinite(mean).all() and np.isfinite(information).all()):
+    if not (np.isfinite(mean).all() and np.isfinite(root).all()):
         raise SemiparamError('the estimate holds values that are not finite; expected a model that '
                              'has learnt.')
     if not bodies:
         return np.zeros((0, 10))
-    problem = _Problem(mean, information, bodies)
+    problem = _Problem(mean, root, bodies)
     pseudo = pseudo_inertia(np.array([body.reference for body in bodies]))
     loss = max(problem.value(pseudo), 1.0)
     for share in np.geomspace(1.0 / loss, 1.0, 1 + int(np.ceil(np.log10(loss)))).tolist():
@@ -144,8 +146,8 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
     value = problem.value(pseudo, share)
     for _ in range(MOST_STEPS):
         roots = np.asarray(np.linalg.cholesky(pseudo), dtype=np.float64)
-        gradient, hessian = problem.derivatives(roots, share)
-        step = -cho_solve(cho_factor(hessian), gradient)
+        gradient, curvature = problem.derivatives(roots, share)
+        step = -cho_solve((np.linalg.qr(curvature, mode='r'), False), gradient)
         promised = -float(gradient @ step)
         if promised < DECREMENT * max(1.0, value):
             break
@@ -165,8 +167,8 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
 class _Problem:
     """What is minimised, as a function of the pseudo-inertias (n, 4, 4)."""
 
-    def __init__(self, mean: Array, information: Array, bodies: Sequence[Body]) -> None:
-        self._mean, self._information = mean, information
+    def __init__(self, mean: Array, root: Array, bodies: Sequence[Body]) -> None:
+        self._mean, self._root = mean, root
         self._columns = np.array([body.columns for body in bodies])  # (n, p, 10)
         references = pseudo_inertia(np.array([body.reference for body in bodies]))
         self._inverse = np.linalg.inv(references)
@@ -189,28 +191,30 @@ class _Problem:
         left = np.einsum('kab,kba->k', self._inside, pseudo[self._bound]) / self._room
         if not (left > 0.0).all():
             return np.inf
-        error = self._error(pseudo)
+        error = self._root @ self._error(pseudo)
         entropic = (np.einsum('kab,kba->', self._inverse, pseudo) + self._constant
                     - 2.0 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum())
-        return float(0.5 * share * error @ self._information @ error + entropic
+        return float(0.5 * share * error @ error + entropic
                      + (left - np.log(left) - 1.0).sum())
 
     def derivatives(self, roots: Array, share: float = 1.0) -> tuple[Array, Array]:
-        """(10 n,) gradient and (10 n, 10 n) Hessian at P = L L' in the coordinates of L^-1 P L^-T
-        in ``SYMMETRIC``, in which that of -log det P is the identity, however thin a body is."""
+        """(10 n,) gradient and (m, 10 n) a root of the Hessian at P = L L' in the coordinates of
+        L^-1 P L^-T in ``SYMMETRIC``, in which that of -log det P is the identity, however thin a
+        body is."""
         sizes = roots[:, None] @ SYMMETRIC @ np.swapaxes(roots, 1, 2)[:, None]
         pseudo = roots @ np.swapaxes(roots, 1, 2)
         columns = np.hstack(list(self._columns @ np.swapaxes(inertial_parameters(sizes), 1, 2)))
         slope = np.einsum('kab,kiba->ki', self._inverse, sizes)
         slope -= np.trace(SYMMETRIC, axis1=1, axis2=2)
-        bends = np.tile(np.eye(10), (len(roots), 1, 1))
         toward = np.einsum('kab,kiba->ki', self._inside, sizes[self._bound])
         left = np.einsum('kab,kba->k', self._inside, pseudo[self._bound])
         slope[self._bound] += (1.0 / self._room - 1.0 / left)[:, None] * toward
-        bends[self._bound] += np.einsum('k,ki,kj->kij', left**-2.0, toward, toward)
-        pull = columns.T @ (self._information @ self._error(pseudo))
-        return (share * pull + slope.ravel(),
-                share * columns.T @ self._information @ columns + block_diag(*bends))
+        seen = self._root @ columns
+        bounds = np.zeros((len(toward), *slope.shape))
+        bounds[np.arange(len(toward)), np.flatnonzero(self._bound)] = toward / left[:, None]
+        curvature = np.vstack([np.sqrt(share) * seen, np.eye(slope.size),
+                               bounds.reshape(-1, slope.size)])
+        return share * seen.T @ (self._root @ self._error(pseudo)) + slope.ravel(), curvature
 
     def _error(self, pseudo: Array) -> Array:
         """(p,) of theta from its mean."""

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from typing import NamedTuple
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import InertiaStamped
 from rclpy.clock import Clock
@@ -369,7 +370,12 @@ def believed_payload(learner: Learner, tally: Tally) -> tuple[Payload | None, st
     carried = payload(learner.estimator)
     if carried is None or carried.std is None:
         return None, 'withheld: the model learns no inertias.'
-    return carried, f'{carried.mass:.3g} +- {carried.std.mass:.2g} kg at {carried.link}'
+    untold = ''
+    if not np.isfinite(carried.centre).all():
+        untold = '; its centre and inertia are withheld: the mass is below two standard deviations.'
+    elif not np.isfinite(carried.inertia).all():
+        untold = '; its inertia is withheld: no body has the one that fits.'
+    return carried, f'{carried.mass:.3g} +- {carried.std.mass:.2g} kg at {carried.link}{untold}'
 
 
 def parameters_report(learner: Learner, carried: str) -> Report:
@@ -391,12 +397,12 @@ class Reports:
     """One status after another, evenly over the second: a sample that comes meanwhile waits for one of them only.
 
     :param learner: gives the learner, None before the robot is known.
-    :param checkpoints: their report. :param twins: see :meth:`Outputs.twins`.
+    :param others: makers of further statuses, by their titles. :param twins: see :meth:`Outputs.twins`.
     """
 
     def __init__(self, node: Node, inputs: Inputs, rejections: Rejections, errors: InternalErrors,
                  learner: Callable[[], Learner | None], feedforward: Feedforward,
-                 checkpoints: Callable[[], Report], twins: Callable[[], str]) -> None:
+                 others: Mapping[str, Callable[[], Report]], twins: Callable[[], str]) -> None:
         self.tally = Tally(())
         self._news = self._robot_name = self._stage = self._told_twins = ''
         self._errors, self._twins = errors, twins
@@ -408,7 +414,7 @@ class Reports:
         turns = {'inputs': InputReport(inputs, rejections).make,
                  'timing': TimingReport(inputs, self.say).make, 'learning': self._learning,
                  'model': self._model, 'parameters': self._parameters,
-                 'feedforward': lambda: feedforward_report(feedforward), 'checkpoints': checkpoints,
+                 'feedforward': lambda: feedforward_report(feedforward), **others,
                  'errors': self._errors_report}
         turn = cycle(turns.items())
         # By the machine's own clock: with a simulated one the reports would follow the recording's speed.

@@ -14,7 +14,7 @@ from semiparam_ros.export.files import export_to
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.model_switcher import sentence_of
-from semiparam_ros.online.worker import Background
+from semiparam_ros.online.worker import Background, Urgency
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
 from semiparam_ros.ros.estimator.parameters import Parameters
 from semiparam_ros.ros.estimator.services import Reply, create_deferred_trigger
@@ -42,7 +42,7 @@ class Exporting:
         estimate = from_estimator(self._learner().estimator, None, name)
         stem = Path(self._parameters.settings.state_file).stem
         self._background.submit(export_to, self._folder, stem, self._description(), estimate,
-                                done=partial(self._done, reply))
+                                done=partial(self._done, reply), urgency=Urgency.ASKED)
 
     def _done(self, reply: Reply, sentence: str | None, error: BaseException | None) -> None:
         if sentence is None:

@@ -26,6 +26,7 @@ from semiparam_ros.online.worker import Later, ProcessBackground, Worker
 from semiparam_ros.ros.context import DELIVER_S
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.desired_trajectory import DesiredTrajectory
+from semiparam_ros.ros.estimator.diagnosing import Diagnosing
 from semiparam_ros.ros.estimator.diagnostics import (
     CHECKPOINTS,
     DESCRIPTION,
@@ -38,7 +39,7 @@ from semiparam_ros.ros.estimator.exporting import Exporting
 from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answering
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
-from semiparam_ros.ros.estimator.services import Diagnosing, Services
+from semiparam_ros.ros.estimator.services import Services
 from semiparam_ros.ros.estimator.subscriptions import Inputs
 from semiparam_ros.settings.files import located
 from semiparam_ros.settings.parameter_table import BY_NAME
@@ -54,6 +55,9 @@ class EstimatorNode(Node):
     :param files: the parameter files, see :func:`located`. :param worker: the process beside it; begun if left out.
     Raises SemiparamError when the parameters do not describe an estimator.
     """
+
+    _autosave: Autosave
+    _diagnosing: Diagnosing
 
     def __init__(self, later: Later, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
         super().__init__(NAME)
@@ -71,8 +75,9 @@ class EstimatorNode(Node):
         self._inputs = Inputs(self, settings, self, later)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
+        others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report()}
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
-                                trajectories.feedforward, lambda: self._autosave.report(), self._outputs.twins)
+                                trajectories.feedforward, others, self._outputs.twins)
         self._held_replies = HeldReplies(self, self._announcement)
         lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
         self._requests = Services(self, self._live, self._the_learner, folder_of(settings), lock, guarded, self.errors)

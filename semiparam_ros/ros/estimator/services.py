@@ -6,7 +6,6 @@ executor of the node does not await those of services.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -15,22 +14,17 @@ from typing import TypeVar
 import numpy as np
 from rclpy.node import Node
 from rclpy.service import Service
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from semiparam_ros.effects import Effect, effects_to_parameters
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online import state_file, worker
+from semiparam_ros.online import state_file
 from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Learner
-from semiparam_ros.online.model_switcher import sentence_of
 from semiparam_ros.online.state_file import SavedState
-from semiparam_ros.online.worker import Later, Outcome, ProcessBackground
+from semiparam_ros.online.worker import Later
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
 from semiparam_ros.ros.estimator.parameters import Parameters
-from semiparam_ros.ros.estimator.publishers import LATCHED
-from semiparam_ros.settings.build import declared_effects
 
 Result = TypeVar('Result')
 
@@ -182,90 +176,3 @@ def create_trigger(node: Node, name: str, action: Callable[[], str], errors: Int
         return response
 
     node.create_service(Trigger, name, callback)
-
-
-class Diagnosing:
-    """The two services, and the report on the latched topic ``~/diagnosis`` (JSON).
-
-    While one runs, ``~/diagnosis_progress`` tells what is being tried and what was found so far.
-
-    A process of its own does the work, so that a model being built does not wait for it.
-
-    :param later: see :data:`Later`.
-    :param errors: counts what goes wrong unexpectedly.
-    """
-
-    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
-                 later: Later, errors: InternalErrors) -> None:
-        self._node, self._parameters, self._learner, self._later = node, parameters, learner, later
-        self._errors = errors
-        self._background: ProcessBackground | None = None
-        self._running = False
-        self._outcome: Outcome | None = None
-        self._examined: tuple[Effect, ...] = ()
-        self._report = node.create_publisher(String, '~/diagnosis', LATCHED)
-        self._progress = node.create_publisher(String, '~/diagnosis_progress', 10)
-        create_deferred_trigger(node, '~/diagnose', self._diagnose, errors)
-        create_trigger(node, '~/apply_diagnosis', self.apply, errors)
-
-    def close(self) -> None:
-        """End the process, whatever it is doing."""
-        if self._background is not None:
-            self._background.close()
-
-    def apply(self) -> str:
-        """Declare the effects of the last diagnosis."""
-        if self._running:
-            raise SemiparamError('a diagnosis is running; wait for its answer, then apply it.')
-        if self._outcome is None:
-            raise SemiparamError('there is no diagnosis yet; ~/diagnose makes one.')
-        if self._outcome.effects == self._examined:
-            return 'the last diagnosis found nothing to add.'
-        if self._outcome.effects == tuple(declared_effects(self._parameters.settings)):
-            return f'the effects of the last diagnosis are declared already: {_listed(self._outcome.effects)}.'
-        values = zip(('effects', 'effects_reference'), effects_to_parameters(self._outcome.effects), strict=True)
-        result = self._node.set_parameters_atomically([self._parameters.ros_parameter(*value) for value in values])
-        if not result.successful:
-            raise SemiparamError(result.reason)
-        return f'effects are now {_listed(self._outcome.effects)}; {result.reason}'
-
-    def _diagnose(self, reply: Reply) -> None:
-        learner = self._learner()
-        if self._running:
-            raise SemiparamError('a diagnosis is running already; wait for its answer.')
-        samples = learner.history.span(self._parameters.settings.diagnosis_window)
-        if not len(samples):
-            raise SemiparamError('there are no samples to diagnose yet.')
-        if self._background is None:
-            self._background = ProcessBackground(self._later, self._tell)
-        # Those that are wanted now, whether their model answers already or is still being built.
-        effects = tuple(declared_effects(self._parameters.settings))
-        self._background.submit(worker.diagnose, learner.body, worker.thinned(samples), effects,
-                                done=partial(self._done, reply, effects))
-        self._running = True
-        self._node.get_logger().info(f'diagnosing {len(samples)} samples in a process beside the node.')
-
-    def _tell(self, sentence: str) -> None:
-        self._progress.publish(String(data=sentence))
-
-    def _done(self, reply: Reply, effects: tuple[Effect, ...], outcome: Outcome | None,
-              error: BaseException | None) -> None:
-        self._running = False
-        if outcome is None:
-            if error is not None and not isinstance(error, SemiparamError):
-                self._errors.add('~/diagnose', error)
-            reply(f'{sentence_of(error)}.', success=False)
-            self._node.get_logger().info(f'the diagnosis is over: {sentence_of(error)}.')
-            return
-        self._outcome, self._examined = outcome, effects
-        self._report.publish(String(data=json.dumps({'schema': 1, **outcome.report})))
-        head, *found = outcome.summary
-        answer = '\n'.join([f'With {_listed(effects) or "no effects"} declared: {head}', *found, 'Details:',
-                            *outcome.words])
-        self._node.get_logger().info(f'the diagnosis is over. {answer}')
-        reply(answer)
-
-
-def _listed(effects: tuple[Effect, ...]) -> str:
-    """Kinds and places, without their values."""
-    return ', '.join(effect.kind + (f'@{effect.where}' if effect.where else '') for effect in effects)
