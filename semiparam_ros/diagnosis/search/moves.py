@@ -57,7 +57,7 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Eff
     of it bends towards the other."""
     moves, known = [], {identity(effect) for effect in fit.effects}
     foremost = {trial.effect.kind: trial for trial in reversed(ranking) if trial.effect.must_start
-                and trial.evidence > 0.0 and identity(trial.effect) not in known}
+                and identity(trial.effect) not in known}
     for trial in foremost.values():
         once, where = declare(fit, [trial.effect]), trial.effect.where
         searches = tuple(type(trial.effect).searches(fit.body, fit.samples, where, once.residual))
