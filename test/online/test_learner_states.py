@@ -18,6 +18,8 @@ from hypothesis import Phase
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from semiparam_ros.core.robot.compensation import Compensation
+from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.single_estimator import PRIORS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.feedforward import Feedforward
@@ -36,6 +38,7 @@ VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML', 'NP-VS', 'SP2-VS', 'auto'
 EFFECTS = ('sensor_drift', 'payload@ft', 'payload@ft{"start_s": 0.5}', 'time_delay{"delay_s": 0.005}',
            'temperature_drift', 'sensor_gain{"fx": 0.1}', 'periodic_disturbance{"frequency_hz": 1.3}',
            'viscous_drag@ft')
+TOOLS = ('ft {"mass": 0.6, "centre": [0.01, 0.0, 0.1]}', '- ft {"mass": 0.2, "inertia": [1e-3, 0, 0, 1e-3, 0, 1e-3]}')
 EFFORT_EFFECTS = ('viscous_friction@a', 'coulomb_friction@b{"turn_speed": 0.02}', 'payload@ft',
                   'coulomb_friction@a{"presliding": 0.01}', 'effort_offset@b{"start_s": 0.5}',
                   'time_delay{"delay_s": 0.005}', 'temperature_friction@a', 'effort_gain@b{"gain": 0.1}')
@@ -64,6 +67,7 @@ class Lives(RuleBasedStateMachine):
         self.offered, self.answers, self.given, self.saved = [], [], [], []
         self.stamp, self.place, self.warmth = self.motion[0].stamp, 0, np.nan
         self.learner, self.feedforward = None, Feedforward()
+        self.external, self.compensation = ExternalWrench(self.body, 'ft'), Compensation(0.3)
         self.kept = False  # hyperparameters of a draft, as the window after it failed
 
     @initialize(count=st.sampled_from([4, 'auto']), every=st.sampled_from([1, 3]), gain=st.sampled_from([0.0, 0.1]))
@@ -77,6 +81,11 @@ class Lives(RuleBasedStateMachine):
         self.answers.append(answer.prediction.sample.stamp)
         self.given.append((answer.prediction.sample, learning_of(answer.learnt, self.learner.gate)))
         assert np.isfinite(answer.prediction.mean).all() and np.isfinite(answer.prediction.std).all()
+        found = self.external.of(answer.prediction, answer.residual)
+        assert np.isfinite([*found.wrench, *found.std]).all() and (found.std >= 0.0).all()
+        assert not answer.places.any() or (answer.contact and answer.places.sum() == pytest.approx(1.0))
+        if self.body.outputs == 'wrench' and self.learner is not None:
+            assert np.isfinite(self.learner.compensated(answer, self.compensation)).all()
 
     def horizon_completed(self, errors):
         assert np.isfinite(errors.eps).all()
@@ -187,6 +196,11 @@ class Lives(RuleBasedStateMachine):
     @rule(learning=st.booleans(), gate=st.booleans())
     def pauses(self, learning, gate):
         self.change(learning=learning, gate_enabled=gate, gate_timeout=0.3)
+
+    @rule(tools=st.sampled_from([(), TOOLS[:1], TOOLS]))
+    def carries(self, tools):
+        """Known tools come and go; the model never sees them."""
+        self.change(tools=tools)
 
     @rule(values=st.lists(st.floats(-1e9, 1e9), min_size=6, max_size=6),
           before=st.sampled_from(['withhold', 'description']))

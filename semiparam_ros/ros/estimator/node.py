@@ -35,6 +35,7 @@ from semiparam_ros.ros.estimator.diagnostics import (
     Reports,
 )
 from semiparam_ros.ros.estimator.exporting import Exporting
+from semiparam_ros.ros.estimator.outside import Outside
 from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answering
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
@@ -64,6 +65,7 @@ class EstimatorNode(Node):
                                       self._accept, self._change)
         settings = located(self._live.settings, files)
         self._outputs = Outputs(self, settings.outputs)
+        self._outside = Outside(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id)
 
         guarded = partial(later, self._guarded, 'the background')
         self._background = ProcessBackground(guarded, first=worker)
@@ -72,7 +74,8 @@ class EstimatorNode(Node):
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
-                                trajectories.feedforward, lambda: self._autosave.report(), self._outputs.twins)
+                                trajectories.feedforward, lambda: self._autosave.report(), self._outputs.twins,
+                                self._outside.unseen)
         self._held_replies = HeldReplies(self, self._announcement)
         lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
         self._requests = Services(self, self._live, self._the_learner, folder_of(settings), lock, guarded, self.errors)
@@ -165,6 +168,7 @@ class EstimatorNode(Node):
         """Publish it at once; a sample is learnt even where its answer cannot be sent."""
         try:
             self._outputs.publish(answer)
+            self._outside.publish(answer)
             self._inputs.stopwatch.stop()
             self._reports.tally.add(answer)
         except Exception as error:
