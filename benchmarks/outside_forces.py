@@ -30,6 +30,7 @@ import numpy as np
 from contact_gate import Recording, recorded, simulated
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 from semiparam_ros.experiments.evaluation import OfflineLearner
 
@@ -65,9 +66,9 @@ def run(recording: Recording, samples: list[Sample]) -> Run:
     external = ExternalWrench(learner.estimator.body)
     rows: list[tuple[Array, Array, Array]] = []
 
-    def told(prediction: Any) -> None:
+    def told(prediction: Prediction, widening: Array) -> None:
         residual = prediction.sample.outputs - prediction.mean
-        found = external.of(prediction, residual)
+        found = external.of(prediction, residual, widening)
         rows.append((found.wrench, found.std, residual))
 
     learner.answered, closed, link = told, [], []

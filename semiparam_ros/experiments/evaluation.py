@@ -137,7 +137,8 @@ class OfflineLearner:
     each. Where later motion leaves the window, they are estimated again (:mod:`semiparam_ros.online.renewal`).
 
     :param bags: the first one that carries a robot description gives it, where the settings do not.
-    :param tick: called after each sample. ``answered``: receives each prediction, tools taken off.
+    :param tick: called after each sample. ``answered``: receives each prediction, tools taken off, and how much
+        its bands are widened in free motion (n,).
     :param takeovers: samples from the end of each window until the model of it takes over, or cannot be; the last one
         for all that follow. The node estimates hyperparameters meanwhile, and the model that it has answers; here it
         need not. The initial window has two: that of a draft comes first.
@@ -147,7 +148,7 @@ class OfflineLearner:
                  takeovers: Sequence[int] = (0,)) -> None:
         description = next((bag.robot_description for bag in bags if bag.robot_description), None)
         self.settings, self._tick = settings, tick
-        self.answered: Callable[[Prediction], None] = lambda prediction: None
+        self.answered: Callable[[Prediction, Array], None] = lambda prediction, widening: None
         self.estimator = build_estimator(settings, description)
         self.gate = ContactGate.of(self.estimator.body)
         self.tools = Tools(self.estimator.body, settings.tools)
@@ -216,7 +217,7 @@ class OfflineLearner:
             self._draft_takes_over(self._draft)
         if self._successor is not None and self._draft is None and len(self._waiting) == self._takeovers[0]:
             self._take_over()
-        self.answered(prediction)
+        self.answered(prediction, self.gate.widening)
         mean = prediction.mean if of_tools is None else prediction.mean + of_tools
         return prediction._replace(mean=mean, horizon=errors)
 

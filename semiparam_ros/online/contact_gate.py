@@ -279,6 +279,7 @@ class ContactGate:
         self.level: Array = np.zeros(n_outputs)
         """(n,) innovations over their thresholds, of the last sample; 0 where nothing is known to judge it by."""
         self._n_outputs = n_outputs
+        self._free = np.ones(n_outputs), np.ones(n_outputs)
         self._calm_since: int | None = None
         self.forget()
 
@@ -316,6 +317,18 @@ class ContactGate:
 
         :param unseen: it belongs to motion that the model has not seen, whatever its range.
         """
+        closed = self._judge(prediction, settings, unseen)
+        if not closed:
+            self._free = prediction.std, prediction.model_std
+        return closed
+
+    @property
+    def widening(self) -> Array:
+        """(n,) how much wider than the model's own the bands were at the last sample without a contact: those of a
+        contact hold what pushes."""
+        return self._free[0] / self._free[1]
+
+    def _judge(self, prediction: Prediction, settings: Table, unseen: bool) -> bool:
         self.changed = False
         if not settings.gate_enabled:
             if self.closed or self._newest is not None:
@@ -404,7 +417,7 @@ class ContactGate:
                 'closed_since': self._closed_since, 'closed_at': self._closed_at, 'calm_since': self._calm_since,
                 'newest': self._newest, 'speed': self._speed, 'mean': self._mean, 'resting': self._resting,
                 'awake': self._awake, 'familiar': self._familiar, 'within': self._within,
-                'closures': self._closures,
+                'closures': self._closures, 'free': self._free,
                 'closed_ratio': self._closed_ratio,
                 'turns': None if self._turns is None else self._turns.state(),
                 'tails': tuple(tail.ratios for tail in self._tails),
@@ -423,6 +436,8 @@ class ContactGate:
         self._familiar, self._within = float(state['familiar']), float(state['within'])
         self._closed_ratio = self._sized(state['closed_ratio'], 1)
         self.level, self._mean = self._sized(state['level'], 1), self._sized(state['mean'], 1)
+        std, model_std = (self._sized(values, 1) for values in state['free'])
+        self._free = std, model_std
         for tail, ratios in zip(self._tails, state['tails'], strict=True):
             tail.ratios = self._sized(ratios, 2)
         for band, (peaks, peak, ratio, seconds, blocks) in zip((*self._bands, self._meanwhile), state['bands'],

@@ -21,6 +21,7 @@ from support.arms import joint, link
 from support.node_helpers import BODY, SETTINGS, URDF, motion
 
 TOOL = {'mass': 0.7, 'centre': [0.01, -0.02, 0.15], 'inertia': [4e-3, 1e-4, -2e-4, 5e-3, 3e-4, 3e-3]}
+ONE = np.ones(1)
 TEXT = f'ft {json.dumps(TOOL)}'
 SNIPPET = """<link name="ft"/><link name="gripper"><inertial><mass value="0.7"/><origin xyz="0 0 0.05"/>
   <inertia ixx="4e-3" ixy="1e-4" ixz="-2e-4" iyy="5e-3" iyz="3e-4" izz="3e-3"/></inertial></link>
@@ -76,15 +77,15 @@ def test_a_wrench_at_the_last_link_is_found_from_efforts_and_from_a_wrench(seed)
     body = arm('effort')
     link = list(loaded_links(body))[-1]
     residual = efforts_against(body, state, link, wrench) - efforts_against(body, state, link, np.zeros(6))
-    found = ExternalWrench(body).of(Leaves(state[0], np.full(7, 1e-4)), residual)
+    found = ExternalWrench(body).of(Leaves(state[0], np.full(7, 1e-4)), residual, ONE)
     np.testing.assert_allclose(found.wrench, wrench, atol=0.02)
     assert found.std.max() < 0.5
     for convention in 'action', 'reaction':
         sensor = arm('wrench', convention)
         residual = ExternalWrench(sensor, link).outputs_of(state[0]) @ wrench
-        there = ExternalWrench(sensor, link).of(Leaves(state[0], np.full(6, 1e-4)), residual)
+        there = ExternalWrench(sensor, link).of(Leaves(state[0], np.full(6, 1e-4)), residual, ONE)
         np.testing.assert_allclose(there.wrench, wrench, atol=1e-2)
-        at_sensor = ExternalWrench(sensor).of(Leaves(state[0], np.full(6, 1e-4)), residual)
+        at_sensor = ExternalWrench(sensor).of(Leaves(state[0], np.full(6, 1e-4)), residual, ONE)
         assert np.linalg.norm(at_sensor.wrench[:3]) == pytest.approx(np.linalg.norm(wrench[:3]))
         np.testing.assert_array_equal(at_sensor.wrench, -sensor.sign * residual)
 
@@ -94,13 +95,13 @@ def test_what_a_short_arm_does_not_feel_keeps_the_deviation_of_a_push_and_is_tol
     body = build_rigid_body(replace(SETTINGS, outputs='effort', sensor_frame=''))
     external = ExternalWrench(body, 'ft')
     position = np.array([0.3, 0.4])
-    found = external.of(Leaves(position, np.full(2, 0.01)), np.array([0.5, -0.2]))
+    found = external.of(Leaves(position, np.full(2, 0.01)), np.array([0.5, -0.2]), ONE)
     values = np.linalg.eigvalsh(found.covariance / np.outer(*2 * [np.repeat((FORCE_N, FORCE_N * LEVER_M), 3)]))
     assert (values > 0.999).sum() == 4 and (values < 1e-4).sum() == 2
     assert external.outputs_of(position) @ found.wrench == pytest.approx([0.5, -0.2], rel=1e-3)
     assert external.unseen(found).endswith(' at ft') and 'force' in external.unseen(found)
     whole = ExternalWrench(BODY)
-    assert not whole.unseen(whole.of(Leaves(position, np.full(6, 0.1)), np.zeros(6)))
+    assert not whole.unseen(whole.of(Leaves(position, np.full(6, 0.1)), np.zeros(6), ONE))
 
 
 def test_a_frame_that_is_no_link_is_refused():

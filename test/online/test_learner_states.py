@@ -81,7 +81,7 @@ class Lives(RuleBasedStateMachine):
         self.answers.append(answer.prediction.sample.stamp)
         self.given.append((answer.prediction.sample, learning_of(answer.learnt, self.learner.gate)))
         assert np.isfinite(answer.prediction.mean).all() and np.isfinite(answer.prediction.std).all()
-        found = self.external.of(answer.prediction, answer.residual)
+        found = self.external.of(answer.prediction, answer.residual, np.ones(self.body.n_outputs))
         assert np.isfinite([*found.wrench, *found.std]).all() and (found.std >= 0.0).all()
         assert not answer.places.any() or (answer.contact and answer.places.sum() == pytest.approx(1.0))
         if self.body.outputs == 'wrench' and self.learner is not None:
@@ -232,7 +232,8 @@ class Lives(RuleBasedStateMachine):
         try:
             self.learner.tare.take()
         except SemiparamError as error:
-            assert 'no prediction of the last second' in str(error)
+            absurd = 'predicts nothing like' in str(error) and self.learner.built.priors == 'paper'
+            assert absurd or 'no prediction of the last second' in str(error)
 
     @rule()
     def saves(self):

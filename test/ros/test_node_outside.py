@@ -47,7 +47,8 @@ def test_live_as_offline_a_push_has_its_force_and_its_link_and_a_tool_comes_with
     takeovers = client.take_over()
 
     learner, external, found = OfflineLearner(LIVE, [], lambda: None, takeovers), ExternalWrench(BODY), []
-    learner.answered = lambda each: found.append(external.of(each, each.sample.outputs - each.mean))
+    learner.answered = lambda each, widening: found.append(
+        external.of(each, each.sample.outputs - each.mean, widening))
     for sample in samples[:400]:
         learner.step(sample, True)
     client.wait(lambda: len(client.heard['contact_place']) >= 400, 'the last place')
@@ -56,6 +57,8 @@ def test_live_as_offline_a_push_has_its_force_and_its_link_and_a_tool_comes_with
     assert client.stamps('external_wrench') == [sample.stamp for sample in samples[:400]]
     assert {message.header.frame_id for message in client.heard['external_wrench']} == {'ft'}
     force = np.linalg.norm(np.array(client.values('external_wrench'))[:, :3], axis=1)
+    std = np.array(client.values('external_wrench_std'))
+    assert std[320] == pytest.approx(std[295], rel=0.2), 'a push does not widen what is told of it'
     assert force[310:330] == pytest.approx(PUSH_N, abs=1.0) and force[200:300].max() < 3.0
     places = client.heard['contact_place']
     assert places[320].header.frame_id == 'ft' and list(places[320].name) == ['ft', 'since']

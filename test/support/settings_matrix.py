@@ -322,7 +322,7 @@ class Live:
         prediction = answer.prediction
         self.record.answers.append((prediction.sample.stamp, answer.learnt, answer.contact, prediction.ready,
                                     prediction.mean.tolist(), prediction.std.tolist(),
-                                    outside(self.external, prediction, answer.residual)))
+                                    outside(self.external, prediction, answer.residual, self.learner.gate.widening)))
 
     def horizon_completed(self, errors: HorizonErrors) -> None:
         self.record.horizon(errors)
@@ -354,9 +354,10 @@ class Live:
             self.background.run()
 
 
-def outside(external: ExternalWrench, prediction: Prediction, residual: np.ndarray) -> list[float]:
+def outside(external: ExternalWrench, prediction: Prediction, residual: np.ndarray,
+            widening: np.ndarray) -> list[float]:
     """The external wrench and its deviations."""
-    found = external.of(prediction, residual)
+    found = external.of(prediction, residual, widening)
     return [*found.wrench.tolist(), *found.std.tolist()]
 
 
@@ -365,7 +366,8 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
     record, learner = Record(), OfflineLearner(settings, [], lambda: None, takeovers)
     tare, external = Tare(learner.estimator.body.n_outputs), ExternalWrench(learner.estimator.body, 'ft')
     forces: list[list[float]] = []
-    learner.answered = lambda each: forces.append(outside(external, each, each.sample.outputs - each.mean))
+    learner.answered = lambda each, widening: forces.append(
+        outside(external, each, each.sample.outputs - each.mean, widening))
     for index, sample in enumerate(samples):
         if index in tares:
             tare.take()

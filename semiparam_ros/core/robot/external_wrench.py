@@ -72,10 +72,12 @@ class ExternalWrench:
         places = [pin.updateFramePlacement(model, data, index).copy() for index in (body.sensor_index, self._index)]
         return -body.sign * np.asarray(places[0].actInv(places[1]).toDualActionMatrix())
 
-    def of(self, prediction: Prediction, residual: Array) -> External:
-        """What acts at a sample of which the model leaves ``residual`` (n,) of what was measured."""
-        factor = prediction.std / prediction.model_std
-        noise = prediction.prior.covariance * np.outer(factor, factor)
+    def of(self, prediction: Prediction, residual: Array, widening: Array) -> External:
+        """What acts at a sample of which the model leaves ``residual`` (n,) of what was measured.
+
+        :param widening: (n,) how much wider than the model's own its bands are in free motion.
+        """
+        noise = prediction.prior.covariance * np.outer(widening, widening)
         if self._at_sensor:
             return External(-self._body.sign * residual, noise)
         maps = self.outputs_of(prediction.sample.position)

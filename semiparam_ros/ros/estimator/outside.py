@@ -67,7 +67,7 @@ class Outside:
         frame = learner.settings.external_wrench_frame
         if self._external is None or frame != self._of_frame:
             self._external, self._of_frame = ExternalWrench(learner.body, frame), frame
-        return self._external.of(answer.prediction, answer.residual)
+        return self._external.of(answer.prediction, answer.residual, learner.gate.widening)
 
     def _told_frame(self) -> str:
         """As the sensor's driver calls it, where it is told there."""
