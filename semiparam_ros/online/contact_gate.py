@@ -417,12 +417,13 @@ class ContactGate:
                 'closed_since': self._closed_since, 'closed_at': self._closed_at, 'calm_since': self._calm_since,
                 'newest': self._newest, 'speed': self._speed, 'mean': self._mean, 'resting': self._resting,
                 'awake': self._awake, 'familiar': self._familiar, 'within': self._within,
-                'closures': self._closures, 'free': self._free,
+                'closures': self._closures,
                 'closed_ratio': self._closed_ratio,
                 'turns': None if self._turns is None else self._turns.state(),
                 'tails': tuple(tail.ratios for tail in self._tails),
                 'bands': tuple((band.peaks, band.peak.copy(), band.ratio.copy(), band.seconds, band.blocks)
-                               for band in (*self._bands, self._meanwhile))}
+                               for band in (*self._bands, self._meanwhile)),
+                'free': self._free}
 
     def restore(self, state: Memory) -> None:
         """Go on as the gate that was saved; raises LookupError, TypeError or ValueError for what is no state."""
