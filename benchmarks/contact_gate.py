@@ -58,6 +58,8 @@ class Recording(NamedTuple):
     settings: Settings
     samples: list[Sample]
     arm: Arm
+    noise_std: Array | None = None
+    """(n,) of the outputs, where it is known."""
 
 
 class Push(NamedTuple):
@@ -98,7 +100,7 @@ def simulated(urdf: str | None, seconds: float, rate_hz: float, seed: int) -> Re
     samples = [Sample(int(stamp), position, velocity, differentiator.update(int(stamp), velocity), outputs)
                for stamp, position, velocity, outputs in zip(found.stamps, found.position, found.velocity,
                                                              found.outputs, strict=True)]
-    return Recording(settings, samples, arm_of(settings, found.urdf))
+    return Recording(settings, samples, arm_of(settings, found.urdf), found.noise_std)
 
 
 def recorded(paths: list[str], params: str) -> Recording:

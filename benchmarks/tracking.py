@@ -46,12 +46,18 @@ Forward = Callable[[Array, Array, Array], Array]
 
 
 class Arm:
-    """One simulated arm, its controller and its driver."""
+    """One simulated arm, its controller and its driver.
 
-    def __init__(self, setting: Setting, robots: Path) -> None:
-        robot = Robot((robots / setting.urdf).read_text(), setting.joints, setting.home)
-        self.setting, self.body = setting, robot.body
+    :param urdf: text of its description. A load of the setting is in the hand from the start.
+    """
+
+    def __init__(self, setting: Setting, urdf: str, rate_hz: int = RATE_HZ) -> None:
+        robot = Robot(urdf, setting.joints, setting.home)
+        self.setting, self.body, self.rate_hz = setting, robot.body, rate_hz
         self.model = built(robot, lambda spec: _as_it_is(spec, setting, np.random.default_rng(setting.seed)))
+        if setting.payload_kg:
+            self.model.body('load').mass, self.model.body('load').inertia = setting.payload_kg, [2e-3] * 3
+            mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
         self.dofs = np.array([self.model.joint(name).dofadr[0] for name in setting.joints])
         self.gains = np.diag(self._described_inertia(np.array(setting.home)))
 
@@ -63,14 +69,10 @@ class Arm:
         return np.array(rows)
 
     def follow(self, motion: str, seconds: float, take: int, forward: Forward,
-               heard: Callable[[Sample], None] = lambda sample: None, start_ns: int = 0) -> float:
-        """Root mean square of the tracking error [rad], all joints."""
-        setting = replace(self.setting, seconds=seconds)
-        rng = np.random.default_rng((setting.seed, take))
-        wanted = MOTIONS[motion](setting, rng) + np.array(setting.home)
-        speed = np.gradient(wanted, STEP_S, axis=0)
-        change = np.gradient(speed, STEP_S, axis=0)
-        data, every = mujoco.MjData(self.model), round(1.0 / RATE_HZ / STEP_S)
+               heard: Callable[[Sample], None] = lambda sample: None, start_ns: int = 0) -> Array:
+        """(N, n) tracking errors [rad] of every step of ``STEP_S``."""
+        wanted, speed, change, rng = self.path(motion, seconds, take)
+        data, every = mujoco.MjData(self.model), round(1.0 / self.rate_hz / STEP_S)
         data.qpos[self.dofs], data.qvel[self.dofs] = wanted[0], speed[0]
         rates, errors, effort = CausalDifferentiator(len(self.dofs), Settings().acceleration_cutoff), [], None
         for step, (q, dq, ddq) in enumerate(zip(wanted, speed, change, strict=True)):
@@ -84,14 +86,26 @@ class Arm:
                 effort = forward(q, dq, ddq) + feedback
             data.qfrc_applied[self.dofs] = effort
             mujoco.mj_step(self.model, data)
-            if step * STEP_S > SHARE_OF_START_S:
-                errors.append(data.qpos[self.dofs] - q)
-        return float(np.sqrt(np.mean(np.square(errors))))
+            errors.append(data.qpos[self.dofs] - q)
+        return np.array(errors)
+
+    def path(self, motion: str, seconds: float, take: int) -> tuple[Array, Array, Array, np.random.Generator]:
+        """(N, n) positions, velocities and accelerations wanted at every step, and what draws the noise."""
+        setting = replace(self.setting, seconds=seconds)
+        rng = np.random.default_rng((setting.seed, take))
+        wanted = MOTIONS[motion](setting, rng) + np.array(setting.home)
+        speed = np.gradient(wanted, STEP_S, axis=0)
+        return wanted, speed, np.gradient(speed, STEP_S, axis=0), rng
+
+
+def size(errors: Array, start_s: float = SHARE_OF_START_S) -> float:
+    """Root mean square [rad], all joints, from a time on."""
+    return float(np.sqrt(np.mean(np.square(errors[round(start_s / STEP_S):]))))
 
 
 def compared(setting: Setting, robots: Path) -> dict[str, float]:
     """Tracking errors [mrad] on the second motion, and the share of its states that were valid."""
-    arm = Arm(setting, robots)
+    arm = Arm(setting, (robots / setting.urdf).read_text())
     body: RigidBody = arm.body
     estimator = Estimator(body, model_options(Settings(outputs='effort')))
 
@@ -111,7 +125,7 @@ def compared(setting: Setting, robots: Path) -> dict[str, float]:
               'description': arm.follow('sines', 20.0, 2, described),
               'learnt': arm.follow('sines', 20.0, 2, learnt, lambda sample: estimator.step(sample) and None,
                                    start_ns=61 * 10**9)}
-    return {**{name: 1e3 * value for name, value in errors.items()}, 'valid': float(np.mean(valid))}
+    return {**{name: 1e3 * size(value) for name, value in errors.items()}, 'valid': float(np.mean(valid))}
 
 
 def main() -> int:

@@ -12,6 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli.options import (
     add_json_option,
     add_params_option,
@@ -27,10 +28,15 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from semiparam_ros.bags.loading import LoadedBag
+    from semiparam_ros.core.robot.external_wrench import ExternalWrench
+    from semiparam_ros.core.single_estimator import Prediction
+    from semiparam_ros.core.types import Array
     from semiparam_ros.experiments.evaluation import Scores
     from semiparam_ros.settings import Settings
 
 HEADINGS = {'eps_force': 'eps^F', 'eps_torque': 'eps^T', 'eps_effort': 'eps'}
+WRENCH_HEADER = ','.join(['stamp_ns', *(f'{name}{part}' for part in ('', '_std')
+                                        for name in ('fx', 'fy', 'fz', 'tx', 'ty', 'tz'))])
 PHASES = {'first_30_s': '< 30 s', 'steady_state': 'steady'}
 
 HELP = 'Predict, then learn, every sample of recordings, and report the errors of one or several variants.'
@@ -91,6 +97,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'N holds for all that follow (default 0: at once)')
     add_json_option(parser)
     parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
+    parser.add_argument('--external-wrench', metavar='FILE', type=Path,
+                        help='write what acts from outside, as ~/external_wrench, as a table (.csv); of one variant')
     parser.add_argument('--plot', metavar='FILE', type=Path, help='plot both indices over time (.png, .svg or .pdf)')
 
 
@@ -99,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.report.horizon_figure import picture_format
     from semiparam_ros.settings import load_params
 
-    require_places(args.json, args.plot)
+    require_places(args.json, args.plot, args.external_wrench)
     if args.plot:
         picture_format(args.plot)
     settings = load_params(args.params)
@@ -107,10 +115,13 @@ def run(args: argparse.Namespace) -> int:
     waits = takeovers(args.takeover_after)
     if args.frozen and not args.train:
         raise SemiparamError('--frozen predicts with what was learnt from --train BAG, which is missing.')
+    if args.external_wrench and len(variants) > 1:
+        raise SemiparamError(f'--external-wrench tells what one variant leaves; {len(variants)} are evaluated.')
+    rows: list[str] | None = [] if args.external_wrench else None
     training, bags = load_bags(args.train, settings), load_bags(args.bags, settings)
     with progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
-                                    waits)
+                                    waits, rows)
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(output, results)
@@ -121,6 +132,8 @@ def run(args: argparse.Namespace) -> int:
                            if result['features'])
         output.print(f'random features: {chosen or "none"}')
     write_outputs(args, results, scores, bags, channels[0])
+    if rows is not None:
+        write_text(args.external_wrench, '\n'.join([WRENCH_HEADER, *rows]) + '\n')
     return 0
 
 
@@ -169,12 +182,15 @@ def load_bags(paths: Sequence[Path], settings: Settings,
 
 
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
-             progress: Progress, takeovers: Sequence[int] = (0,)) -> Scores:
+             progress: Progress, takeovers: Sequence[int] = (0,), wrenches: list[str] | None = None) -> Scores:
     """Scores of one variant over ``bags``, from the first sample that it predicts itself.
+
+    :param wrenches: receives a line of a table for each of these samples: what acts from outside.
 
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
     Raises SemiparamError when the recordings are over before the initial window is.
     """
+    from semiparam_ros.core.robot.external_wrench import ExternalWrench
     from semiparam_ros.experiments.evaluation import OfflineLearner, Scores
 
     total = sum(len(bag.samples) for bag in [*training, *bags])
@@ -184,6 +200,8 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
         learner.take(bag, Scores(settings.outputs), learning=True)
     learner.finish(training, frozen)
     scores = Scores(settings.outputs)
+    if wrenches is not None:
+        learner.answered = _told_to(wrenches, ExternalWrench(learner.estimator.body, settings.external_wrench_frame))
     for bag in bags:
         learner.take(bag, scores, settings.learning and not frozen)
     for reason in learner.failed_windows:
@@ -193,6 +211,16 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
         raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
                              'of a robot that moves (parameter initial.samples).')
     return scores
+
+
+def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction, Array], None]:
+    """Appends a line for each prediction of the variant's own."""
+    def told(prediction: Prediction, widening: Array) -> None:
+        if prediction.ready:
+            found = external.of(prediction, prediction.sample.outputs - prediction.mean, widening)
+            numbers = [*found.wrench.tolist(), *found.std.tolist()]
+            rows.append(','.join([str(prediction.sample.stamp), *map(repr, numbers)]))
+    return told
 
 
 def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, Scores],

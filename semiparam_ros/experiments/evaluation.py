@@ -13,6 +13,7 @@ import numpy as np
 from semiparam_ros.bags.loading import LoadedBag
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors, force_and_torque
+from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
@@ -136,7 +137,8 @@ class OfflineLearner:
     each. Where later motion leaves the window, they are estimated again (:mod:`semiparam_ros.online.renewal`).
 
     :param bags: the first one that carries a robot description gives it, where the settings do not.
-    :param tick: called after each sample.
+    :param tick: called after each sample. ``answered``: receives each prediction, tools taken off, and how much
+        its bands are widened in free motion (n,).
     :param takeovers: samples from the end of each window until the model of it takes over, or cannot be; the last one
         for all that follow. The node estimates hyperparameters meanwhile, and the model that it has answers; here it
         need not. The initial window has two: that of a draft comes first.
@@ -146,8 +148,10 @@ class OfflineLearner:
                  takeovers: Sequence[int] = (0,)) -> None:
         description = next((bag.robot_description for bag in bags if bag.robot_description), None)
         self.settings, self._tick = settings, tick
+        self.answered: Callable[[Prediction, Array], None] = lambda prediction, widening: None
         self.estimator = build_estimator(settings, description)
         self.gate = ContactGate.of(self.estimator.body)
+        self.tools = Tools(self.estimator.body, settings.tools)
         self.failed_windows: list[str] = []
         self._takeovers = deque(takeovers)
         body = self.estimator.body
@@ -185,7 +189,11 @@ class OfflineLearner:
         self.history.origin = origin if self.history.origin is None else self.history.origin
 
     def step(self, sample: Sample, learning: bool) -> Prediction:
-        """One sample: a contact, and a robot at rest, are predicted but not learnt."""
+        """One sample: a contact, and a robot at rest, are predicted but not learnt.
+
+        The prediction's mean has what the tools add, its sample has not, as in the node's answers.
+        """
+        sample, of_tools = self.tools.taken_off(sample)
         prediction = self.estimator.predict(sample)
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
         learn = learning_of(learning and not contact and prediction.motion.is_news, self.gate)
@@ -209,7 +217,9 @@ class OfflineLearner:
             self._draft_takes_over(self._draft)
         if self._successor is not None and self._draft is None and len(self._waiting) == self._takeovers[0]:
             self._take_over()
-        return prediction._replace(horizon=errors)
+        self.answered(prediction, self.gate.widening)
+        mean = prediction.mean if of_tools is None else prediction.mean + of_tools
+        return prediction._replace(mean=mean, horizon=errors)
 
     def _draft_takes_over(self, draft: Callable[[], Estimator]) -> None:
         """It has learnt what came since the end of the initial window; the hyperparameters are estimated yet."""

@@ -32,6 +32,8 @@ import numpy as np
 
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.compiled import NUMBER, VECTOR, compiled
+from semiparam_ros.core.robot.contact_place import ContactPlace
+from semiparam_ros.core.robot.external_wrench import FORCE_N
 from semiparam_ros.core.robot.frames import force_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.single_estimator import Prediction
@@ -85,9 +87,8 @@ PRIOR_BLOCKS, PRIOR_EXCESSES = 20.0, 8.0
 MOST_EXCESSES = 8.0
 """However many blocks are known, the tail counts as known by so many: real tails are heavier than exponential ones."""
 
-FORCE_N = 100.0
-"""Standard deviation along each axis of the forces that a push is expected to have: what a lever of micrometres needs
-is none."""
+PEAK = 2.5
+"""[standard deviations] Usual peaks of coloured noise."""
 IMPLAUSIBLE = 0.5
 """So much counts an innovation that no force at a link's origin or centre of mass brings about, as pushes elsewhere do
 not quite."""
@@ -263,12 +264,13 @@ class ContactGate:
     """
 
     def __init__(self, n_outputs: int, joints: Indices | None = None,
-                 forces: Callable[[Array], Array] | None = None) -> None:
+                 forces: Callable[[Array], Array] | None = None, place: ContactPlace | None = None) -> None:
         """:param joints: (n_outputs,) numbers of the joints whose efforts are the outputs; None of a wrench.
         :param forces: (n_places, n, 3) outputs caused by unit forces at places on the links, at positions (n_joints,);
             every innovation is plausible without it.
+        :param place: told of every sample that feels a contact; it begins anew with each of them.
         """
-        self._joints, self._forces = joints, forces
+        self._joints, self._forces, self.place = joints, forces, place
         self.closed = False
         self._closed_since = self._closed_at = 0
         self.refused = self.contacts = self.changes = 0
@@ -277,13 +279,15 @@ class ContactGate:
         self.level: Array = np.zeros(n_outputs)
         """(n,) innovations over their thresholds, of the last sample; 0 where nothing is known to judge it by."""
         self._n_outputs = n_outputs
+        self._free = np.ones(n_outputs), np.ones(n_outputs)
         self._calm_since: int | None = None
         self.forget()
 
     @classmethod
     def of(cls, body: RigidBody) -> ContactGate:
         """The gate of a robot's outputs."""
-        return cls(body.n_outputs, body.output_index if body.outputs == 'effort' else None, partial(force_maps, body))
+        return cls(body.n_outputs, body.output_index if body.outputs == 'effort' else None, partial(force_maps, body),
+                   ContactPlace(body))
 
     def forget(self) -> None:
         """Open it, and learn anew what is usual; the counts stay."""
@@ -313,6 +317,18 @@ class ContactGate:
 
         :param unseen: it belongs to motion that the model has not seen, whatever its range.
         """
+        closed = self._judge(prediction, settings, unseen)
+        if not closed:
+            self._free = prediction.std, prediction.model_std
+        return closed
+
+    @property
+    def widening(self) -> Array:
+        """(n,) how much wider than the model's own the bands were at the last sample without a contact: those of a
+        contact hold what pushes."""
+        return self._free[0] / self._free[1]
+
+    def _judge(self, prediction: Prediction, settings: Table, unseen: bool) -> bool:
         self.changed = False
         if not settings.gate_enabled:
             if self.closed or self._newest is not None:
@@ -365,8 +381,12 @@ class ContactGate:
             self._bands[at].clear()
             self._meanwhile, self._closed_ratio = Band(self._n_outputs), np.zeros(self._n_outputs)
             self._closures = (*self._closures, stamp)[-AGAIN:]
+            if self.place is not None:
+                self.place.forget()
         if self.closed:
             self.refused += 1
+            if self.place is not None and scale is not None and self.level.max() > 1.0:
+                self.place.see(prediction.sample.position, change, scale / PEAK, seconds)
             self._closed_ratio = np.maximum(self._closed_ratio, ratio)
             self._meanwhile.add(size, ratio, seconds)
             return True
@@ -377,6 +397,14 @@ class ContactGate:
         if ratios is not None and familiar:
             tail.add(ratios)
         return False
+
+    def places(self) -> tuple[Array, float]:
+        """How likely the present contact is at each of the links of :attr:`place`, (n_links,), and since when [s] it
+        lasts; zeros where there is none."""
+        if self.place is None or not self.closed:
+            return np.zeros(0 if self.place is None else len(self.place.links)), 0.0
+        newest = self._closed_since if self._newest is None else self._newest
+        return self.place.probabilities, 1e-9 * (newest - self._closed_since)
 
     def touched(self) -> list[int]:
         """Outputs that feel the contact now, the strongest first; those of the last sample that felt any."""
@@ -394,7 +422,8 @@ class ContactGate:
                 'turns': None if self._turns is None else self._turns.state(),
                 'tails': tuple(tail.ratios for tail in self._tails),
                 'bands': tuple((band.peaks, band.peak.copy(), band.ratio.copy(), band.seconds, band.blocks)
-                               for band in (*self._bands, self._meanwhile))}
+                               for band in (*self._bands, self._meanwhile)),
+                'free': self._free}
 
     def restore(self, state: Memory) -> None:
         """Go on as the gate that was saved; raises LookupError, TypeError or ValueError for what is no state."""
@@ -408,6 +437,8 @@ class ContactGate:
         self._familiar, self._within = float(state['familiar']), float(state['within'])
         self._closed_ratio = self._sized(state['closed_ratio'], 1)
         self.level, self._mean = self._sized(state['level'], 1), self._sized(state['mean'], 1)
+        std, model_std = (self._sized(values, 1) for values in state['free'])
+        self._free = std, model_std
         for tail, ratios in zip(self._tails, state['tails'], strict=True):
             tail.ratios = self._sized(ratios, 2)
         for band, (peaks, peak, ratio, seconds, blocks) in zip((*self._bands, self._meanwhile), state['bands'],

@@ -55,7 +55,8 @@ class Feedforward:
                              'feedforward.before_ready description the robot description answers meanwhile.')
             raise WithheldError(self.withheld)
         self.withheld = ''
-        found = desired(learner.estimator, *row) if ready else described(learner.estimator, *row)
+        answer = desired if ready else described
+        found = answer(learner.estimator, *row, tools=learner.tools)
         doubtful = ready and is_doubtful(found)
         self._count(answered=1, described=found.described, limited=bool(found.limited.any()), doubtful=doubtful)
         if doubtful:

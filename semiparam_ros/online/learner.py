@@ -17,7 +17,10 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.finite import are_finite
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.robot.compensation import Compensation, bodies_and_bias
+from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
@@ -51,6 +54,8 @@ class Answer(NamedTuple):
     learnt: bool
     contact: bool
     contact_level: Array  # (n,) residual over the gate's threshold; 0 where it does not judge
+    places: Array  # (n_links,) how likely the contact is at each link of the gate's places
+    contact_s: float  # since the contact began
 
 
 class LearnerListener(Protocol):
@@ -89,7 +94,7 @@ class Learner:
                  checkpoint: Callable[[], SavedState | None] = lambda: None) -> None:
         self.settings, self.body = settings, body
         self.gate = ContactGate.of(body)
-        self.tare = Tare(body.n_outputs)
+        self.tare, self.tools = Tare(body.n_outputs), Tools(body, settings.tools)
         self.learnt = self.answered = self.lost = 0
         self.passed_over = 0
         """Of the samples answered, by the model then in force (``learn.every``, ``learn.least_gain``)."""
@@ -135,6 +140,7 @@ class Learner:
         """Answer a sample, then learn it."""
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
+        sample, of_tools = self.tools.taken_off(sample)
         prediction = self._predict(sample)
         if prediction is None:
             self.lost += 1
@@ -145,8 +151,8 @@ class Learner:
                                 'a change of the robot, and is learnt.')
         learn = self.settings.learning and not contact and prediction.motion.is_news
         learning = learning_of(learn, self.gate)
-        answer = Answer(self._as_measured(prediction), sample.outputs - prediction.mean,
-                        standardised_innovation(prediction), learn, contact, self.gate.level)
+        answer = Answer(self._as_measured(prediction, of_tools), sample.outputs - prediction.mean,
+                        standardised_innovation(prediction), learn, contact, self.gate.level, *self.gate.places())
         self._emit(answer, learning)  # before learning, which takes as long as predicting
         if self._observe(prediction, learning):
             renews = learn and not self.settings.hyperparameters_sigma and self._renews(prediction)
@@ -155,6 +161,13 @@ class Learner:
                 self._end_window()
             elif renews:
                 self._renew()
+
+    def compensated(self, answer: Answer, compensation: Compensation) -> Array:
+        """(6,) the measured wrench of an answer that was just given, without weight, inertia and bias of the tool."""
+        prediction = answer.prediction
+        bodies, bias = bodies_and_bias(self.estimator, prediction)
+        taken_off = compensation.taken_off(prediction, bodies + self.tools.parameters, bias + self.tare.bias)
+        return answer.residual + prediction.mean - taken_off
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons after a jump of the clock; the models stay."""
@@ -199,8 +212,10 @@ class Learner:
             self._listener.horizon_completed(errors)
         return True
 
-    def _as_measured(self, prediction: Prediction) -> Prediction:
-        """With the bias of the tare, which the sensor still has."""
+    def _as_measured(self, prediction: Prediction, of_tools: Array | None) -> Prediction:
+        """With the tools (n,) and the bias of the tare, which the sensor still has."""
+        if of_tools is not None:
+            prediction = prediction._replace(mean=prediction.mean + of_tools)
         return prediction._replace(mean=prediction.mean + self.tare.bias) if self.tare.active else prediction
 
     def _emit(self, answer: Answer, learning: Learning) -> None:
@@ -297,7 +312,9 @@ class Learner:
     # Changes of the model
 
     def check(self, settings: Settings) -> None:
-        """Raise SemiparamError if a model of these settings cannot be built on this robot."""
+        """Raise SemiparamError if a model of these settings cannot be built on this robot, or has no such links."""
+        Tools(self.body, settings.tools)
+        ExternalWrench(self.body, settings.external_wrench_frame)
         if same_model(settings, self.built):
             return
         latest = self.history.latest() or self._at_rest()
@@ -310,6 +327,8 @@ class Learner:
     def change(self, settings: Settings) -> str:
         """Take over new, already validated settings; returns a sentence on what happens now, '' for nothing much."""
         self.settings = settings
+        if settings.tools != self.tools.texts:
+            self.tools = Tools(self.body, settings.tools)
         sentence = self._change_model(settings)
         self.switcher.set_shadows(settings, self.history, retry=True)
         return sentence
@@ -335,7 +354,7 @@ class Learner:
     def restore(self, saved: SavedState) -> None:
         """Go on with a state that was saved."""
         self.settings = saved.settings
-        self.tare = Tare(self.body.n_outputs, saved.bias)
+        self.tare, self.tools = Tare(self.body.n_outputs, saved.bias), Tools(self.body, saved.settings.tools)
         self._begin(saved.settings, saved.estimator, saved.batch, saved.renewal)
         self.gate.restore(saved.gate)
 

@@ -289,6 +289,19 @@ class Table:
         'gate.timeout', 5.0, 'A gate closed for longer opens: the robot has changed, it is not touched. 0: never.',
         unit='s', minimum=0.0, maximum=1e6, live=True)
 
+    # Forces from outside
+    external_wrench_frame: str = declare(
+        'external_wrench.frame', '', 'Link at whose origin, and along whose axes, ~/external_wrench is told. Empty: '
+        'the sensor_frame, or without one the last link that the efforts feel.', live=True)
+    compensated_wrench_time_constant: float = declare(
+        'compensated_wrench.time_constant', 0.5, 'Within it ~/compensated_wrench follows a tare, a tool that is '
+        'declared, or another model: it never jumps by itself. 0: at once.', unit='s', minimum=0.0, maximum=3600.0,
+        live=True)
+    tools: tuple[str, ...] = declare(
+        'tools', (), 'Known bodies that the arm carries and that are not to be learnt: each \'LINK {"mass": kg, '
+        '"centre": [x, y, z], "inertia": [ixx, ixy, ixz, iyy, iyz, izz]}\', centre in the frame of the link, inertia '
+        'about the centre, or a piece of URDF. A minus before it: one that was taken off.', live=True)
+
     # Feedforward
     feedforward_before_ready: str = declare(
         'feedforward.before_ready', 'withhold', 'What answers desired_trajectory until the initial window is over: '

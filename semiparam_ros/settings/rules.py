@@ -147,6 +147,20 @@ def effects_are_known(table: Table) -> str | None:
     return next((sentence for text in table.effects if (sentence := _effect_refusal(text, table.outputs))), None)
 
 
+def tools_are_bodies(table: Table) -> str | None:
+    """Each can be read, and is a body that can be."""
+    if not table.tools:
+        return None
+    from semiparam_ros.core.robot.tools import tool_from_text  # pinocchio, for who declares one
+
+    try:
+        for text in table.tools:
+            tool_from_text(text)
+    except SemiparamError as error:
+        return str(error)
+    return None
+
+
 def state_file_is_a_plain_name(table: Table) -> str | None:
     """Whoever sets it can reach no other folder, and no hidden file."""
     if re.fullmatch(r'[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.npz', table.state_file):
@@ -159,7 +173,7 @@ RULES: tuple[Callable[[Table], str | None], ...] = (
     sensor_frame_is_named, one_robot_description, joints_are_distinct, output_joints_are_joints,
     temperatures_are_distinct, locked_joints_have_positions, features_come_in_pairs, shadow_variants_are_distinct,
     hyperparameters_have_sizes, input_scaling_is_whole, hyperparameters_suffice,
-    given_hyperparameters_know_their_features, effects_are_known, state_file_is_a_plain_name)
+    given_hyperparameters_know_their_features, effects_are_known, tools_are_bodies, state_file_is_a_plain_name)
 
 
 def broken_rule(table: Table) -> str | None:

@@ -41,6 +41,21 @@ def document_of(params, path, *arguments):
     return json.loads(path.read_text())
 
 
+def test_the_external_wrench_as_a_table(params, recording, tmp_path, capsys):
+    """What the model leaves of each sample, as the node tells it; of one variant alone."""
+    table = tmp_path / 'external.csv'
+    arguments = ['evaluate', str(recording), '--params', str(params), '--external-wrench', str(table)]
+    assert cli.main([*arguments, '--variant', 'P']) == 0
+    head, *rows = table.read_text().splitlines()
+    assert head.startswith('stamp_ns,fx,') and head.endswith(',tz_std') and len(rows) == 400 - INITIAL
+    values = np.array([[float(cell) for cell in row.split(',')] for row in rows])
+    assert values.shape[1] == 13 and (np.diff(values[:, 0]) > 0).all() and (values[:, 7:] > 0.0).all()
+    assert np.abs(values[:, 1:7]).mean() < 3 * values[:, 7:].mean()
+    table.unlink()
+    assert cli.main([*arguments, '--variant', 'P', '--variant', 'NP-ML']) == 2
+    assert 'tells what one variant leaves; 2 are' in capsys.readouterr().err and not table.exists()
+
+
 def test_figures_of_each_variant(evaluate, recording, capsys):
     document = evaluate(recording, '--variant', 'P', '--variant', 'SPK-ML')
     assert document['schema'] == 1

@@ -104,10 +104,10 @@ SCRATCH = {
 
 
 LAYOUT = {
-    19: {
+    20: {
         'meta': 'format gate joints known memory newest origin others passed_over renewal settings version window_left',
-        'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar level mean '
-                'newest resting speed tails turns within',
+        'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar free level '
+                'mean newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
         'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
                     'horizon.length initial.samples joint_friction noise outputs priors temperatures variant',
@@ -143,6 +143,7 @@ LAYOUT = {
         'carried.alpha1': 'f8 (6, 0)', 'carried.theta2': 'f8 (16,)', 'carried.alpha2': 'f8 (6, 40)',
         'gate.0': 'f8 (6,)', 'gate.1': 'f8 (6,)', 'gate.2': 'f8 (6,)',  # level, mean, ratio of a closure
         'gate.3': 'f8 (0, 6)', 'gate.4': 'f8 (0, 6)',  # tails
+        'gate.23': 'f8 (6,)', 'gate.24': 'f8 (6,)',  # bands of free motion
         **{f'gate.{number}': 'f8 (0, 6)' if number % 3 == 2 else 'f8 (6,)' for number in range(5, 23)},  # six bands
         'renewal.0': 'f8 (4, 6)', 'renewal.1': 'f8 (4, 6)',  # errors over a whole window and a draft's
         'window.rows': 'f8 (0, 144)', 'motion.place': 'f8 (2,)',

@@ -140,6 +140,7 @@ BROKEN = {
         'hyperparameters.input_scale': [1.0] * 3, 'joints': ['a']},
     'state_file_is_a_plain_name': {'state_file': '../x.npz'},
     'effects_are_known': {'effects': ['payload{"a": }']},
+    'tools_are_bodies': {'tools': ['hand {"mass": -1}']},
 }
 
 

@@ -34,9 +34,10 @@ from covertable import make
 
 from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.single_estimator import PRIORS
+from semiparam_ros.core.single_estimator import PRIORS, Prediction
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import Effect
@@ -72,6 +73,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'least_gain': (0.0, 0.05),
     'gate': (True, False),
     'tare': (True, False),
+    'tools': (True, False),
     'horizon': (25, 1, 200),
     'motion': ('filtered', 'measured', 'missing'),
     'still': ('none', 'noisy', 'exact'),
@@ -110,6 +112,7 @@ WARMER_EVERY_NS = 500_000_000
 CONTACT_EVERY_S, CONTACT_S = 20.0, 0.4
 RUN_BACKGROUND_EVERY = 25
 KNOWN_AFTER = 1500
+TOOL = 'ft {"mass": 0.4, "centre": [0.0, 0.02, 0.1], "inertia": [2e-3, 0, 0, 2e-3, 0, 1e-3]}'
 LARGEST_PREDICTION = 1e4
 """[N], [N m] The outputs stay within 70; a model from a poor window may err, but must not burst. With a memory of ten
 samples for hundreds of features it does (docs/mathematics.md, Forgetting): there predictions need only be finite."""
@@ -212,7 +215,8 @@ def settings_of(row: Row, count: int) -> Settings:
         'effects': [effect_to_text(effect)] if effect else [], 'forgetting': row['forgetting'], 'noise': row['noise'],
         'features.length_scales': row['length_scales'], 'features.count': row['features'],
         'learn.every': row['learn_every'], 'learn.least_gain': row['least_gain'], 'initial.samples': WINDOW,
-        'gate.enabled': row['gate'], 'horizon.length': row['horizon'], 'retained.samples': max(count // 10, 20)})
+        'gate.enabled': row['gate'], 'tools': [TOOL] if row['tools'] else [], 'horizon.length': row['horizon'],
+        'retained.samples': max(count // 10, 20)})
 
 
 # The motion of a row
@@ -311,13 +315,15 @@ class Live:
         self.record = Record()
         self._delayed = row['background'] == 'delayed'
         self.background = DelayedBackground() if self._delayed else InlineBackground()
+        self.external = ExternalWrench(body_of_settings(settings), 'ft')
         self.learner = Learner(settings, body_of_settings(settings), self.background, self)
         self._offered = 0
 
     def answered(self, answer: Answer) -> None:
         prediction = answer.prediction
         self.record.answers.append((prediction.sample.stamp, answer.learnt, answer.contact, prediction.ready,
-                                    prediction.mean.tolist(), prediction.std.tolist()))
+                                    prediction.mean.tolist(), prediction.std.tolist(),
+                                    outside(self.external, prediction, answer.residual, self.learner.gate.widening)))
 
     def horizon_completed(self, errors: HorizonErrors) -> None:
         self.record.horizon(errors)
@@ -349,10 +355,20 @@ class Live:
             self.background.run()
 
 
+def outside(external: ExternalWrench, prediction: Prediction, residual: np.ndarray,
+            widening: np.ndarray) -> list[float]:
+    """The external wrench and its deviations."""
+    found = external.of(prediction, residual, widening)
+    return [*found.wrench.tolist(), *found.std.tolist()]
+
+
 def offline(settings: Settings, samples: list[Sample], tares: list[int], takeovers: list[int]) -> Record:
     """The commands' learner; a tare before the samples of these numbers."""
     record, learner = Record(), OfflineLearner(settings, [], lambda: None, takeovers)
-    tare = Tare(learner.estimator.body.n_outputs)
+    tare, external = Tare(learner.estimator.body.n_outputs), ExternalWrench(learner.estimator.body, 'ft')
+    forces: list[list[float]] = []
+    learner.answered = lambda each, widening: forces.append(
+        outside(external, each, each.sample.outputs - each.mean, widening))
     for index, sample in enumerate(samples):
         if index in tares:
             tare.take()
@@ -361,11 +377,11 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
         refused = learner.gate.refused
         prediction = learner.step(sample, True)
         contact = learner.gate.refused > refused
-        tare.add(sample.stamp, sample.outputs - prediction.model_mean, prediction.ready)
+        tare.add(sample.stamp, prediction.sample.outputs - prediction.model_mean, prediction.ready)
         mean = prediction.mean + tare.bias if tare.active else prediction.mean
         learnt = not contact and prediction.motion.is_news
         record.answers.append((sample.stamp, learnt, contact, prediction.ready, mean.tolist(),
-                               prediction.std.tolist()))
+                               prediction.std.tolist(), forces[-1]))
         if prediction.horizon is not None:
             record.horizon(prediction.horizon)
     record.finish(learner.estimator, tare)
@@ -448,8 +464,8 @@ def assert_same_samples(one: list[Sample], other: list[Sample]) -> None:
 
 
 def assert_finite(record: Record, largest: float = LARGEST_PREDICTION) -> None:
-    for index, (_, _, _, _, mean, std) in enumerate(record.answers):
-        assert np.isfinite([*mean, *std]).all(), f'sample {index} is predicted as {mean} +- {std}'
+    for index, (_, _, _, _, mean, std, forces) in enumerate(record.answers):
+        assert np.isfinite([*mean, *std, *forces]).all(), f'sample {index} is predicted as {mean} +- {std}; {forces}'
         assert min(std) > 0.0, f'sample {index} has a standard deviation of {min(std)}'
         assert max(map(abs, mean)) < largest, f'sample {index} is predicted as {mean}'
     for name, values in record.final.items():

@@ -22,6 +22,7 @@ import pinocchio as pin
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.single_estimator import PROVISIONAL_GAMMA, DesiredOutputs
 from semiparam_ros.core.types import Array
 
@@ -49,16 +50,20 @@ class Desired(NamedTuple):
     described: bool  # by the robot description alone
 
 
-def desired(estimator: Estimator, position: Array, velocity: Array, acceleration: Array) -> Desired:
+def desired(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
+            tools: Tools | None = None) -> Desired:
     """What the model says of a desired state (n_joints,) each. Nothing is learnt.
+
+    :param tools: that the arm carries beside what the model has learnt.
 
     Raises SemiparamError when a value, or what follows from it, is not finite.
     """
     row = position, velocity, acceleration
-    return _answer(estimator, row, estimator.predict_desired(*row), described=False)
+    return _answer(estimator, row, estimator.predict_desired(*row), False, tools)
 
 
-def described(estimator: Estimator, position: Array, velocity: Array, acceleration: Array) -> Desired:
+def described(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
+              tools: Tools | None = None) -> Desired:
     """What the robot description alone says; its inertial parameters are taken for known to ``PROVISIONAL_GAMMA``.
 
     Raises SemiparamError when a value, or what follows from it, is not finite.
@@ -70,7 +75,7 @@ def described(estimator: Estimator, position: Array, velocity: Array, accelerati
     uncertain = PROVISIONAL_GAMMA * regressor
     covariance = uncertain @ uncertain.T
     require_finite('described outputs of a desired state', np.concatenate([outputs, covariance.diagonal()]))
-    return _answer(estimator, row, DesiredOutputs(outputs, outputs, covariance, 0.0), described=True)
+    return _answer(estimator, row, DesiredOutputs(outputs, outputs, covariance, 0.0), True, tools)
 
 
 def outside_of_the_learnt(estimator: Estimator, row: tuple[Array, Array, Array]) -> tuple[str, ...]:
@@ -84,8 +89,12 @@ def outside_of_the_learnt(estimator: Estimator, row: tuple[Array, Array, Array])
     return tuple(names[index] for index in np.flatnonzero((x < lowest - margin) | (x > highest + margin)))
 
 
-def _answer(estimator: Estimator, row: tuple[Array, Array, Array], found: DesiredOutputs, described: bool) -> Desired:
+def _answer(estimator: Estimator, row: tuple[Array, Array, Array], found: DesiredOutputs, described: bool,
+            tools: Tools | None) -> Desired:
     body, outside = estimator.body, outside_of_the_learnt(estimator, row)
+    if tools is not None and tools.texts:
+        added = tools.outputs(*row)
+        found = found._replace(shown=found.shown + added, needed=found.needed + added)
     std = np.sqrt(found.covariance.diagonal())
     if body.outputs == 'effort':
         wanted, wanted_std = found.needed, std

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -72,8 +73,13 @@ def links_beside(body: RigidBody, link: str) -> list[str]:
 
 
 @lru_cache(maxsize=8)
-def _loaded_frames(body: RigidBody) -> tuple[int, ...]:
-    return tuple(_frame(body.arm, link, body) for link in loaded_links(body))
+def _loaded_points(body: RigidBody) -> tuple[tuple[int, ...], Array]:
+    """Joints that move the places of :func:`force_maps`, and the places (P, 3) in their frames."""
+    model = body.arm
+    frames = [model.frames[_frame(model, link, body)] for link in loaded_links(body)]
+    joints = [frame.parentJoint for frame in frames]
+    points = [frame.placement.translation for frame in frames] + [model.inertias[joint].lever for joint in joints]
+    return (*joints, *joints), np.array(points)
 
 
 def force_maps(body: RigidBody, position: Array) -> Array:
@@ -83,19 +89,27 @@ def force_maps(body: RigidBody, position: Array) -> Array:
 
     A link without another one fixed to it, such as a flange, has its origin on its joint's axis.
     """
-    model, data, frames = body.arm, body.arm.createData(), _loaded_frames(body)
+    return unit_maps(body, position, *_loaded_points(body))[0]
+
+
+def unit_maps(body: RigidBody, position: Array, joints: Sequence[int], points: Array) -> tuple[Array, Array]:
+    """(P, n, 3) outputs caused by external unit forces, and by unit couples, along base axes.
+
+    :param position: (n_joints,). :param joints: (P,) that move the points. :param points: (P, 3) [m] in their frames.
+    """
+    model, data = body.arm, body.arm.createData()
     pin.computeJointJacobians(model, data, body.arm_vector(position))
-    origins = np.array([pin.updateFramePlacement(model, data, frame).translation for frame in frames])
-    carriers = [model.frames[frame].parentJoint for frame in frames]
-    centres = np.array([data.oMi[joint].act(model.inertias[joint].lever) for joint in carriers])
-    places = np.concatenate([origins, centres])
-    if body.distal is None:
-        motions = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:, body.output_rows]
-                   for frame in frames] * 2
-        arms = places - np.tile(origins, (2, 1))
-        return np.array([np.cross(arm, motion[3:].T) - motion[:3].T for arm, motion in zip(arms, motions, strict=True)])
-    sensor = pin.updateFramePlacement(model, data, body.sensor_index)
-    return _on_sensor(body, places, np.broadcast_to(sensor.rotation, (len(places), 3, 3)), sensor.translation)[0]
+    joints = [int(joint) for joint in joints]
+    places = np.array([data.oMi[joint].act(point) for joint, point in zip(joints, points, strict=True)])
+    if body.distal is not None:
+        sensor = pin.updateFramePlacement(model, data, body.sensor_index)
+        return _on_sensor(body, places, np.broadcast_to(sensor.rotation, (len(places), 3, 3)), sensor.translation)
+    found = {joint: pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)[:, body.output_rows]
+             for joint in set(joints)}
+    motions = np.array([found[joint] for joint in joints])
+    arms = places - np.array([data.oMi[joint].translation for joint in joints])
+    linear, angular = motions[:, :3].swapaxes(1, 2), motions[:, 3:].swapaxes(1, 2)
+    return np.cross(arms[:, None], angular) - linear, -angular
 
 
 @lru_cache(maxsize=24)
@@ -197,6 +211,11 @@ def _moved(parameters: Array, rotation: Array, shift: Array) -> Array:
 def _levers(arms: Array) -> Array:
     """(N, 3, 3) couples about an origin of unit forces at arms (N, 3) from it."""
     return np.swapaxes(np.cross(arms[:, None], np.eye(3)), 1, 2)
+
+
+def frame_index(body: RigidBody, link: str) -> int:
+    """Number of a link's frame in the arm; raises SemiparamError where there is no such link."""
+    return _frame(body.arm, link, body)
 
 
 def _frame(model: pin.Model, link: str, body: RigidBody) -> int:

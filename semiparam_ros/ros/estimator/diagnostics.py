@@ -19,6 +19,7 @@ from rclpy.node import Node
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import listed, shortened
+from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import (
     MOVED_ENOUGH,
@@ -261,8 +262,18 @@ def learning_report(learner: Learner, news: str) -> Report:
         'in contact': learner.gate.closed, 'contacts': learner.gate.contacts,
         'contacts taken for a change of the robot': learner.gate.changes,
         'contact felt in': ', '.join(learner.body.output_names[index] for index in learner.gate.touched()),
+        'contact at': _place_of(learner.gate),
         'last news': news}
     return Report(level, message, values)
+
+
+def _place_of(gate: ContactGate) -> str:
+    """The link that is touched most probably; '' without a contact."""
+    probabilities, seconds = gate.places()
+    if gate.place is None or not probabilities.any():
+        return ''
+    best = int(probabilities.argmax())
+    return f'{gate.place.links[best]} ({probabilities[best]:.0%}), for {seconds:.1f} s'
 
 
 def stage_of(learner: Learner | None) -> str:
@@ -398,14 +409,16 @@ class Reports:
 
     :param learner: gives the learner, None before the robot is known.
     :param others: makers of further statuses, by their titles. :param twins: see :meth:`Outputs.twins`.
+    :param unseen: see :meth:`Outside.unseen <semiparam_ros.ros.estimator.outside.Outside.unseen>`.
     """
 
     def __init__(self, node: Node, inputs: Inputs, rejections: Rejections, errors: InternalErrors,
                  learner: Callable[[], Learner | None], feedforward: Feedforward,
-                 others: Mapping[str, Callable[[], Report]], twins: Callable[[], str]) -> None:
+                 others: Mapping[str, Callable[[], Report]], twins: Callable[[], str],
+                 unseen: Callable[[], str]) -> None:
         self.tally = Tally(())
         self._news = self._robot_name = self._stage = self._told_twins = ''
-        self._errors, self._twins = errors, twins
+        self._errors, self._twins, self._unseen = errors, twins, unseen
         self._node, self._inputs, self._learner = node, inputs, learner
         self._name = node.get_fully_qualified_name().lstrip('/')
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -466,7 +479,8 @@ class Reports:
         self._log_stage(learner)
         if learner is None:
             return Report(WARN, 'waiting for a robot description.', {})
-        return learning_report(learner, self._news)
+        report = learning_report(learner, self._news)
+        return report._replace(values={**report.values, 'external wrench not felt in': self._unseen()})
 
     def _log_stage(self, learner: Learner | None) -> None:
         """A line whenever another part of the node's life begins."""

@@ -36,6 +36,7 @@ from semiparam_ros.ros.estimator.diagnostics import (
     Reports,
 )
 from semiparam_ros.ros.estimator.exporting import Exporting
+from semiparam_ros.ros.estimator.outside import Outside
 from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answering
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
@@ -68,6 +69,7 @@ class EstimatorNode(Node):
                                       self._accept, self._change)
         settings = located(self._live.settings, files)
         self._outputs = Outputs(self, settings.outputs)
+        self._outside = Outside(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id)
 
         guarded = partial(later, self._guarded, 'the background')
         self._background = ProcessBackground(guarded, first=worker)
@@ -77,7 +79,7 @@ class EstimatorNode(Node):
                                          self.message_failed, guarded)
         others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report()}
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
-                                trajectories.feedforward, others, self._outputs.twins)
+                                trajectories.feedforward, others, self._outputs.twins, self._outside.unseen)
         self._held_replies = HeldReplies(self, self._announcement)
         lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
         self._requests = Services(self, self._live, self._the_learner, folder_of(settings), lock, guarded, self.errors)
@@ -170,6 +172,7 @@ class EstimatorNode(Node):
         """Publish it at once; a sample is learnt even where its answer cannot be sent."""
         try:
             self._outputs.publish(answer)
+            self._outside.publish(answer)
             self._inputs.stopwatch.stop()
             self._reports.tally.add(answer)
         except Exception as error:

@@ -126,25 +126,25 @@ class Outputs:
         prediction = answer.prediction
         self._send(self._mean, prediction, prediction.mean)
         self._send(self._std, prediction, prediction.std)
-        if _is_heard(self._answer):
+        if is_heard(self._answer):
             parts = prediction.mean, prediction.std, answer.residual, answer.contact_level
-            _send(self._answer, self._parts.write(prediction.sample.stamp, np.concatenate(parts).tolist()))
+            send(self._answer, self._parts.write(prediction.sample.stamp, np.concatenate(parts).tolist()))
         self._send(self._residual, prediction, answer.residual)
         if answer.contact != self._in_contact:
             self._in_contact = answer.contact
             self._contact.publish(Bool(data=answer.contact))
-        if _is_heard(self._contact_level):
-            _send(self._contact_level, self._level.write(prediction.sample.stamp, answer.contact_level.tolist()))
+        if is_heard(self._contact_level):
+            send(self._contact_level, self._level.write(prediction.sample.stamp, answer.contact_level.tolist()))
 
     def publish_errors(self, errors: HorizonErrors) -> None:
         """The horizon errors of the active model."""
-        if _is_heard(self._horizon):
-            _send(self._horizon, self._errors.filled(errors))
+        if is_heard(self._horizon):
+            send(self._horizon, self._errors.filled(errors))
 
     def _send(self, publisher: Publisher, prediction: Prediction, values: Array) -> None:
         """To those who listen: asking for them costs a twentieth of filling and sending a message."""
-        if _is_heard(publisher):
-            _send(publisher, self._value.filled(prediction.sample.stamp, self.frame_id, values))
+        if is_heard(publisher):
+            send(publisher, self._value.filled(prediction.sample.stamp, self.frame_id, values))
 
     def publish_shadow(self, variant: str, errors: HorizonErrors) -> None:
         """The horizon errors of a shadow variant, on ``~/shadow/sp2_ml/horizon_error``."""
@@ -154,12 +154,12 @@ class Outputs:
         self._shadows[variant].publish(self._errors.filled(errors))
 
 
-def _is_heard(publisher: Publisher) -> bool:
+def is_heard(publisher: Publisher) -> bool:
     """Whether anybody listens. The publishers last as long as the node, so nothing guards their handles against their
     end meanwhile, which takes rclpy three times as long as asking."""
     return bool(publisher.handle.get_subscription_count())
 
 
-def _send(publisher: Publisher, message: bytes) -> None:
+def send(publisher: Publisher, message: bytes) -> None:
     """A serialised message."""
     publisher.handle.publish_raw(message)

@@ -1,0 +1,96 @@
+"""What acts on the robot from outside: the outputs minus everything that the model knows, as a force and a couple.
+
+A wrench F = (f, m) from outside at a frame of a link changes the outputs by A F. At the wrench sensor itself A is the
+identity but for the sign of the convention; at another frame it moves the wrench there; of joint efforts it is the
+frame's Jacobian, -J(q)'. Then
+
+    r = y - mean = A F + e,     e ~ N(0, R),     F ~ N(0, L)
+
+    F = L A' (A L A' + R)^-1 r,     covariance = L - L A' (A L A' + R)^-1 A L
+
+damped least squares with the covariance R of the prediction and the forces L that people and tables bring about. A
+direction that the outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from semiparam_ros.core.robot.frames import frame_index, loaded_links
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.single_estimator import Prediction
+from semiparam_ros.core.types import Array
+
+FORCE_N, LEVER_M = 100.0, 0.1
+"""Standard deviation along each axis of the forces that a push is expected to have, what a lever of micrometres needs
+is none; and how far from a frame, or beside a link's axis, they act."""
+UNSEEN_SHARE = 0.5
+"""Of a direction whose deviation is more than this share of that before, nothing was measured."""
+NAMES = ('force x', 'force y', 'force z', 'couple x', 'couple y', 'couple z')
+
+
+class External(NamedTuple):
+    """A wrench that acts on the robot, [N] and [N m], about the frame's origin and along its axes."""
+
+    wrench: Array  # (6,)
+    covariance: Array  # (6, 6)
+
+    @property
+    def std(self) -> Array:
+        """(6,)"""
+        return np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
+
+
+class ExternalWrench:
+    """Of one robot, at one frame.
+
+    :param frame: a link of the robot; ``''`` for the sensor, or without one for the last link that the outputs feel.
+    """
+
+    def __init__(self, body: RigidBody, frame: str = '') -> None:
+        """Raises SemiparamError when the robot has no such link."""
+        self._body, self._data = body, body.arm.createData()
+        at_sensor = not frame and body.outputs == 'wrench'
+        self.frame = frame or (str(body.sensor_frame) if at_sensor else list(loaded_links(body))[-1])
+        self._index = body.sensor_index if at_sensor else frame_index(body, self.frame)
+        self._at_sensor = at_sensor
+        self._expected: Array = np.repeat((FORCE_N, FORCE_N * LEVER_M), 3) ** 2
+
+    def outputs_of(self, position: Array) -> Array:
+        """(n, 6) A: outputs caused by unit forces and couples along the frame's axes, at positions (n_joints,)."""
+        body, model, data = self._body, self._body.arm, self._data
+        q = body.arm_vector(position)
+        if body.outputs == 'effort':
+            jacobian = pin.computeFrameJacobian(model, data, q, self._index, pin.LOCAL)
+            return -np.asarray(jacobian)[:, body.output_rows].T
+        if self._at_sensor:
+            return -body.sign * np.eye(6)
+        pin.forwardKinematics(model, data, q)
+        places = [pin.updateFramePlacement(model, data, index).copy() for index in (body.sensor_index, self._index)]
+        return -body.sign * np.asarray(places[0].actInv(places[1]).toDualActionMatrix())
+
+    def of(self, prediction: Prediction, residual: Array, widening: Array) -> External:
+        """What acts at a sample of which the model leaves ``residual`` (n,) of what was measured.
+
+        :param widening: (n,) how much wider than the model's own its bands are in free motion.
+        """
+        noise = prediction.prior.covariance * np.outer(widening, widening)
+        if self._at_sensor:
+            return External(-self._body.sign * residual, noise)
+        maps = self.outputs_of(prediction.sample.position)
+        spread = maps * self._expected
+        gain = np.linalg.solve(spread @ maps.T + noise, spread).T
+        return External(gain @ residual, np.diag(self._expected) - gain @ spread)
+
+    def unseen(self, external: External) -> str:
+        """The direction of which least was measured, in words; '' where all were."""
+        scale = np.sqrt(self._expected)
+        values, vectors = np.linalg.eigh(external.covariance / np.outer(scale, scale))
+        if values[-1] < UNSEEN_SHARE**2:
+            return ''
+        direction = vectors[:, -1] * np.sign(vectors[np.abs(vectors[:, -1]).argmax(), -1])
+        parts = [f'{share:.1f} {name}' for name, share in zip(NAMES, direction, strict=True) if abs(share) > 0.1]
+        return f'{" + ".join(parts).replace("+ -", "- ")} at {self.frame}'

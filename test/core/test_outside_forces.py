@@ -1,0 +1,194 @@
+"""Wrenches from outside against forces that pinocchio's rnea is given, known tools against heavier descriptions."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from semiparam_ros.core.robot.compensation import bodies_and_bias
+from semiparam_ros.core.robot.contact_place import ContactPlace
+from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M, ExternalWrench
+from semiparam_ros.core.robot.feedforward import described
+from semiparam_ros.core.robot.frames import force_maps, loaded_links
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.tools import Tools, tool_from_text
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.build import build_estimator, build_rigid_body
+from support.arms import joint, link
+from support.node_helpers import BODY, SETTINGS, URDF, motion
+
+TOOL = {'mass': 0.7, 'centre': [0.01, -0.02, 0.15], 'inertia': [4e-3, 1e-4, -2e-4, 5e-3, 3e-4, 3e-3]}
+ONE = np.ones(1)
+TEXT = f'ft {json.dumps(TOOL)}'
+SNIPPET = """<link name="ft"/><link name="gripper"><inertial><mass value="0.7"/><origin xyz="0 0 0.05"/>
+  <inertia ixx="4e-3" ixy="1e-4" ixz="-2e-4" iyy="5e-3" iyz="3e-4" izz="3e-3"/></inertial></link>
+  <joint name="flange" type="fixed"><parent link="ft"/><child link="gripper"/><origin xyz="0.01 -0.02 0.1"/></joint>"""
+
+
+JOINTS = tuple(f'j{number}' for number in range(7))
+
+
+def chain():
+    """Seven joints about two axes in turn, 0.3 m apart, and a sensor behind the third."""
+    parts, parent = [link('base')], 'base'
+    for number, name in enumerate(JOINTS):
+        parts += [link(f'l{number}', 1.5 - 0.1 * number),
+                  joint(name, 'revolute', parent, f'l{number}', axis='0 1 0' if number % 2 else '0 0 1')]
+        parent = f'l{number}'
+        if number == 2:
+            parts += [link('sensed'), joint('sensor', 'fixed', parent, 'sensed', '0 0.02 0.05', '0.3 0 0.2')]
+            parent = 'sensed'
+    return f'<robot name="chain">{"".join(parts)}{link("tip", 0.2)}{joint("end", "fixed", parent, "tip")}</robot>'
+
+
+def arm(outputs, convention='action'):
+    """The chain, with the sensor in the upper arm or in the joints."""
+    return RigidBody.from_urdf(chain(), JOINTS, outputs, 'sensor' if outputs == 'wrench' else None, convention)
+
+
+def efforts_against(body, state, frame, wrench):
+    """(n,) efforts of the description while a wrench, along the frame's axes, acts there from outside."""
+    model, data = body.arm, body.arm.createData()
+    q, dq, ddq = (body.arm_vector(values) for values in state)
+    index = model.getFrameId(frame, pin.FrameType.BODY)
+    item = model.frames[index]
+    forces = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
+    forces[item.parentJoint] = item.placement.act(pin.Force(wrench))
+    return np.array(pin.rnea(model, data, q, dq, ddq, forces))[body.arm_columns]
+
+
+class Leaves:
+    """As much of a prediction as the external wrench looks at."""
+
+    def __init__(self, position, std):
+        self.sample = Sample(0, position, 0 * position, 0 * position, np.zeros(len(std)))
+        self.std = self.model_std = std
+        self.prior = self
+        self.covariance = np.diag(std**2)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_wrench_at_the_last_link_is_found_from_efforts_and_from_a_wrench(seed):
+    rng = np.random.default_rng(seed)
+    state, wrench = rng.uniform(0.3, 0.9, (3, 7)), np.array([*rng.uniform(-20, 20, 3), *rng.uniform(-3, 3, 3)])
+    body = arm('effort')
+    link = list(loaded_links(body))[-1]
+    residual = efforts_against(body, state, link, wrench) - efforts_against(body, state, link, np.zeros(6))
+    found = ExternalWrench(body).of(Leaves(state[0], np.full(7, 1e-4)), residual, ONE)
+    np.testing.assert_allclose(found.wrench, wrench, atol=0.02)
+    assert found.std.max() < 0.5
+    for convention in 'action', 'reaction':
+        sensor = arm('wrench', convention)
+        residual = ExternalWrench(sensor, link).outputs_of(state[0]) @ wrench
+        there = ExternalWrench(sensor, link).of(Leaves(state[0], np.full(6, 1e-4)), residual, ONE)
+        np.testing.assert_allclose(there.wrench, wrench, atol=1e-2)
+        at_sensor = ExternalWrench(sensor).of(Leaves(state[0], np.full(6, 1e-4)), residual, ONE)
+        assert np.linalg.norm(at_sensor.wrench[:3]) == pytest.approx(np.linalg.norm(wrench[:3]))
+        np.testing.assert_array_equal(at_sensor.wrench, -sensor.sign * residual)
+
+
+def test_what_a_short_arm_does_not_feel_keeps_the_deviation_of_a_push_and_is_told():
+    """Two joints: of six directions at the hand four are never felt, and are zero."""
+    body = build_rigid_body(replace(SETTINGS, outputs='effort', sensor_frame=''))
+    external = ExternalWrench(body, 'ft')
+    position = np.array([0.3, 0.4])
+    found = external.of(Leaves(position, np.full(2, 0.01)), np.array([0.5, -0.2]), ONE)
+    values = np.linalg.eigvalsh(found.covariance / np.outer(*2 * [np.repeat((FORCE_N, FORCE_N * LEVER_M), 3)]))
+    assert (values > 0.999).sum() == 4 and (values < 1e-4).sum() == 2
+    assert external.outputs_of(position) @ found.wrench == pytest.approx([0.5, -0.2], rel=1e-3)
+    assert external.unseen(found).endswith(' at ft') and 'force' in external.unseen(found)
+    whole = ExternalWrench(BODY)
+    assert not whole.unseen(whole.of(Leaves(position, np.full(6, 0.1)), np.zeros(6), ONE))
+
+
+def test_a_frame_that_is_no_link_is_refused():
+    with pytest.raises(SemiparamError, match="link 'hand' is not a link of the robot description"):
+        ExternalWrench(BODY, 'hand')
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_the_touched_link_is_the_likeliest(outputs):
+    """Of forces of 20 N beside its bones, at rest, with outputs that err by a twentieth of what they feel."""
+    body, rng = arm(outputs), np.random.default_rng(0)
+    place, right = ContactPlace(body), []
+    for _ in range(60):
+        position = rng.uniform(-0.7, 0.7, 7)
+        maps = force_maps(body, position)[len(place.links):]  # at the centres of mass
+        index = rng.integers(len(place.links))
+        direction = rng.standard_normal(3)
+        change = maps[index] @ (20.0 * direction / np.linalg.norm(direction))
+        scale = np.full(body.n_outputs, 0.05)
+        if np.abs(change).max() < 20 * scale[0]:
+            continue
+        place.forget()
+        assert not place.probabilities.any()
+        for _ in range(5):
+            place.see(position, change + scale * rng.standard_normal(len(change)) / 3, scale, 0.02)
+        assert place.probabilities.sum() == pytest.approx(1.0)
+        right.append(place.probabilities.argmax() == index)
+    assert np.mean(right) > 0.85
+
+
+@pytest.mark.parametrize('text', [TEXT, SNIPPET, f'<robot name="x">{SNIPPET}</robot>', f'  {TEXT}'],
+                         ids=['numbers', 'links', 'robot', 'spaces'])
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_tool_adds_what_a_description_with_it_has_more(text, outputs):
+    settings = replace(SETTINGS, outputs=outputs, sensor_frame='ft' if outputs == 'wrench' else '')
+    with_tool = URDF.replace('</robot>', SNIPPET.replace('<link name="ft"/>', '', 1) + '</robot>')
+    bare, heavier = build_rigid_body(settings), build_rigid_body(replace(settings, robot_description=with_tool))
+    tools = Tools(bare, [text])
+    for state in np.random.default_rng(0).normal(0, 1.5, (5, 3, 2)):
+        wanted = heavier.regressor(*state) @ heavier.base_parameters - bare.regressor(*state) @ bare.base_parameters
+        np.testing.assert_allclose(tools.outputs(*state), wanted, atol=1e-9)
+    assert np.allclose(Tools(bare, [text, f'- {TEXT}']).parameters, 0.0)
+
+
+@pytest.mark.parametrize(('text', 'sentence'), [
+    ('', 'cannot be read; expected LINK'), ('ft', 'cannot be read'), ('ft {"mass": }', 'cannot be read'),
+    ('ft {"weight": 1}', 'cannot be read'), ('{"mass": 1}', 'cannot be read'), ('ft [1]', 'cannot be read'),
+    ('ft {"mass": true}', 'expected 1 finite number of'), ('ft {"mass": NaN}', 'expected 1 finite number of'),
+    ('ft {"mass": 1, "centre": [0, 0]}', 'expected 3 finite numbers'), ('ft {"mass": 1e9}', 'of at most 10000'),
+    ('ft {"mass": -1}', 'has mass -1 kg'), ('ft {"mass": 1, "inertia": [9, 0, 0, 1, 0, 1]}', 'no moment larger'),
+    ('<link', 'is not valid XML'), ('<link name="ft"/>', 'has mass 0 kg'),
+    (SNIPPET.replace('fixed', 'revolute'), 'joints that move')])
+def test_what_is_no_tool_is_refused_in_a_sentence(text, sentence):
+    with pytest.raises(SemiparamError, match='(?s).*' + sentence.replace('(', '\\(')) as error:
+        tool_from_text(text)
+    assert str(error.value).endswith('.') and '\n' not in str(error.value).replace(text, '')
+
+
+def test_a_tool_at_a_link_that_the_outputs_do_not_feel_is_refused():
+    with pytest.raises(SemiparamError, match="link 'upper' is not a link of the robot description that the outputs"):
+        Tools(BODY, ['upper {"mass": 1.0}'])
+
+
+def test_desired_efforts_carry_the_tools():
+    estimator, state = build_estimator(SETTINGS), np.array([[0.3, -0.4], [1.0, 0.5], [2.0, -1.0]])
+    with_tool = build_rigid_body(replace(SETTINGS, robot_description=URDF.replace(
+        '</robot>', SNIPPET.replace('<link name="ft"/>', '', 1) + '</robot>')))
+    model = with_tool.arm
+    wanted = np.array(pin.rnea(model, model.createData(), *(with_tool.arm_vector(values) for values in state)))
+    found = described(estimator, *state, tools=Tools(BODY, [TEXT]))
+    np.testing.assert_allclose(found.efforts, wanted[with_tool.arm_columns], atol=1e-9)
+
+
+def test_a_declared_load_that_acts_and_a_sensors_drift_are_part_of_what_is_taken_off():
+    settings = replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 1.0}', 'sensor_drift'))
+    estimator, samples = build_estimator(settings), motion(200)
+    load = Tools(BODY, [TEXT])
+    for sample in samples:
+        late = 1e-9 * (sample.stamp - samples[0].stamp)
+        outputs = sample.outputs + 0.05 * late
+        if late >= 1.0:
+            outputs = outputs + load.outputs(*sample[1:4])
+        sample = sample._replace(outputs=outputs)
+        prediction = estimator.step(sample)
+    bodies, bias = bodies_and_bias(estimator, prediction)
+    regressor = BODY.regressor(*sample[1:4])
+    left = outputs - regressor @ bodies - bias
+    assert np.abs(left).max() < 0.5 < np.abs(load.outputs(*sample[1:4])).max()
+    before = prediction._replace(columns=np.zeros_like(prediction.columns))  # as before the load's start
+    assert bodies[0] - bodies_and_bias(estimator, before)[0][0] == pytest.approx(0.7, abs=0.2)

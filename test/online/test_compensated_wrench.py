@@ -1,0 +1,128 @@
+"""The wrench without its tool follows a tare, a known tool and another model without a jump; models never see tools."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.robot.compensation import Compensation
+from semiparam_ros.core.robot.tools import Tools
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.evaluation import OfflineLearner
+from support.learner_stage import Stage
+from support.node_helpers import BODY, SETTINGS, InlineBackground, motion
+
+TOOL = 'ft ' + json.dumps({'mass': 0.8, 'centre': [0.0, 0.02, 0.1], 'inertia': [3e-3, 0, 0, 3e-3, 0, 1e-3]})
+QUIET = 0.15
+"""[N], [N m] From sample to sample: noise, the motion's own changes, and a twenty-fifth of a step of 2."""
+
+
+class Compensated(Stage):
+    """Compensates every answer while it is the newest."""
+
+    def __init__(self, settings, time_constant=0.5):
+        self.compensation, self.shown = Compensation(time_constant), []
+        super().__init__(settings, InlineBackground())
+
+    def answered(self, answer):
+        super().answered(answer)
+        self.shown.append(self.learner.compensated(answer, self.compensation))
+
+    def steps_since(self, index):
+        """(n,) largest change from a sample to the next."""
+        return np.abs(np.diff(np.array(self.shown)[index:], axis=0)).max(axis=0)
+
+
+def settled(variant='P', **options):
+    """A model of the arm that no longer learns, after 200 samples; and 300 further ones."""
+    stage, samples = Compensated(replace(SETTINGS, variant=variant), **options), motion(500)
+    stage.offer(samples[:200])
+    stage.learner.change(replace(stage.learner.settings, learning=False))
+    return stage, samples[200:]
+
+
+def biased(samples):
+    return [sample._replace(outputs=sample.outputs + 2.0) for sample in samples]
+
+
+@pytest.mark.parametrize('variant', ['P', 'SPK-ML', 'auto'])
+def test_nothing_is_left_of_weight_and_inertia_and_a_tare_takes_the_bias_within_the_time_constant(variant):
+    stage, samples = settled(variant)
+    stage.offer(samples[:50])
+    assert np.abs(np.mean(stage.shown[-50:], axis=0)).max() < 0.3
+    stage.offer(biased(samples[50:150]))
+    assert np.mean(stage.shown[-50:], axis=0) == pytest.approx(np.full(6, 2.0), abs=0.4)
+    at = len(stage.shown)
+    assert stage.learner.tare.take() > 10
+    stage.offer(biased(samples[150:300]))
+    assert stage.steps_since(at - 1).max() < QUIET
+    assert np.abs(np.mean(stage.shown[-50:], axis=0)).max() < 0.4
+
+
+def test_a_time_constant_of_zero_follows_at_once():
+    stage, samples = settled(time_constant=0.0)
+    stage.offer(biased(samples[:100]))
+    stage.learner.tare.take()
+    stage.offer(biased(samples[100:102]))
+    assert stage.steps_since(299).max() > 1.5
+
+
+def test_a_tool_that_is_declared_is_taken_off_without_learning_anew_and_without_a_jump():
+    """What the model has learnt stays to the last bit, and predictions hold the tool from the next sample on."""
+    stage, samples = settled()
+    stage.offer(samples[:50])
+    tools = Tools(BODY, [TOOL])
+    carried = [sample._replace(outputs=sample.outputs + tools.outputs(*sample[1:4])) for sample in samples]
+    stage.offer(carried[50:100])
+    assert np.abs(np.mean(stage.shown[-50:], axis=0)).max() > 5.0
+    assert np.abs([answer.residual for answer in stage.answers[-50:]]).max() > 5.0
+    theta, at = stage.learner.estimator.model.theta.copy(), len(stage.shown)
+    assert stage.learner.change(replace(stage.learner.settings, tools=(TOOL,))) == ''
+    stage.offer(carried[100:300])
+    np.testing.assert_array_equal(stage.learner.estimator.model.theta, theta)
+    first = stage.answers[at]
+    assert np.abs(first.residual).max() < 1.0
+    assert first.prediction.mean == pytest.approx(carried[100].outputs - first.residual, abs=1e-12)
+    assert stage.steps_since(at - 1).max() < 0.8, 'of 8 N a twenty-fifth, and motion'
+    assert np.abs(np.mean(stage.shown[-50:], axis=0)).max() < 0.5
+    stage.learner.change(replace(stage.learner.settings, tools=()))
+    stage.offer(samples[:1])
+    assert np.abs(stage.answers[-1].residual).max() < 1.0
+
+
+def test_a_reset_is_followed_from_what_was_learnt_to_the_description():
+    stage, samples = settled()
+    stage.offer(samples[:100])
+    at = len(stage.shown)
+    stage.learner.reset()
+    stage.offer(samples[100:140])
+    assert stage.steps_since(at - 1).max() < QUIET
+
+
+def test_a_clock_that_jumps_is_no_time_to_follow_in():
+    stage, samples = settled()
+    stage.offer(biased(samples[:60]))
+    stage.learner.tare.take()
+    for shift in (-10**18, 10**15):
+        before = np.array(stage.shown[-1])
+        stage.learner.clear_pending()
+        stage.offer([sample._replace(stamp=sample.stamp + shift) for sample in biased(samples[60:61])])
+        assert np.abs(stage.shown[-1] - before).max() < 4 * QUIET, 'a tenth of a second at most'
+
+
+def test_the_commands_take_the_same_tools_off():
+    settings = replace(SETTINGS, tools=(TOOL,))
+    stage, samples = Stage(settings, InlineBackground()), motion(120)
+    stage.offer(samples)
+    learner = OfflineLearner(settings, [], lambda: None)
+    found = [learner.step(sample, True) for sample in samples]
+    np.testing.assert_array_equal([each.mean for each in found], stage.means)
+    np.testing.assert_array_equal(learner.estimator.model.theta, stage.learner.estimator.model.theta)
+
+
+def test_a_tool_at_no_link_and_a_frame_that_is_none_are_refused_before_anything_changes():
+    stage = Stage()
+    for settings in (replace(SETTINGS, tools=('upper {"mass": 1}',)), replace(SETTINGS, external_wrench_frame='x')):
+        with pytest.raises(SemiparamError, match='is not a link of the robot description'):
+            stage.learner.check(settings)

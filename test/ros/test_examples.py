@@ -1,0 +1,90 @@
+"""The examples, short: tracking in MuJoCo with the live node, and efforts merged into trajectories."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from builtin_interfaces.msg import Duration
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from support.node_helpers import JOINTS, SETTINGS, URDF, motion
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+EXAMPLES = REPOSITORY / 'examples'
+LIVE = replace(SETTINGS, acceleration_source='measured', variant='P')
+
+
+def test_an_arm_in_mujoco_is_driven_by_the_torques_of_the_live_node(ros_domain, tmp_path):
+    pytest.importorskip('mujoco', reason='MuJoCo is an extra')
+    result = subprocess.run(
+        [sys.executable, str(EXAMPLES / 'tracking' / 'tracking.py'), '--urdf',
+         str(REPOSITORY / 'config' / 'icub_right_arm.urdf'), '--seconds', '8', '--speed', '8', '--folder',
+         str(tmp_path)], capture_output=True, text=True, timeout=240, check=False,
+        env={**os.environ, 'PYTHONPATH': str(REPOSITORY)})
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert 'learnt live' in result.stdout and (tmp_path / 'tracking.png').stat().st_size > 10_000
+    found = json.loads((tmp_path / 'tracking.json').read_text())['icub_right_arm']
+    first = found['first seconds']
+    assert first['learnt'] < first['none'] and first['learnt'] == pytest.approx(first['description'], rel=0.3)
+
+
+class Merger:
+    """The example's node as a process."""
+
+    def __init__(self, *arguments):
+        self.process = subprocess.Popen(
+            [sys.executable, str(EXAMPLES / 'ros2_control' / 'merge_efforts.py'), '--ros-args', *arguments],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+    def stop(self):
+        self.process.send_signal(signal.SIGINT)
+        return self.process.communicate(timeout=30)[0]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.kill()
+        self.process.wait()
+
+
+def wish(scale, count=3):
+    """A trajectory of the model's joints and a gripper, at some scale of accelerations."""
+    points = [JointTrajectoryPoint(positions=[0.1, 0.2, 0.0], velocities=[0.3, 0.1, 0.0],
+                                   accelerations=[scale, -scale, 0.0], time_from_start=Duration(nanosec=index * 10**7))
+              for index in range(count)]
+    return JointTrajectory(joint_names=['b', 'a', 'gripper'], points=points)
+
+
+def test_efforts_are_merged_into_trajectories_or_refused_in_a_sentence(start_node):
+    """Nothing is sent while there is no model, and nothing beyond the limits of the description."""
+    node, client = start_node(replace(LIVE, robot_description=URDF.replace('effort="10"', 'effort="6"')))
+    client.offer('joint_states', 'joint_accelerations', 'wrench')
+    with Merger('-p', 'patience:=3.0') as merger:
+        asked = client.node.create_publisher(JointTrajectory, 'effort_merger/in', 10)
+        client.wait(asked.get_subscription_count, 'the merger listens')
+        client.subscribe(JointTrajectory, '/effort_merger/out')
+        client.wait(lambda: client.node.count_publishers('/effort_merger/out')
+                    and client.node.count_subscribers('/desired_trajectory') >= 1, 'they have met')
+        client.meet()
+        asked.publish(wish(0.5))
+        client.wait_report('feedforward', lambda level, message, values: values['withheld'] == '1')
+        client.play(client.play_window(motion(150), JOINTS, 60), JOINTS)
+        asked.publish(wish(1e3))
+        client.wait_report('feedforward', lambda level, message, values: int(values['cut to the effort limits']) == 3)
+        asked.publish(wish(0.5))
+        client.wait(lambda: client.heard['/effort_merger/out'], 'the merged trajectory')
+        assert len(client.heard['/effort_merger/out']) == 1
+        found = client.heard['/effort_merger/out'][0]
+        assert list(found.joint_names) == ['b', 'a', 'gripper'] and len(found.points) == 3
+        assert all(point.effort[2] == 0.0 and abs(point.effort[1]) > 0.01 for point in found.points)
+        assert found.points[1].positions[0] == 0.1
+        said = merger.stop()
+    assert 'the trajectory is refused: the estimator has not answered within 3 s' in said
+    assert 'refused: 3 of 3 points need efforts beyond the limits of the robot description.' in said
+    assert node.stop() == 0
