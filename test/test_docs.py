@@ -23,7 +23,7 @@ PAGES = sorted([REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md', *sorte
 NAMES = [str(page.relative_to(REPOSITORY)) for page in PAGES]
 PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md', 'diagnosis.md'}
 """Pages of reference, whose commands take minutes or name files of yours: they are parsed."""
-UNTESTED = 30
+UNTESTED = 33
 """Blocks that need what no test has. A new one is a decision: count it here."""
 
 
