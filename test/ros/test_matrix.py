@@ -24,14 +24,14 @@ def test_an_effect_with_all_of_its_values_has_them_all(name):
     kind = kinds()[name]
     for outputs in kind.outputs:
         for place in ('first', 'last') if name != 'terms' else ():
-            effect = matrix.effect_of({'effect': name, 'outputs': outputs, 'values': 'all', 'start': 'none',
+            effect = matrix.effect_of({'effect': name, 'outputs': outputs, 'values': 'all', 'times': 'none',
                                        'place': place}, 3.0)
             assert {*effect.values, *TIMES} >= set(kind.value_names()) - set(kind.option_names)
 
 
 @pytest.mark.parametrize(('effect', 'factor', 'value'), matrix.IMPOSSIBLE)
 def test_an_impossible_pair_is_refused_with_a_sentence(effect, factor, value):
-    possible = {'effect': effect, 'outputs': kinds()[effect].outputs[0], 'values': 'bare', 'start': 'none',
+    possible = {'effect': effect, 'outputs': kinds()[effect].outputs[0], 'values': 'bare', 'times': 'none',
                 'place': 'last'}
     outputs = value if factor == 'outputs' else possible['outputs']
     declared = matrix.effect_of(possible if factor == 'outputs' else possible | {factor: value}, 3.0)
