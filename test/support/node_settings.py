@@ -26,6 +26,7 @@ from support.invalid_requests import NAN, InvalidRequests
 from support.node_client import RECENT, Client, Gaps, NodeProcess, messages, resident_mb, stamp_of, values_of
 from support.node_faults import ANSWERS, CHECK_EVERY, Fuzzer, counts_of, tell_thrown, with_gaps
 from support.node_helpers import BODY, JOINTS, URDF, motion
+from support.settings_matrix import TOOL
 
 LIVE = {row.name: row for row in PARAMETERS if row.live}
 FILES = ('state.npz', 'second.npz', 'third.npz')
@@ -71,6 +72,10 @@ class RandomSettings:
             return self.chance.random() < 0.5
         if row.name == 'forgetting':
             return self.chance.choice(['auto', 0.5, 0.9, 0.99, 0.999, 1.0, 1])
+        if row.name == 'external_wrench.frame':
+            return self.chance.choice(['', 'ft'])
+        if row.name == 'tools':
+            return self.chance.choice([[], [TOOL]])
         if row.name == 'horizon.length':
             return self.chance.choice([1, 2, 25, 200, 1000])
         low = row.minimum or 0.0

@@ -28,6 +28,7 @@ from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.parameter_table import PARAMETERS
 from support.node_client import Client, NodeProcess, resident_mb, stamp_of
 from support.node_helpers import BODY, JOINTS, SETTINGS, motion
+from support.settings_matrix import TOOL
 
 TOO_LONG = ('horizon.length', 10000)
 """The one value that costs more than a period of 200 Hz: the node says so, and all else has its turn."""
@@ -37,6 +38,7 @@ EVERY_KIND = [f'{name}@{place}' if place else name for name, kind in kinds('wren
 SPECIAL = {'state_file': ('a.npz', f'{"a" * 96}.npz'),
            'shadow_variants': ([''], list(CHOICES)),
            'effects': ([''], EVERY_KIND),
+           'external_wrench.frame': ('', 'ft'), 'tools': ([''], [TOOL]),
            'effects_reference': ([], [1e3] * BODY.n_parameters)}
 
 
