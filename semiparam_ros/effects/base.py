@@ -66,11 +66,11 @@ class Span:
 
     def in_recording(self, origin: int) -> Span:
         """The same by seconds after ``origin`` [ns] alone; the inverse of :meth:`at_stamps`."""
-        def seconds(seconds: float | None, stamp_s: float | None) -> float | None:
+        def counted(seconds: float | None, stamp_s: float | None) -> float | None:
             stamp = nanoseconds(stamp_s)
             return seconds if stamp is None else (stamp - origin) * 1e-9
 
-        return Span(seconds(self.start_s, self.start_stamp_s), None, seconds(self.end_s, self.end_stamp_s))
+        return Span(counted(self.start_s, self.start_stamp_s), None, counted(self.end_s, self.end_stamp_s))
 
     def holds(self, stamps: Stamps | int, origin: int) -> Mask:
         """(N,) whether it acts at stamps [ns]; ``origin`` [ns] is where ``start_s`` and ``end_s`` count from."""
