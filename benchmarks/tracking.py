@@ -1,9 +1,10 @@
 """How well an arm follows with feedforward from what was learnt: ``python benchmarks/tracking.py ROBOTS``.
 
 ROBOTS is the folder ``robots`` of example-robot-data. MuJoCo moves arms whose masses, friction and rotors differ from
-the description. A PD controller takes feedforward efforts: none, those of the description, or those of the default
-model after a minute of another motion, which goes on learning. No diagnosis, nothing chosen by hand. A desired state
-that is not valid by the model is counted, and its feedforward is used all the same.
+the description. A PD controller, tuned by the inertia that each motor moves (described links and true rotor, as its
+maker tunes it), takes feedforward efforts: none, those of the description, or those of the default model after a
+minute of another motion, which goes on learning. No diagnosis, nothing chosen by hand. A desired state that is not
+valid by the model is counted, and its feedforward is used all the same.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from support.mujoco_arm import STEP_S, Robot, built
 ARMS = ('UR5 at', 'Panda, efforts')
 RATE_HZ = 200
 STIFFNESS, DAMPING = 100.0, 20.0
-"""[1/s^2], [1/s] times the described inertia of each joint."""
+"""[1/s^2], [1/s] times the inertia of each joint with its rotor."""
 SHARE_OF_START_S = 2.0
 """What a motion takes to be followed; not judged."""
 
@@ -59,7 +60,7 @@ class Arm:
             self.model.body('load').mass, self.model.body('load').inertia = setting.payload_kg, [2e-3] * 3
             mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
         self.dofs = np.array([self.model.joint(name).dofadr[0] for name in setting.joints])
-        self.gains = np.diag(self._described_inertia(np.array(setting.home)))
+        self.gains = np.diag(self._described_inertia(np.array(setting.home))) + setting.armature
 
     def _described_inertia(self, position: Array) -> Array:
         """(n, n) by unit accelerations of the description at rest."""

@@ -24,7 +24,7 @@ from semiparam_ros.core.initial_window import InitialWindow, Remembered
 from semiparam_ros.core.input_range import beyond, widened
 from semiparam_ros.core.learnt_inputs import LearntInputs
 from semiparam_ros.core.motion import Motion, at_start
-from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum
+from semiparam_ros.core.random_features import FREQUENCIES, RandomFeatures, input_scaling, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion, learn
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import output_scale
@@ -142,6 +142,7 @@ class ModelOptions:
     variant: str = 'SPK-ML'
     features_count: int | str = 200
     features_seed: int = 0
+    features_frequencies: str = FREQUENCIES[0]
     length_scales: LengthScales = 'kind'
     noise: Noise = 'output'
     initial_samples: int = 1000
@@ -618,7 +619,7 @@ class SingleEstimator:
 
     def _estimate(self, window: InitialWindow, scaling: tuple[Array, Array], draft: bool) -> Hyperparameters:
         options, inputs = self.options, (window.inputs - scaling[0]) / scaling[1]
-        omega = spectrum(inputs.shape[1], options.most_features, options.features_seed)
+        omega = spectrum(inputs.shape[1], options.most_features, options.features_seed, options.features_frequencies)
         return estimate(options.variant, window.outputs, window.columns, inputs, omega,
                         length_scales=options.length_scales, noise=options.noise,
                         prior_scale=self.columns.prior_scale, n_effects=self.columns.n_effects,
@@ -650,7 +651,7 @@ class SingleEstimator:
             chosen = self.options.features_count
             count = chosen if isinstance(chosen, int) else hyperparameters.features
             features = RandomFeatures(3 * self.body.n_joints, count, self.options.features_seed, hyperparameters.tau,
-                                      *self.input_scaling)
+                                      *self.input_scaling, self.options.features_frequencies)
         hyperparameters = replace(hyperparameters, features=count)  # given ones do not know it, and are handed on
         given = self.options.forgetting
         return Model(self.variant, hyperparameters, features, self.columns.prior_scale, self.columns.expected,

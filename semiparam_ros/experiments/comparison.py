@@ -71,8 +71,9 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
                   seeds: Sequence[int] = (0, 1, 2), estimation: Estimation | None = None) -> Scenario:
     """Check that the two recordings fit each other and are long enough.
 
-    The paper's models have a bare rigid body, the paper's priors and no wandering offset: with ``forgetting: auto``
-    they forget nothing and have none here. With ``features.count: auto`` they have as many features as it chooses from.
+    The paper's models have a bare rigid body, the paper's priors, independent frequencies and no wandering offset:
+    with ``forgetting: auto`` they forget nothing and have none here. With ``features.count: auto`` they have as many
+    features as it chooses from.
 
     :param subset_samples: length of each part of ``test``; by default all of it is divided.
     :param train_samples: how much of ``train`` to use; by default all. :param test_from: first row of ``test`` to use.
@@ -80,7 +81,7 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     _require_same_robot(train, test)
     settings = replace(settings, forgetting=1.0) if settings.forgetting == AUTO else settings
     settings = replace(settings, features_count=model_options(settings).most_features, priors='paper',
-                       joint_friction=False)
+                       joint_friction=False, features_frequencies='independent')
     if train_samples is not None and train_samples < 1:
         raise SemiparamError(f'{train_samples} samples of the first recording were asked for; expected at least 1.')
     learnt = train.samples[:train_samples]

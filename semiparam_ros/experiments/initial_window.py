@@ -41,7 +41,7 @@ def fitted_settings(settings: Settings, samples: Samples, robot_description: str
     columns = CoupledColumns(body, declared_effects(settings), options.joint_friction, options.physical)
     coupled, _ = columns.batch(samples)
     mean, scale = input_scaling(samples.inputs)
-    omega = spectrum(len(mean), options.most_features, options.features_seed)
+    omega = spectrum(len(mean), options.most_features, options.features_seed, options.features_frequencies)
     found = estimate(
         options.variant, samples.outputs, np.asarray(coupled), (samples.inputs - mean) / scale, omega,
         length_scales=options.length_scales, noise=options.noise, drifting=estimation.drifting,

@@ -33,7 +33,7 @@ from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 20
+FORMAT, VERSION = 'semiparam_ros state', 21
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise', 'forgetting',
@@ -43,7 +43,8 @@ ADOPTED = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors'
 MEMBER_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
 """Groups of arrays of each variant averaged with the first one."""
 
-FIXED = ('outputs', 'temperatures', 'features.count', 'features.seed', 'features.length_scales', 'initial.samples')
+FIXED = ('outputs', 'temperatures', 'features.count', 'features.seed', 'features.frequencies',
+         'features.length_scales', 'initial.samples')
 """Parameters that cannot change while a node runs, and so must agree."""
 
 ASIDE = 'aside'

@@ -42,6 +42,7 @@ def model_options(settings: Table) -> ModelOptions:
     """The part of the settings that the model itself knows."""
     return ModelOptions(
         variant=settings.variant, features_count=settings.features_count, features_seed=settings.features_seed,
+        features_frequencies=settings.features_frequencies,
         length_scales=cast('LengthScales', settings.features_length_scales), noise=cast('Noise', settings.noise),
         initial_samples=settings.initial_samples, horizon=settings.horizon_length, forgetting=settings.forgetting,
         joint_friction=settings.joint_friction, priors=settings.priors,

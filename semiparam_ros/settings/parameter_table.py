@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, TypeAlias, TypeGuard
 
+from semiparam_ros.core.random_features import FREQUENCIES
 from semiparam_ros.core.variants import CHOICES
 
 Value: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
@@ -233,6 +234,10 @@ class Table:
         'features.count', 200, 'Number D of random features (cosines and sines, hence even). auto: the fewest, up to '
         '500, that explain the initial window as well as 500.', minimum=2, maximum=20000, words=('auto',))
     features_seed: int = declare('features.seed', 0, 'Seed of the random frequencies.', minimum=0, maximum=2**31 - 1)
+    features_frequencies: str = declare(
+        'features.frequencies', FREQUENCIES[0], 'How the random frequencies are drawn. orthogonal: rows of random '
+        'rotations, which need fewer features for the same kernel; independent: as in the paper.',
+        choices=FREQUENCIES)
     features_length_scales: str = declare(
         'features.length_scales', 'kind', 'One length scale for all inputs, one for each kind (position, velocity, '
         'acceleration), or one for each input.', choices=('one', 'kind', 'input'))

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum, spread
+from semiparam_ros.core.random_features import FREQUENCIES, RandomFeatures, input_scaling, spectrum, spread
 from semiparam_ros.errors import SemiparamError
 
 M = 6
 X = np.random.default_rng(0).normal(size=(30, M))
 
 
-def features(count=400, seed=0, tau=(2.0,), mean=(0.0,) * M, scale=(1.0,) * M):
-    return RandomFeatures(M, count, seed, tau, np.array(mean), np.array(scale))
+def features(count=400, seed=0, tau=(2.0,), mean=(0.0,) * M, scale=(1.0,) * M, frequencies='orthogonal'):
+    return RandomFeatures(M, count, seed, tau, np.array(mean), np.array(scale), frequencies)
 
 
 def gaussian_kernel(x, tau):
@@ -19,14 +19,39 @@ def gaussian_kernel(x, tau):
     return np.exp(-0.5 * np.sum(distance**2, axis=2))
 
 
+@pytest.mark.parametrize('frequencies', FREQUENCIES)
 @pytest.mark.parametrize('tau', [(2.0,), (1.0, 2.0, 4.0), (1.0, 1.5, 2.0, 2.5, 3.0, 9.0)])
-def test_inner_products_tend_to_the_gaussian_kernel(tau):
+def test_inner_products_tend_to_the_gaussian_kernel(tau, frequencies):
     expected = gaussian_kernel(X, spread(tau, M))
     worst = []
     for count in (200, 20_000):
-        phi = features(count, tau=tau).batch(X)
+        phi = features(count, tau=tau, frequencies=frequencies).batch(X)
         worst.append(np.abs(phi @ phi.T - expected).max())
     assert worst[1] < 5 / np.sqrt(20_000) < worst[0]  # five standard deviations of the mean of 10 000 cosines
+
+
+def test_orthogonal_frequencies_have_the_same_mean_and_less_variance():
+    """Yu et al. 2016: about the kernel at points that are near each other most of all."""
+    expected, squares = gaussian_kernel(X, 2.0), {}
+    for frequencies in FREQUENCIES:
+        draws = [features(60, seed, frequencies=frequencies).batch(X) for seed in range(200)]
+        errors = np.array([phi @ phi.T - expected for phi in draws])
+        assert np.abs(errors.mean(axis=0)).max() < 5 * np.sqrt(0.5 / 30 / 200)
+        squares[frequencies] = np.mean(errors**2)
+    assert squares['orthogonal'] < 0.8 * squares['independent']
+
+
+@pytest.mark.parametrize('frequencies', FREQUENCIES)
+def test_fewer_features_have_the_first_frequencies_of_more(frequencies):
+    more = spectrum(M, 50, 3, frequencies)
+    np.testing.assert_array_equal(spectrum(M, 22, 3, frequencies), more[:11])
+    assert more.shape == (25, M)
+
+
+def test_blocks_of_frequencies_are_orthogonal():
+    for block in spectrum(M, 6 * M, 1).reshape(-1, M, M):
+        gram = block @ block.T
+        np.testing.assert_allclose(gram, np.diag(gram.diagonal()), atol=1e-12)
 
 
 def test_the_features_of_one_input_have_norm_one():

@@ -104,13 +104,14 @@ SCRATCH = {
 
 
 LAYOUT = {
-    20: {
+    21: {
         'meta': 'format gate joints known memory newest origin others passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar free level '
                 'mean newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
-        'settings': 'effects effects_reference features.count features.length_scales features.seed forgetting '
-                    'horizon.length initial.samples joint_friction noise outputs priors temperatures variant',
+        'settings': 'effects effects_reference features.count features.frequencies features.length_scales '
+                    'features.seed forgetting horizon.length initial.samples joint_friction noise outputs priors '
+                    'temperatures variant',
         'bias': 'f8 (6,)', 'probe': 'f8 (19, 10)', 'inputs_learnt': 'f8 (2, 6)', 'temperature': 'f8 (0,)',
         'history.stamps': 'i8 (70,)', 'history.position': 'f8 (70, 2)', 'history.velocity': 'f8 (70, 2)',
         'history.acceleration': 'f8 (70, 2)', 'history.outputs': 'f8 (70, 6)', 'history.learnt': 'i1 (70,)',

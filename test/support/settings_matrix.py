@@ -34,6 +34,7 @@ from covertable import make
 
 from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.random_features import FREQUENCIES
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
@@ -69,6 +70,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'noise': ('output', 'one'),
     'length_scales': ('kind', 'one', 'input'),
     'features': (10, 'auto'),
+    'frequencies': FREQUENCIES,
     'learn_every': (1, 3),
     'least_gain': (0.0, 0.05),
     'gate': (True, False),
@@ -214,6 +216,7 @@ def settings_of(row: Row, count: int) -> Settings:
         'temperatures': [] if row['temperatures'] == 'none' else ['ft'] if wrench else JOINTS[-1:],
         'effects': [effect_to_text(effect)] if effect else [], 'forgetting': row['forgetting'], 'noise': row['noise'],
         'features.length_scales': row['length_scales'], 'features.count': row['features'],
+        'features.frequencies': row['frequencies'],
         'learn.every': row['learn_every'], 'learn.least_gain': row['least_gain'], 'initial.samples': WINDOW,
         'gate.enabled': row['gate'], 'tools': [TOOL] if row['tools'] else [], 'horizon.length': row['horizon'],
         'retained.samples': max(count // 10, 20)})
