@@ -343,19 +343,20 @@ class Estimator(SingleEstimator):
         super()._take_in(own, learn, past[0])
         for other, its, charged in zip(self._others, beside, past[1:], strict=True):
             other._take_in(its, learn, charged)
-        std = _stacked(prediction.members, 'std')
+        std = prediction.member_std
         if prediction.motion.is_news and counts:
-            self._weights.learn(outputs - _stacked(prediction.members, 'mean'), std)
+            self._weights.learn(outputs - prediction.member_mean, std)
         return self._horizons.advance_average(stamp, past, outputs, self._weights.weights, std)
 
     def _averaged(self, members: tuple[Prediction, ...]) -> Prediction:
         own = members[0]
+        means, deviations = np.array([each.mean for each in members]), np.array([each.std for each in members])
         mean, std, model_mean, covariance = pool_both(
-            self._weights.weights, _stacked(members, 'mean'), _stacked(members, 'std'),
-            _stacked(members, 'model_mean'), np.array([each.prior.covariance for each in members]))
+            self._weights.weights, means, deviations, np.array([each.model_mean for each in members]),
+            np.array([each.prior.covariance for each in members]))
         prior = own.prior._replace(covariance=covariance)
         return own._replace(mean=mean, std=std, model_mean=model_mean, model_std=np.sqrt(covariance.diagonal()),
-                            prior=prior, members=members)
+                            prior=prior, members=members, member_mean=means, member_std=deviations)
 
     def _charge_left_out(self, prediction: Prediction) -> None:
         if not (self.ready and prediction.motion.is_news):
@@ -418,7 +419,3 @@ def _weigh(errors: Array, std: Array, log_weights: Array, weights: Array) -> Non
             total += weights[m, k]
         for m in range(members):
             weights[m, k] /= total
-
-
-def _stacked(members: Sequence[Prediction], name: str) -> Array:
-    return np.array([getattr(each, name) for each in members])

@@ -171,6 +171,9 @@ class ModelOptions:
         return self.features_count if isinstance(self.features_count, int) else MOST
 
 
+NO_MEMBERS: Array = np.zeros((0, 0))
+
+
 class Prediction(NamedTuple):
     """What the model said of one sample before learning it, in N, N m."""
 
@@ -188,6 +191,8 @@ class Prediction(NamedTuple):
     """How far the inputs lie outside of those learnt, see :func:`~semiparam_ros.core.input_range.beyond`."""
     members: tuple[Prediction, ...] = ()
     """Of the variants that it is the average of, where it is one."""
+    member_mean: Array = NO_MEMBERS  # (K, n) theirs
+    member_std: Array = NO_MEMBERS  # (K, n)
     off: bool = False
     """Whether the motors are off behind brakes: nothing moves, and all outputs are far smaller than predicted."""
     horizon: HorizonErrors | None = None
@@ -327,7 +332,7 @@ class SingleEstimator:
             off = bool(np.abs(seen.sample.outputs).max() < OFF_SHARE * np.abs(prior.mean).max())
             motion = motion._replace(is_news=motion.is_news and not off)
         return Prediction(mean, self.calibration.factor * prior.std, prior.mean, prior.std, self.ready,
-                          seen.sample, prior, seen.columns, seen.memory, motion, seen.beyond, (), off)
+                          seen.sample, prior, seen.columns, seen.memory, motion, seen.beyond, off=off)
 
     @property
     def offset(self) -> Array:
