@@ -8,7 +8,13 @@ from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from semiparam_ros.core.robot.joint_friction import KINDS, fill_friction, friction_columns, friction_scale
+from semiparam_ros.core.robot.joint_friction import (
+    KINDS,
+    fill_friction,
+    friction_columns,
+    friction_prior,
+    friction_scale,
+)
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample, Samples
@@ -180,8 +186,10 @@ class CoupledColumns:
         """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless ``physical``, wide for
         the offset of a wrench, of the joint's size for friction and offset of an effort."""
         rigid = base_scale(self.body) if self.physical else np.ones(self.body.n_parameters)
-        joints = friction_scale(self.body) if self.has_friction else np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE)
-        return np.concatenate([rigid, np.tile(joints, 1 + KINDS * self.has_friction), *self._effect_scales])
+        joints = [np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE)]
+        if self.has_friction:
+            joints = [friction_prior(self.body), friction_scale(self.body)]
+        return np.concatenate([rigid, *joints, *self._effect_scales])
 
     @property
     def prior_mean(self) -> Array:

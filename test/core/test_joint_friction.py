@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
-from semiparam_ros.core.robot.joint_friction import KINDS, TURN_SPEEDS, friction_columns, friction_scale
+from semiparam_ros.core.robot.joint_friction import KINDS, TOP_SPEED, TURN_SPEEDS, friction_columns, friction_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, inertial_scale
 from semiparam_ros.core.single_estimator import ModelOptions
@@ -66,7 +66,9 @@ def test_the_prior_is_as_wide_as_the_robot_is_large():
     columns = CoupledColumns(ARM, joint_friction=True, physical=True)
     scale, blocks = columns.prior_scale, columns.blocks
     np.testing.assert_array_equal(scale[blocks['rigid_body']], base_scale(ARM))
-    np.testing.assert_array_equal(scale[blocks['friction']].reshape(KINDS, -1), [friction_scale(ARM)] * KINDS)
+    viscous, *dry = scale[blocks['friction']].reshape(KINDS, -1)
+    np.testing.assert_allclose(viscous * TOP_SPEED, friction_scale(ARM), rtol=1e-14)
+    np.testing.assert_array_equal(dry, [friction_scale(ARM)] * len(TURN_SPEEDS))
     np.testing.assert_array_equal(scale[blocks['offset']], friction_scale(ARM))
     np.testing.assert_array_equal(columns.expected[blocks['rigid_body']], ARM.base_parameters)
     assert not CoupledColumns(ARM, joint_friction=True).expected.any(), 'of the paper: about zero'

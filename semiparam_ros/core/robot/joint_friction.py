@@ -22,6 +22,8 @@ TURN_SPEEDS = np.array([0.005, 0.03])
 """[rad/s, m/s] v_s. Measured arms turn over within 0.3 to 3 % of their top speed."""
 SHARE_OF_LIMIT = 0.2
 """Of the largest effort that a joint may give, what its friction may be."""
+TOP_SPEED = 3.0
+"""[rad/s, m/s] at which viscous friction is as large as that; arms move as fast at most, and are learnt far slower."""
 KINDS = 1 + len(TURN_SPEEDS)
 """Columns of friction of each output; those of one kind stand together."""
 NAMES = ('viscous', *(f'dry_{speed:g}' for speed in TURN_SPEEDS))
@@ -51,6 +53,12 @@ def friction_scale(body: RigidBody) -> Array:
     carries, or of the largest effort that the robot description permits, whichever is larger."""
     limits = np.where(np.isfinite(body.effort_limits), body.effort_limits, 0.0)
     return np.asarray(np.maximum(output_scale(body), SHARE_OF_LIMIT * limits))
+
+
+def friction_prior(body: RigidBody) -> Array:
+    """(KINDS n,) prior standard deviations of the columns' coefficients, in the order of the columns."""
+    scale = friction_scale(body)
+    return np.concatenate([scale / TOP_SPEED, np.tile(scale, len(TURN_SPEEDS))])
 
 
 @compiled(STRIDED, INTEGERS, VECTOR, PART)
