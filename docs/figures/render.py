@@ -1,0 +1,204 @@
+"""The tables and pictures of docs/benchmarks.md, from the JSON files beside this script.
+
+    python docs/figures/render.py
+
+A file that a command wrote with ``--json`` has a function here that makes its table. A file with ``typed_from``
+was copied from that page of the log; it holds its table as it is. Tables stand between two marks that name the file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+FOLDER = Path(__file__).resolve().parent
+PAGE = FOLDER.parent / 'benchmarks.md'
+LEARNING, FROZEN, EARLY, PLAIN = '#2f6fd0', '#1a9a6c', '#a9d8c5', '#dd8a00'
+Document = dict[str, Any]
+
+
+class Table(NamedTuple):
+    """Headings and cells, as text."""
+
+    columns: Sequence[str]
+    rows: Iterable[Sequence[str]]
+
+    def __str__(self) -> str:
+        lines = [self.columns, ['---'] * len(self.columns), *self.rows]
+        return ''.join(f'| {" | ".join(cells)} |\n' for cells in lines)
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """Of a share."""
+    return f'{100.0 * share:.{digits}f} %'
+
+
+def document(name: str) -> Document:
+    """One of the files."""
+    return dict(json.loads((FOLDER / f'{name}.json').read_text(encoding='utf-8')))
+
+
+def variants(found: Document) -> Table:
+    """Error while learning the second recording, and the share within the bands of the default."""
+    chosen = ('P', 'SP-ML', 'SPK-ML', 'auto')
+    return Table(('Recording', *chosen, '95 % bands hold (SPK-ML)'), [
+        (pair, *(f'{runs[name]["learning"]["nmse"]:.4f}' for name in chosen),
+         percent(runs["SPK-ML"]["learning"]["band"], 1)) for pair, runs in _by_pair(found).items()])
+
+
+def frozen_variants(found: Document) -> Table:
+    """Error on the second recording without learning it."""
+    chosen = ('P', 'SP-ML', 'SP2-ML', 'SPK-ML', 'SP2-VS', 'auto')
+    return Table(('A to B', *chosen), [
+        (pair, *(f'{runs[name]["frozen"]["nmse"]:.4f}' for name in chosen)) for pair, runs in _by_pair(found).items()])
+
+
+def _by_pair(found: Document) -> dict[str, dict[str, Document]]:
+    pairs: dict[str, dict[str, Document]] = {}
+    for run in found['runs']:
+        pairs.setdefault(run['pair'], {})[run['variant']] = run
+    return pairs
+
+
+def other_motion(found: Document) -> Table:
+    """After ten seconds of A and after all of it, beside the plain model."""
+    rows = []
+    for pair, (early, whole) in _by_seconds(found).items():
+        frozen, ahead = whole['frozen'], whole.get('feedforward')
+        rows.append((pair, f'{whole["plain"]:.4f}', f'{early["frozen"]["nmse"]:.4f}', f'{frozen["nmse"]:.4f}',
+                     f'{frozen["nmse"] / whole["plain"]:.2f}', percent(frozen["band"], 1),
+                     f'{whole["learning"]["nmse"]:.4f}', percent(ahead["valid"]) if ahead else 'all cut'))
+    return Table(('A to B', 'By hand', 'Frozen after 10 s', 'Frozen', 'Over by hand', 'Bands hold', 'Learning B',
+                  'States valid'), rows)
+
+
+def _by_seconds(found: Document) -> dict[str, tuple[Document, Document]]:
+    """Each pair's run after ten seconds and after the whole motion."""
+    whole = {run['pair']: run for run in found['runs'] if run['seconds'] is None}
+    early = {run['pair']: run for run in found['runs'] if run['seconds'] is not None}
+    return {pair: (early[pair], run) for pair, run in whole.items()}
+
+
+def bench(found: Document) -> Table:
+    """Median cost of a sample by the number of features."""
+    return Table(('Features', 'A sample [us]', 'Update of the features alone, textbook (Potter) [us]',
+                  'Textbook recursion on all unknowns [us]'), [
+        (f'D = {size["features"]}', *(f'{size["microseconds"][name]:.0f}' for name in ('SPK', 'Potter', 'dense')))
+        for size in found['sizes']])
+
+
+def many_joints(found: Document) -> Table:
+    """Cost by the number of joints."""
+    return Table(('Joints', 'Base parameters', 'P [us]', 'SPK-ML [us]', 'Hyperparameters of SPK-ML [s]'), [
+        (str(run['joints']), str(run['columns']), *(f'{run["sample_us"][name]:.0f}' for name in ('P', 'SPK-ML')),
+         f'{run["window_s"]["SPK-ML"]:.1f}') for run in found['runs']])
+
+
+def measured_arms(found: Document) -> Table:
+    """Held-out errors of diagnoses."""
+    return Table(('Recording', 'Before', 'After', 'By hand', 'After, over by hand'), [
+        (run['case'], f'{run["before"]:.4f}', f'{run["after"]:.4f}', f'{run["plain"]:.4f}',
+         f'{run["after"] / run["plain"]:.2f}') for run in found['runs']])
+
+
+def mujoco_arms(found: Document) -> Table:
+    """The same of simulated arms."""
+    return Table(('Setting', 'Before', 'After', 'After, over by hand'), [
+        (run['case'], f'{run["before"]:.4f}', f'{run["after"]:.4f}', f'{run["after"] / run["plain"]:.2f}')
+        for run in found['runs']])
+
+
+def put_down(found: Document) -> Table:
+    """Causes that are there for a part of a recording."""
+    spans = {'until': 'Until 41 s', 'between': '22 to 45 s', 'short': '30 to 41 s', 'since': 'Since 45 s'}
+    return Table(('Cause', 'Outputs', *spans.values()), [
+        (run['cause'], run['outputs'], *(f'{run["right"][span]} of {run["recordings"]}' for span in spans))
+        for run in found['runs']])
+
+
+def tracking(found: Document) -> Table:
+    """Tracking errors of three seeds."""
+    rows = []
+    for arm in dict.fromkeys(run['arm'] for run in found['runs']):
+        runs = [run for run in found['runs'] if run['arm'] == arm]
+        spans = [f'{min(values):.0f} to {max(values):.0f}'
+                 for values in ([run[name] for run in runs] for name in ('none', 'description', 'learnt'))]
+        ratio = [f'{run["learnt"] / run["description"]:.2f}' for run in runs]
+        rows.append((arm, *spans, ', '.join(ratio)))
+    return Table(('Arm', 'No feedforward', 'Description', 'Learnt', 'Learnt over description'), rows)
+
+
+def exported_arms(found: Document) -> Table:
+    """Errors of exported descriptions."""
+    names = ('description', 'exported', 'links changed')
+    return Table(('Arm', 'Description', 'Exported', 'Links changed'), [
+        (run['arm'], *(run[name].replace('%', ' %') for name in names)) for run in found['runs']])
+
+
+MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
+    'variants': ('variants', variants), 'frozen_variants': ('variants', frozen_variants),
+    **{make.__name__: (make.__name__, make) for make in
+       (other_motion, bench, many_joints, measured_arms, mujoco_arms, put_down, tracking, exported_arms)}}
+"""The file and the function of each table that a command's JSON gives."""
+
+
+def sources() -> Table:
+    """Each file, how it came about, and the command."""
+    rows = []
+    for path in sorted(FOLDER.glob('*.json')):
+        found = document(path.stem)
+        source = found.get('typed_from')
+        origin = f'typed from [{source[4:14]}]({source})' if source else 'written by the command'
+        rows.append((f'`{path.name}`', origin))
+    return Table(('File', 'Figures'), rows)
+
+
+def table(name: str) -> str:
+    """One table as Markdown."""
+    if name == 'sources':
+        return str(sources())
+    source, make = MADE.get(name, (name, None))
+    found = document(source)
+    return str(make(found) if make and 'typed_from' not in found else Table(found['columns'], found['rows']))
+
+
+def with_tables(page: str) -> str:
+    """The page with each table as its file has it."""
+    return re.sub(r'(?<=<!-- table )(\w+)(: begin -->\n).*?(?=<!-- table \1: end -->)',
+                  lambda mark: f'{mark[1]}{mark[2]}{table(mark[1])}', page, flags=re.DOTALL)
+
+
+def draw_other_motion(picture: Path) -> None:
+    """Errors on another motion, one row for each robot."""
+    from matplotlib.figure import Figure
+
+    found = list(reversed(_by_seconds(document('other_motion')).items()))
+    series = {'by hand': (PLAIN, 's', [whole['plain'] for _, (_, whole) in found]),
+              'after 10 s of A': (EARLY, 'o', [early['frozen']['nmse'] for _, (early, _) in found]),
+              'after all of A': (FROZEN, 'o', [whole['frozen']['nmse'] for _, (_, whole) in found]),
+              'while learning B': (LEARNING, 'o', [whole['learning']['nmse'] for _, (_, whole) in found])}
+    figure = Figure(figsize=(7.0, 5.2), layout='constrained')
+    panel = figure.subplots()
+    for row, values in enumerate(zip(*(values for _, _, values in series.values()), strict=True)):
+        panel.plot([min(values), max(values)], [row, row], color='#d5dbe1', linewidth=1.0, zorder=0)
+    for label, (colour, marker, values) in series.items():
+        panel.scatter(values, range(len(found)), color=colour, marker=marker, s=36, label=label)
+    panel.set(xscale='log', xlabel='error on B: mean square over variance', yticks=range(len(found)),
+              yticklabels=[name for name, _ in found])
+    panel.legend(ncols=4, fontsize='small', loc='lower center', bbox_to_anchor=(0.45, 1.0), frameon=False)
+    panel.grid(axis='x', alpha=0.3)
+    panel.spines[['top', 'right']].set_visible(False)
+    figure.savefig(picture, dpi=120)
+
+
+def main() -> None:
+    """Write the tables into the page, and the picture."""
+    PAGE.write_text(with_tables(PAGE.read_text(encoding='utf-8')), encoding='utf-8')
+    draw_other_motion(FOLDER.parent / 'images' / 'other_motion.png')
+
+
+if __name__ == '__main__':
+    main()
