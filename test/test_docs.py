@@ -153,6 +153,14 @@ def test_no_sentence_is_long(page):
     assert not long
 
 
+def test_an_entry_of_the_changelog_is_one_line():
+    """What changes for the user; how it came about is told by the commit, and figures by the log."""
+    text = CHANGES.read_text(encoding='utf-8')
+    newest = re.search(r'^\S+ \([\d-]+\)\n-+\n(.*?)^\S+ \([\d-]+\)$', text, re.MULTILINE | re.DOTALL)[1].splitlines()
+    assert len(newest) > 10
+    assert [line for line in newest if not re.fullmatch(r'\* .{1,98}|[A-Z][\w ]+:|', line)] == []
+
+
 def sentences_of(page):
     """Of paragraphs and items of lists; code, tables, headings and formulas are none."""
     text = re.sub(r'^ *```.*?^ *```$|<!--.*?-->', '', page.read_text(encoding='utf-8'), flags=re.MULTILINE | re.DOTALL)
