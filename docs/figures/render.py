@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -98,17 +99,16 @@ def many_joints(found: Document) -> Table:
 
 
 def measured_arms(found: Document) -> Table:
-    """Held-out errors of diagnoses."""
-    return Table(('Recording', 'Before', 'After', 'By hand', 'After, over by hand'), [
+    """Held-out errors of diagnoses, beside the fit by hand, and how many of each kind were found."""
+    return Table(('Recording', 'Before', 'After', 'By hand', 'After, over by hand', 'Found'), [
         (run['case'], f'{run["before"]:.4f}', f'{run["after"]:.4f}', f'{run["plain"]:.4f}',
-         f'{run["after"] / run["plain"]:.2f}') for run in found['runs']])
+         f'{run["after"] / run["plain"]:.2f}', _kinds(run['found'])) for run in found['runs']])
 
 
-def mujoco_arms(found: Document) -> Table:
-    """The same of simulated arms."""
-    return Table(('Setting', 'Before', 'After', 'After, over by hand'), [
-        (run['case'], f'{run["before"]:.4f}', f'{run["after"]:.4f}', f'{run["after"] / run["plain"]:.2f}')
-        for run in found['runs']])
+def _kinds(found: Sequence[str]) -> str:
+    """Kinds of effects, with how many there are of each."""
+    counts = Counter(effect.partition('@')[0] for effect in found)
+    return ', '.join(f'`{kind}`' if count == 1 else f'{count} `{kind}`' for kind, count in counts.items()) or 'nothing'
 
 
 def put_down(found: Document) -> Table:
@@ -140,8 +140,9 @@ def exported_arms(found: Document) -> Table:
 
 MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
     'variants': ('variants', variants), 'frozen_variants': ('variants', frozen_variants),
+    'mujoco_arms': ('mujoco_arms', measured_arms),
     **{make.__name__: (make.__name__, make) for make in
-       (other_motion, bench, many_joints, measured_arms, mujoco_arms, put_down, tracking, exported_arms)}}
+       (other_motion, bench, many_joints, measured_arms, put_down, tracking, exported_arms)}}
 """The file and the function of each table that a command's JSON gives."""
 
 
