@@ -151,7 +151,10 @@ def _predicted(learner: OfflineLearner, samples: Samples, learn: bool) -> list[A
 
 
 def feedforward(learner: OfflineLearner, pair: Pair) -> dict[str, Any] | None:
-    """Desired states of B that no effort limit cuts: error, and what ``valid`` is worth; None of none."""
+    """Desired states of B that no effort limit cuts: error, and what ``valid`` is worth.
+
+    None where all are cut.
+    """
     from semiparam_ros.core.robot.feedforward import desired
 
     second = pair.second[moving(pair.second)]

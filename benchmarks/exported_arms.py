@@ -120,8 +120,9 @@ def main() -> None:
     Console(width=120).print(table)
     if args.json:
         names = [str(column.header) for column in table.columns]
-        document = {'command': 'exported_arms', 'runs': [dict(zip(names, row, strict=True)) for row in rows]}
-        args.json.write_text(json.dumps(document, indent=1) + '\n', encoding='utf-8')
+        runs = [dict(zip(names, row, strict=True)) for row in rows]
+        document = json.dumps({'command': 'exported_arms', 'runs': runs}, indent=1)
+        args.json.write_text(document + '\n', encoding='utf-8')
 
 
 if __name__ == '__main__':

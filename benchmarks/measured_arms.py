@@ -130,7 +130,7 @@ def _converted(source: Path, folder: Path, params: str, *options: object) -> tup
 
 
 def report(rows: Iterator[tuple[str, Compared]], command: str, path: Path | None = None) -> None:
-    """One line for each case as soon as it is known, then the table; ``path`` gets all figures as JSON."""
+    """One line for each case as soon as it is known, then the table; JSON to ``path``."""
     console, known = Console(width=200), []
     table = Table('case', 'plain model', 'before', 'after', 'after / plain', 'calibrated on top', 'time [s]', 'found')
     for name, row in rows:
@@ -142,7 +142,8 @@ def report(rows: Iterator[tuple[str, Compared]], command: str, path: Path | None
         table.add_row(*cells)
     console.print(table)
     if path:
-        path.write_text(json.dumps({'command': command, 'runs': known}, indent=1) + '\n', encoding='utf-8')
+        document = json.dumps({'command': command, 'runs': known}, indent=1)
+        path.write_text(document + '\n', encoding='utf-8')
 
 
 if __name__ == '__main__':

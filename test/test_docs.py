@@ -25,7 +25,8 @@ PAGES = sorted([REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md',
                 *sorted({*(REPOSITORY / 'docs').rglob('*.md')} - {*LOG})],
                key=lambda page: '\n# terminal 1' in page.read_text(encoding='utf-8'))
 NAMES = [str(page.relative_to(REPOSITORY)) for page in PAGES]
-PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md', 'node.md', 'diagnosis.md'}
+PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md',
+          'node.md', 'diagnosis.md'}
 LONGEST = 35
 """Words of a sentence."""
 """Pages of reference, whose commands take minutes or name files of yours: they are parsed."""
@@ -149,34 +150,38 @@ CHANGES = REPOSITORY / 'CHANGELOG.rst'
 
 @pytest.mark.parametrize('page', [*PAGES, CHANGES], ids=[*NAMES, CHANGES.name])
 def test_no_sentence_is_long(page):
-    long = [sentence for sentence in sentences_of(page) if len(re.findall(r'\S*\w\S*', sentence)) > LONGEST]
-    assert not long
+    words = {sentence: len(re.findall(r'\S*\w\S*', sentence)) for sentence in sentences_of(page)}
+    assert not [sentence for sentence, count in words.items() if count > LONGEST]
 
 
 def test_an_entry_of_the_changelog_is_one_line():
     """What changes for the user; how it came about is told by the commit, and figures by the log."""
     text = CHANGES.read_text(encoding='utf-8')
-    newest = re.search(r'^\S+ \([\d-]+\)\n-+\n(.*?)^\S+ \([\d-]+\)$', text, re.MULTILINE | re.DOTALL)[1].splitlines()
+    versions = re.split(r'^\S+ \([\d-]+\)\n-+\n', text, flags=re.MULTILINE)
+    newest = versions[1].splitlines()
     assert len(newest) > 10
     assert [line for line in newest if not re.fullmatch(r'\* .{1,98}|[A-Z][\w ]+:|', line)] == []
 
 
 def sentences_of(page):
     """Of paragraphs and items of lists; code, tables, headings and formulas are none."""
-    text = re.sub(r'^ *```.*?^ *```$|<!--.*?-->', '', page.read_text(encoding='utf-8'), flags=re.MULTILINE | re.DOTALL)
+    text = page.read_text(encoding='utf-8')
+    text = re.sub(r'^ *```.*?^ *```$|<!--.*?-->', '', text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r'`+[^`]*`+', 'code', text)
     text = re.sub(r'!?\[([^]]*)\]\([^)]*\)', r'\1', text)
     text = re.sub(r'^(\||#| {4}\S).*$', '', text, flags=re.MULTILINE)
     paragraphs = re.split(r'\n\s*\n|^\s*(?:[-*:]|\d+\.) +', text, flags=re.MULTILINE)
-    return [sentence for paragraph in paragraphs for sentence in re.split(r'(?<=[.!?])["*)]*\s+', paragraph)]
+    return [sentence for paragraph in paragraphs
+            for sentence in re.split(r'(?<=[.!?])["*)]*\s+', paragraph)]
 
 
 def test_the_tables_of_the_benchmarks_are_those_of_their_files():
     render = runpy.run_path(str(REPOSITORY / 'docs/figures/render.py'))
     page = (REPOSITORY / 'docs/benchmarks.md').read_text(encoding='utf-8')
     assert render['with_tables'](page) == page, 'run python docs/figures/render.py'
-    shown = {render['MADE'].get(name, (name,))[0] for name in re.findall(r'<!-- table (\w+): begin', page)}
-    assert shown - {'sources'} == {path.stem for path in (REPOSITORY / 'docs/figures').glob('*.json')}
+    named = re.findall(r'<!-- table (\w+): begin', page)
+    files = {path.stem for path in (REPOSITORY / 'docs/figures').glob('*.json')}
+    assert {render['MADE'].get(name, (name,))[0] for name in named} == {*files, 'sources'}
 
 
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)

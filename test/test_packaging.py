@@ -135,10 +135,12 @@ def test_the_address_of_the_repository_stands_on_one_line_of_the_installation_pa
 
 def test_analyzers_group_every_status_of_the_node_once():
     """They are those of the reference, which a test of the live node compares with what it says."""
-    table = (REPOSITORY / 'docs/ros_interface.md').read_text().split('\n## Diagnostics\n')[1].split('\n\n')[1]
+    page = (REPOSITORY / 'docs/ros_interface.md').read_text()
+    table = page.split('\n## Diagnostics\n')[1].split('\n\n')[1]
     titles = re.findall(r'^\| (\w+) \|', table, re.MULTILINE)[1:]
-    groups = yaml.safe_load((REPOSITORY / 'config/analyzers.yaml').read_text())['analyzers']['ros__parameters']
-    grouped = [name for group in groups.values() if isinstance(group, dict) for name in group['contains']]
+    document = yaml.safe_load((REPOSITORY / 'config/analyzers.yaml').read_text())
+    groups = document['analyzers']['ros__parameters'].values()
+    grouped = [name for group in groups if isinstance(group, dict) for name in group['contains']]
     assert sorted(grouped) == sorted(f'estimator: {title}' for title in titles)
 
 

@@ -314,8 +314,8 @@ def test_contact_is_flagged_and_diagnostics_tell_the_state(client):
     statuses = [status for heard in client.heard['/diagnostics'][-5:] for status in heard.status]
     assert len({status.name for status in statuses}) == 5, 'each in its turn'
     assert all(status.hardware_id == 'two' for status in statuses)
-    reference = Path(__file__, '../../../docs/ros_interface.md').resolve().read_text(encoding='utf-8')
-    table = reference.split('\n## Diagnostics\n')[1].split('\n\n')[1]
+    page = Path(__file__).parents[2] / 'docs/ros_interface.md'
+    table = page.read_text(encoding='utf-8').split('\n## Diagnostics\n')[1].split('\n\n')[1]
     titles = {*re.findall(r'^\| (\w+) \|', table, re.MULTILINE)} - {'Status'}
 
     def told():
