@@ -150,8 +150,11 @@ def _predicted(learner: OfflineLearner, samples: Samples, learn: bool) -> list[A
             if prediction.motion.is_news]
 
 
-def feedforward(learner: OfflineLearner, pair: Pair) -> dict[str, Any]:
-    """Desired states of B that no effort limit cuts: error, and what ``valid`` is worth."""
+def feedforward(learner: OfflineLearner, pair: Pair) -> dict[str, Any] | None:
+    """Desired states of B that no effort limit cuts: error, and what ``valid`` is worth.
+
+    None where all are cut.
+    """
     from semiparam_ros.core.robot.feedforward import desired
 
     second = pair.second[moving(pair.second)]
@@ -159,6 +162,8 @@ def feedforward(learner: OfflineLearner, pair: Pair) -> dict[str, Any]:
     answers = [desired(learner.estimator, *row) for row in
                zip(second.position, second.velocity, second.acceleration, strict=True)]
     uncut = np.array([not answer.limited.any() for answer in answers])
+    if not uncut.any():
+        return None
     second, answers = second[uncut], [answer for answer in answers if not answer.limited.any()]
     errors = second.outputs - np.array([answer.outputs for answer in answers])
     beyond = np.abs(errors) > 3.0 * np.array([answer.outputs_std for answer in answers])

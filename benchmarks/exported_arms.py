@@ -9,6 +9,7 @@ drawn at random, without friction, against MuJoCo's inverse dynamics of the true
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable
@@ -105,15 +106,23 @@ def cells(setting: Setting, robots: Path) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('robots', type=Path)
-    robots = parser.parse_args().robots
+    parser.add_argument('--json', type=Path, metavar='FILE')
+    args = parser.parse_args()
+    robots, rows = args.robots, []
     table = Table('arm', 'description', 'exported', 'held out, unconstrained', 'consistent',
                   'links changed', 'bodies exist')
     arms = {(setting.urdf, setting.joints): setting for setting in reversed(SETTINGS)}
     for setting in reversed(arms.values()):
         row = cells(setting, robots)
         print(*row, sep=' | ', flush=True)
+        rows.append(row)
         table.add_row(*row)
     Console(width=120).print(table)
+    if args.json:
+        names = [str(column.header) for column in table.columns]
+        runs = [dict(zip(names, row, strict=True)) for row in rows]
+        document = json.dumps({'command': 'exported_arms', 'runs': runs}, indent=1)
+        args.json.write_text(document + '\n', encoding='utf-8')
 
 
 if __name__ == '__main__':

@@ -11,12 +11,14 @@ beside them. Each diagnosis has a process of its own.
 from __future__ import annotations
 
 import argparse
+import json
 import multiprocessing
 import os
 import resource
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import NamedTuple
 
 os.environ.setdefault('OMP_NUM_THREADS', '1')
@@ -149,18 +151,24 @@ def main() -> int:
     parser.add_argument('--count', type=int, default=300, help='samples that are timed (default: %(default)s)')
     parser.add_argument('--diagnosis', action='store_true', help='diagnose a recording of each instead')
     parser.add_argument('--seconds', type=float, default=180.0, help='of that recording (default: %(default)s)')
+    parser.add_argument('--json', type=Path, metavar='FILE')
     args = parser.parse_args()
     if args.diagnosis:
         diagnoses(args.seconds)
         return 0
+    runs = []
     print('| joints | columns | regressor [us] | P [us] | SPK-ML [us] | window of P [s] | window of SPK-ML [s] |')
     print('|---|---|---|---|---|---|---|')
     for joints in JOINTS:
         cost = measure(joints, args.features, args.window, args.count)
+        runs.append(cost._asdict())
         cells = [f'{cost.joints}', f'{cost.columns}', f'{cost.regressor_us:.0f}',
                  *(f'{value:.0f}' for value in cost.sample_us.values()),
                  *(f'{value:.1f}' for value in cost.window_s.values())]
         print(f'| {" | ".join(cells)} |', flush=True)
+    if args.json:
+        document = json.dumps({'command': 'many_joints', 'runs': runs}, indent=1)
+        args.json.write_text(document + '\n', encoding='utf-8')
     return 0
 
 

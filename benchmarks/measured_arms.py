@@ -9,6 +9,7 @@ on top of them.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
 import time
@@ -128,24 +129,29 @@ def _converted(source: Path, folder: Path, params: str, *options: object) -> tup
     return build_rigid_body(settings, loaded.robot_description), loaded.samples
 
 
-def report(rows: Iterator[tuple[str, Compared]]) -> None:
-    """One line for each case as soon as it is known, then the table."""
-    console = Console(width=200)
+def report(rows: Iterator[tuple[str, Compared]], command: str, path: Path | None = None) -> None:
+    """One line for each case as soon as it is known, then the table; JSON to ``path``."""
+    console, known = Console(width=200), []
     table = Table('case', 'plain model', 'before', 'after', 'after / plain', 'calibrated on top', 'time [s]', 'found')
     for name, row in rows:
+        known.append({'case': name, **row._asdict()})
         cells = (name, f'{row.plain:.4f}', f'{row.before:.4f}', f'{row.after:.4f}', f'{row.after / row.plain:.2f}',
                  f'{row.further:.4f}' if row.further else '', f'{row.seconds:.0f}',
                  f'{row.verdict}: {", ".join(row.found)}')
         console.print(*cells, sep=' | ', highlight=False, markup=False, soft_wrap=True)
         table.add_row(*cells)
     console.print(table)
+    if path:
+        document = json.dumps({'command': command, 'runs': known}, indent=1)
+        path.write_text(document + '\n', encoding='utf-8')
 
 
 if __name__ == '__main__':
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('data', type=Path)
     parser.add_argument('--only', default='', help='cases whose names hold this')
+    parser.add_argument('--json', type=Path, metavar='FILE')
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        report((case.name, compared(case)) for case in cases(arguments.data, Path(place))
-               if arguments.only in case.name)
+        report(((case.name, compared(case)) for case in cases(arguments.data, Path(place))
+                if arguments.only in case.name), 'measured_arms', arguments.json)

@@ -270,8 +270,10 @@ if __name__ == '__main__':
     parser.add_argument('robots', type=Path)
     parser.add_argument('--only', default='', help='settings whose names hold this')
     parser.add_argument('--seconds', type=float, help='length of each recording, 60 unless given')
+    parser.add_argument('--json', type=Path, metavar='FILE')
     arguments = parser.parse_args()
     chosen = [setting for setting in SETTINGS if arguments.only in setting.name]
     if arguments.seconds:
         chosen = [replace(setting, seconds=arguments.seconds) for setting in chosen]
-    report((setting.name, compared(case(setting, arguments.robots))) for setting in chosen)
+    report(((setting.name, compared(case(setting, arguments.robots))) for setting in chosen),
+           'mujoco_arms', arguments.json)

@@ -7,8 +7,10 @@ in which it is there until a time, between two times, or from a time on.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 from dataclasses import replace
+from pathlib import Path
 
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 
@@ -57,14 +59,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', metavar='N', type=int, default=2)
     parser.add_argument('--first-seed', metavar='N', type=int, default=1)
+    parser.add_argument('--json', metavar='FILE', type=Path)
     options = parser.parse_args()
+    runs = []
     table = Table('cause', 'outputs', *SPANS)
     for kind, outputs in (('payload', 'wrench'), ('payload', 'effort'), ('sensor_offset', 'wrench'),
                           ('external_force', 'wrench'), ('external_force', 'effort')):
         rows = [judged(kind, outputs, seed)
                 for seed in range(options.first_seed, options.first_seed + options.seeds)]
-        table.add_row(kind, outputs, *(f'{sum(row[name] for row in rows)} of {len(rows)}' for name in SPANS))
+        right = {name: sum(row[name] for row in rows) for name in SPANS}
+        runs.append({'cause': kind, 'outputs': outputs, 'recordings': len(rows), 'right': right})
+        table.add_row(kind, outputs, *(f'{count} of {len(rows)}' for count in right.values()))
     Console().print(table)
+    if options.json:
+        document = json.dumps({'command': 'put_down', 'runs': runs}, indent=1)
+        options.json.write_text(document + '\n', encoding='utf-8')
 
 
 if __name__ == '__main__':

@@ -10,6 +10,7 @@ valid by the model is counted, and its feedforward is used all the same.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable
@@ -133,19 +134,25 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('robots', type=Path)
     parser.add_argument('--seeds', type=int, default=3)
+    parser.add_argument('--json', type=Path, metavar='FILE')
     args = parser.parse_args()
+    runs: list[dict[str, object]] = []
     console, table = Console(width=120), Table('arm', 'seed', 'none', 'description', 'learnt', 'ratio', 'valid')
     for key in ARMS:
         chosen = next(setting for setting in SETTINGS if setting.name.startswith(key))
         for seed in range(args.seeds):
             setting = replace(chosen, late_s=0.0, payload_kg=0.0, asymmetry=0.0, seed=seed)
-            found = compared(setting, args.robots)
-            cells = (key.split(',')[0].split(' at')[0], str(seed), *(f'{found[name]:.2f}' for name in
+            found, arm = compared(setting, args.robots), key.split(',')[0].split(' at')[0]
+            runs.append({'arm': arm, 'seed': seed, **found})
+            cells = (arm, str(seed), *(f'{found[name]:.2f}' for name in
                      ('none', 'description', 'learnt')), f'{found["learnt"] / found["description"]:.3f}',
                      f'{found["valid"]:.0%}')
             console.print(*cells, sep=' | ')
             table.add_row(*cells)
     console.print(table)
+    if args.json:
+        document = json.dumps({'command': 'tracking', 'runs': runs}, indent=1)
+        args.json.write_text(document + '\n', encoding='utf-8')
     return 0
 
 

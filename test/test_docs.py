@@ -5,6 +5,7 @@
 
 import ast
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -18,12 +19,18 @@ from support.doc_blocks import RUN, SHOWN, WRITTEN, Workshop, blocks, check_pars
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 # Those with a program in the background last: what stands on another page too is known by then.
-PAGES = sorted([REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md', *sorted((REPOSITORY / 'docs').rglob('*.md'))],
+LOG = sorted((REPOSITORY / 'docs/log').glob('2*.md'))
+"""The laboratory book: its commands and figures are those of the code of their day."""
+PAGES = sorted([REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md',
+                *sorted({*(REPOSITORY / 'docs').rglob('*.md')} - {*LOG})],
                key=lambda page: '\n# terminal 1' in page.read_text(encoding='utf-8'))
 NAMES = [str(page.relative_to(REPOSITORY)) for page in PAGES]
-PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md', 'diagnosis.md'}
+PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md',
+          'node.md', 'diagnosis.md'}
+LONGEST = 35
+"""Words of a sentence."""
 """Pages of reference, whose commands take minutes or name files of yours: they are parsed."""
-UNTESTED = 33
+UNTESTED = 34
 """Blocks that need what no test has. A new one is a decision: count it here."""
 
 
@@ -101,7 +108,7 @@ def test_the_table_of_variants_is_complete():
     assert sorted(re.findall(r'^\| `([^`]+)`', section, re.MULTILINE)) == sorted(CHOICES)
 
 
-@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+@pytest.mark.parametrize('page', [*PAGES, *LOG], ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
     text = prose(page)
     for target in re.findall(r'\]\(([^)\s]+)\)', text):
@@ -131,6 +138,50 @@ def test_every_page_is_in_the_table_of_contents(page):
     contents = (REPOSITORY / 'docs/index.md').read_text(encoding='utf-8').splitlines()
     if page.parent != REPOSITORY and page.name != 'index.md':
         assert str(page.relative_to(REPOSITORY / 'docs').with_suffix('')) in contents
+
+
+def test_every_day_is_in_the_table_of_contents_of_the_log():
+    contents = (REPOSITORY / 'docs/log/index.md').read_text(encoding='utf-8').splitlines()
+    assert {page.stem for page in LOG} <= {*contents}
+
+
+CHANGES = REPOSITORY / 'CHANGELOG.rst'
+
+
+@pytest.mark.parametrize('page', [*PAGES, CHANGES], ids=[*NAMES, CHANGES.name])
+def test_no_sentence_is_long(page):
+    words = {sentence: len(re.findall(r'\S*\w\S*', sentence)) for sentence in sentences_of(page)}
+    assert not [sentence for sentence, count in words.items() if count > LONGEST]
+
+
+def test_an_entry_of_the_changelog_is_one_line():
+    """What changes for the user; how it came about is told by the commit, and figures by the log."""
+    text = CHANGES.read_text(encoding='utf-8')
+    versions = re.split(r'^\S+ \([\d-]+\)\n-+\n', text, flags=re.MULTILINE)
+    newest = versions[1].splitlines()
+    assert len(newest) > 10
+    assert [line for line in newest if not re.fullmatch(r'\* .{1,98}|[A-Z][\w ]+:|', line)] == []
+
+
+def sentences_of(page):
+    """Of paragraphs and items of lists; code, tables, headings and formulas are none."""
+    text = page.read_text(encoding='utf-8')
+    text = re.sub(r'^ *```.*?^ *```$|<!--.*?-->', '', text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r'`+[^`]*`+', 'code', text)
+    text = re.sub(r'!?\[([^]]*)\]\([^)]*\)', r'\1', text)
+    text = re.sub(r'^(\||#| {4}\S).*$', '', text, flags=re.MULTILINE)
+    paragraphs = re.split(r'\n\s*\n|^\s*(?:[-*:]|\d+\.) +', text, flags=re.MULTILINE)
+    return [sentence for paragraph in paragraphs
+            for sentence in re.split(r'(?<=[.!?])["*)]*\s+', paragraph)]
+
+
+def test_the_tables_of_the_benchmarks_are_those_of_their_files():
+    render = runpy.run_path(str(REPOSITORY / 'docs/figures/render.py'))
+    page = (REPOSITORY / 'docs/benchmarks.md').read_text(encoding='utf-8')
+    assert render['with_tables'](page) == page, 'run python docs/figures/render.py'
+    named = re.findall(r'<!-- table (\w+): begin', page)
+    files = {path.stem for path in (REPOSITORY / 'docs/figures').glob('*.json')}
+    assert {render['MADE'].get(name, (name,))[0] for name in named} == {*files, 'sources'}
 
 
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)

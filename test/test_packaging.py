@@ -14,6 +14,7 @@ from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+import yaml
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -124,6 +125,31 @@ def test_the_installation_page_asks_for_the_declared_versions():
     assert named and set(named) <= {*declared()[''], *declared()['rosbags']}
 
 
+def test_the_address_of_the_repository_stands_on_one_line_of_the_installation_page():
+    """A fork changes package.xml and that line."""
+    address = next(url.text for url in manifest().findall('url') if url.get('type') == 'repository')
+    page = (REPOSITORY / 'docs/how-to/install.md').read_text()
+    assert page.count(f'export SEMIPARAM_REPOSITORY={address}\n') == page.count(address) == 1
+    assert 'git clone "$SEMIPARAM_REPOSITORY"' in page and 'git clone <' not in page
+
+
+def test_analyzers_group_every_status_of_the_node_once():
+    """They are those of the reference, which a test of the live node compares with what it says."""
+    page = (REPOSITORY / 'docs/ros_interface.md').read_text()
+    table = page.split('\n## Diagnostics\n')[1].split('\n\n')[1]
+    titles = re.findall(r'^\| (\w+) \|', table, re.MULTILINE)[1:]
+    document = yaml.safe_load((REPOSITORY / 'config/analyzers.yaml').read_text())
+    groups = document['analyzers']['ros__parameters'].values()
+    grouped = [name for group in groups if isinstance(group, dict) for name in group['contains']]
+    assert sorted(grouped) == sorted(f'estimator: {title}' for title in titles)
+
+
+def test_rosdoc2_builds_the_pages_of_make_docs():
+    _, config = yaml.safe_load_all((REPOSITORY / 'rosdoc2.yaml').read_text())
+    assert manifest().findtext('export/rosdoc2') == 'rosdoc2.yaml'
+    assert (REPOSITORY / config['builders'][0]['sphinx']['sphinx_sourcedir'] / 'conf.py').is_file()
+
+
 def test_versions_and_licence_agree():
     assert manifest().findtext('version') == semiparam_ros.__version__
     assert f'\n{semiparam_ros.__version__} ' in (REPOSITORY / 'CHANGELOG.rst').read_text()
@@ -156,7 +182,7 @@ def imports(path: Path) -> set[str]:
 
 def from_ros(name: str) -> bool:
     """rclpy and the message packages, which package.xml names one by one."""
-    return name in keys('exec_depend')
+    return name in keys('exec_depend', 'test_depend')
 
 
 def optional() -> set[str]:

@@ -1,4 +1,4 @@
-"""The tables of effects in docs/diagnosis.md, written from the classes themselves."""
+"""The tables of effects in docs/reference/effects.md, written from the classes themselves."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def with_tables(page: str) -> str:
 
 
 def write(repository: str = '.') -> None:
-    """Write the tables of docs/diagnosis.md anew."""
-    path = Path(repository, 'docs', 'diagnosis.md')
+    """Write the tables of docs/reference/effects.md anew."""
+    path = Path(repository, 'docs', 'reference', 'effects.md')
     path.write_text(with_tables(path.read_text(encoding='utf-8')), encoding='utf-8')
 
 

@@ -748,11 +748,11 @@ def test_text_forms_are_json_of_numbers():
     assert json.loads(text.removeprefix('thermal_drift')) == {'time_constant_s': 12.5}
 
 
-# --- docs/diagnosis.md ---
+# --- docs/reference/effects.md ---
 
 @pytest.fixture(scope='module')
 def page(repository):
-    return (repository / 'docs' / 'diagnosis.md').read_text(encoding='utf-8')
+    return (repository / 'docs' / 'reference' / 'effects.md').read_text(encoding='utf-8')
 
 
 def test_the_documented_tables_are_those_of_the_classes(page):

@@ -1,12 +1,14 @@
 """The live node in a process of its own, over real DDS on this machine."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -312,6 +314,15 @@ def test_contact_is_flagged_and_diagnostics_tell_the_state(client):
     statuses = [status for heard in client.heard['/diagnostics'][-5:] for status in heard.status]
     assert len({status.name for status in statuses}) == 5, 'each in its turn'
     assert all(status.hardware_id == 'two' for status in statuses)
+    page = Path(__file__).parents[2] / 'docs/ros_interface.md'
+    table = page.read_text(encoding='utf-8').split('\n## Diagnostics\n')[1].split('\n\n')[1]
+    titles = {*re.findall(r'^\| (\w+) \|', table, re.MULTILINE)} - {'Status'}
+
+    def told():
+        return {status.name for heard in client.heard['/diagnostics'] for status in heard.status}
+
+    client.wait(lambda: len(told()) >= len(titles), 'every status')
+    assert told() == {f'estimator: {title}' for title in titles}
 
 
 def test_shadow_variants_publish_their_errors(client):

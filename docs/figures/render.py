@@ -1,0 +1,239 @@
+"""The tables and pictures of docs/benchmarks.md, from the JSON files beside this script.
+
+    python docs/figures/render.py
+
+A file that a command wrote with ``--json`` has a function here that makes its table. A file with
+``typed_from`` was copied from that page of the log; it holds its table as it is. Tables stand
+between two marks that name the file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+FOLDER = Path(__file__).resolve().parent
+PAGE = FOLDER.parent / 'benchmarks.md'
+LEARNING, FROZEN, EARLY, PLAIN = '#2f6fd0', '#1a9a6c', '#a9d8c5', '#dd8a00'
+Document = dict[str, Any]
+
+
+class Table(NamedTuple):
+    """Headings and cells, as text."""
+
+    columns: Sequence[str]
+    rows: Iterable[Sequence[str]]
+
+    def __str__(self) -> str:
+        lines = [self.columns, ['---'] * len(self.columns), *self.rows]
+        return ''.join(f'| {" | ".join(cells)} |\n' for cells in lines)
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """Of a share."""
+    return f'{100.0 * share:.{digits}f} %'
+
+
+def document(name: str) -> Document:
+    """One of the files."""
+    return dict(json.loads((FOLDER / f'{name}.json').read_text(encoding='utf-8')))
+
+
+def variants(found: Document) -> Table:
+    """Error while learning the second recording, and the share within the bands of the default."""
+    chosen = ('P', 'SP-ML', 'SPK-ML', 'auto')
+    return Table(('Recording', *chosen, '95 % bands hold (SPK-ML)'), [
+        (pair, *(f'{runs[name]["learning"]["nmse"]:.4f}' for name in chosen),
+         percent(runs["SPK-ML"]["learning"]["band"], 1)) for pair, runs in _by_pair(found).items()])
+
+
+def frozen_variants(found: Document) -> Table:
+    """Error on the second recording without learning it."""
+    chosen = ('P', 'SP-ML', 'SP2-ML', 'SPK-ML', 'SP2-VS', 'auto')
+    return Table(('A to B', *chosen), [
+        (pair, *(f'{runs[name]["frozen"]["nmse"]:.4f}' for name in chosen))
+        for pair, runs in _by_pair(found).items()])
+
+
+def _by_pair(found: Document) -> dict[str, dict[str, Document]]:
+    pairs: dict[str, dict[str, Document]] = {}
+    for run in found['runs']:
+        pairs.setdefault(run['pair'], {})[run['variant']] = run
+    return pairs
+
+
+def other_motion(found: Document) -> Table:
+    """After ten seconds of A and after all of it, beside the plain model."""
+    rows = []
+    for pair, (early, whole) in _by_seconds(found).items():
+        frozen, ahead = whole['frozen'], whole.get('feedforward')
+        errors = (whole['plain'], early['frozen']['nmse'], frozen['nmse'])
+        rows.append((pair, *(f'{error:.4f}' for error in errors),
+                     f'{frozen["nmse"] / whole["plain"]:.2f}', percent(frozen['band'], 1),
+                     f'{whole["learning"]["nmse"]:.4f}',
+                     percent(ahead['valid']) if ahead else 'all cut'))
+    return Table(('A to B', 'By hand', 'Frozen after 10 s', 'Frozen', 'Over by hand', 'Bands hold',
+                  'Learning B', 'States valid'), rows)
+
+
+def _by_seconds(found: Document) -> dict[str, tuple[Document, Document]]:
+    """Each pair's run after ten seconds and after the whole motion."""
+    whole = {run['pair']: run for run in found['runs'] if run['seconds'] is None}
+    early = {run['pair']: run for run in found['runs'] if run['seconds'] is not None}
+    return {pair: (early[pair], run) for pair, run in whole.items()}
+
+
+def bench(found: Document) -> Table:
+    """Median cost of a sample by the number of features."""
+    names = ('SPK', 'Potter', 'dense')
+    return Table(('Features', 'A sample [us]', 'Textbook update (Potter) of the features alone [us]',
+                  'Textbook recursion on all unknowns [us]'), [
+        (f'D = {size["features"]}', *(f'{size["microseconds"][name]:.0f}' for name in names))
+        for size in found['sizes']])
+
+
+def many_joints(found: Document) -> Table:
+    """Cost by the number of joints."""
+    return Table(('Joints', 'Base parameters', 'P [us]', 'SPK-ML [us]',
+                  'Hyperparameters of SPK-ML [s]'), [
+        (str(run['joints']), str(run['columns']), f'{run["sample_us"]["P"]:.0f}',
+         f'{run["sample_us"]["SPK-ML"]:.0f}', f'{run["window_s"]["SPK-ML"]:.1f}')
+        for run in found['runs']])
+
+
+def measured_arms(found: Document) -> Table:
+    """Held-out errors of diagnoses beside the fit by hand, and how many of each kind were found."""
+    return Table(('Recording', 'Before', 'After', 'By hand', 'After, over by hand', 'Found'), [
+        (run['case'], f'{run["before"]:.4f}', f'{run["after"]:.4f}', f'{run["plain"]:.4f}',
+         f'{run["after"] / run["plain"]:.2f}', _kinds(run['found'])) for run in found['runs']])
+
+
+def _kinds(found: Sequence[str]) -> str:
+    """Kinds of effects, with how many there are of each."""
+    counts = Counter(effect.partition('@')[0] for effect in found)
+    named = (f'`{kind}`' if count == 1 else f'{count} `{kind}`' for kind, count in counts.items())
+    return ', '.join(named) or 'nothing'
+
+
+def scoreboard(found: Document) -> Table:
+    """Hidden causes, from the rows that two calls wrote for each kind of recording."""
+    rows = []
+    for run in found['runs']:
+        hidden = [row for row in run['rows'] if row['kind'] != 'nothing']
+        clean = [row for row in run['rows'] if row['kind'] == 'nothing']
+        starts = [abs(row['start_off_samples']) <= 2.0 for row in hidden
+                  if row['start_off_samples'] is not None]
+        values = [abs(off) <= 2.0 for row in hidden for off in row['deviations_off']]
+        exact = [row['verdict'] == 'effect_found' and row['found'] == [row['kind']]
+                 for row in hidden]
+        alarms = [row['verdict'] != 'nothing_missing' for row in clean]
+        rows.append((f'{run["outputs"]}, {run["accelerations"]}',
+                     *(f'{sum(each)} of {len(each)}' for each in (exact, alarms, starts, values))))
+    return Table(('Outputs, accelerations', 'Right kind, nothing beside it', 'False alarms',
+                  'Starts within two samples', 'Values within two deviations'), rows)
+
+
+def put_down(found: Document) -> Table:
+    """Causes that are there for a part of a recording."""
+    spans = {'until': 'Until 41 s', 'between': '22 to 45 s', 'short': '30 to 41 s',
+             'since': 'Since 45 s'}
+    return Table(('Cause', 'Outputs', *spans.values()), [
+        (run['cause'], run['outputs'],
+         *(f'{run["right"][span]} of {run["recordings"]}' for span in spans))
+        for run in found['runs']])
+
+
+def tracking(found: Document) -> Table:
+    """Tracking errors of three seeds."""
+    rows = []
+    for arm in dict.fromkeys(run['arm'] for run in found['runs']):
+        runs = [run for run in found['runs'] if run['arm'] == arm]
+        errors = ([run[name] for run in runs] for name in ('none', 'description', 'learnt'))
+        spans = [f'{min(values):.0f} to {max(values):.0f}' for values in errors]
+        ratio = [f'{run["learnt"] / run["description"]:.2f}' for run in runs]
+        rows.append((arm, *spans, ', '.join(ratio)))
+    return Table(('Arm', 'No feedforward', 'Description', 'Learnt', 'Learnt over description'),
+                 rows)
+
+
+def exported_arms(found: Document) -> Table:
+    """Errors of exported descriptions."""
+    names = ('description', 'exported', 'links changed')
+    return Table(('Arm', 'Description', 'Exported', 'Links changed'), [
+        (run['arm'], *(run[name].replace('%', ' %') for name in names)) for run in found['runs']])
+
+
+MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
+    'variants': ('variants', variants), 'frozen_variants': ('variants', frozen_variants),
+    'mujoco_arms': ('mujoco_arms', measured_arms),
+    **{make.__name__: (make.__name__, make) for make in
+       (other_motion, bench, many_joints, measured_arms, scoreboard, put_down, tracking,
+        exported_arms)}}
+"""The file and the function of each table that a command's JSON gives."""
+
+
+def sources() -> Table:
+    """Each file, how it came about, and the command."""
+    rows = []
+    for path in sorted(FOLDER.glob('*.json')):
+        found = document(path.stem)
+        source = found.get('typed_from')
+        origin = f'typed from [{source[4:14]}]({source})' if source else 'written by the command'
+        rows.append((f'`{path.name}`', origin))
+    return Table(('File', 'Figures'), rows)
+
+
+def table(name: str) -> str:
+    """One table as Markdown."""
+    if name == 'sources':
+        return str(sources())
+    source, make = MADE.get(name, (name, None))
+    found = document(source)
+    if make is None or 'typed_from' in found:
+        return str(Table(found['columns'], found['rows']))
+    return str(make(found))
+
+
+def with_tables(page: str) -> str:
+    """The page with each table as its file has it."""
+    return re.sub(r'(?<=<!-- table )(\w+)(: begin -->\n).*?(?=<!-- table \1: end -->)',
+                  lambda mark: f'{mark[1]}{mark[2]}{table(mark[1])}', page, flags=re.DOTALL)
+
+
+def draw_other_motion(picture: Path) -> None:
+    """Errors on another motion, one row for each robot."""
+    from matplotlib.figure import Figure
+
+    found = list(reversed(_by_seconds(document('other_motion')).items()))
+    names, runs = zip(*found, strict=True)
+    series = {'by hand': (PLAIN, 's', [whole['plain'] for _, whole in runs]),
+              'after 10 s of A': (EARLY, 'o', [early['frozen']['nmse'] for early, _ in runs]),
+              'after all of A': (FROZEN, 'o', [whole['frozen']['nmse'] for _, whole in runs]),
+              'while learning B': (LEARNING, 'o', [whole['learning']['nmse'] for _, whole in runs])}
+    figure = Figure(figsize=(7.0, 5.2), layout='constrained')
+    panel = figure.subplots()
+    for row, values in enumerate(zip(*(values for _, _, values in series.values()), strict=True)):
+        panel.plot([min(values), max(values)], [row, row], color='#d5dbe1', linewidth=1.0, zorder=0)
+    for label, (colour, marker, values) in series.items():
+        panel.scatter(values, range(len(found)), color=colour, marker=marker, s=36, label=label)
+    panel.set(xscale='log', xlabel='error on B: mean square over variance',
+              yticks=range(len(names)), yticklabels=names)
+    panel.legend(ncols=4, fontsize='small', loc='lower center', bbox_to_anchor=(0.45, 1.0),
+                 frameon=False)
+    panel.grid(axis='x', alpha=0.3)
+    panel.spines[['top', 'right']].set_visible(False)
+    figure.savefig(picture, dpi=120)
+
+
+def main() -> None:
+    """Write the tables into the page, and the picture."""
+    PAGE.write_text(with_tables(PAGE.read_text(encoding='utf-8')), encoding='utf-8')
+    draw_other_motion(FOLDER.parent / 'images' / 'other_motion.png')
+
+
+if __name__ == '__main__':
+    main()
