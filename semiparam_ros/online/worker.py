@@ -41,6 +41,7 @@ from semiparam_ros.settings.build import declared_effects, hyperparameter_values
 from semiparam_ros.settings.snapshot import Settings
 
 if TYPE_CHECKING:
+    from semiparam_ros.diagnosis.change import NamedChange
     from semiparam_ros.diagnosis.diagnose import Diagnosis
     from semiparam_ros.effects import Effect
 
@@ -535,6 +536,21 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> 
 
     found = diagnose(body, samples, effects, progress=progress)
     return Outcome(found.verdict, summary(found), text_report(found), found.as_dict(), declared(found))
+
+
+def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], since: int,
+                ended: int | None) -> NamedChange:
+    """What began at a stamp [ns], and ended at another; times of the effect as stamps. Raises SemiparamError where too
+    few samples are there."""
+    from semiparam_ros.diagnosis.change import name_change
+
+    samples = batch.samples
+    if samples is None:
+        raise SemiparamError('there are no samples to name a change from.')
+    origin = samples.origin
+    found = name_change(body, samples, effects, (since - origin) * 1e-9,
+                        None if ended is None else (ended - origin) * 1e-9)
+    return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
 
 
 def declared(found: Diagnosis) -> tuple[Effect, ...]:
