@@ -48,7 +48,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.frames import load_transform, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, output_scale
-from semiparam_ros.core.single_estimator import Prediction
+from semiparam_ros.core.single_estimator import Model, Prediction
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.contact_gate import BEYOND, JUST_BEYOND, SPEEDS, UNSEEN_FACTOR, UNSEEN_S, Tail
@@ -89,6 +89,9 @@ RELEASED = 3
 """A contact is over when nothing stands out over the first so many lengths."""
 CONTACT = (1, 4, 8)
 """[blocks] Over so long the outputs of a contact go along a line."""
+
+
+ROUNDED = 1e-11
 
 
 class Cause(NamedTuple):
@@ -229,7 +232,7 @@ class Followed:
         self.theta = judged.theta
         self._latest: deque[Array] = deque(maxlen=SETTLED)
         size = len(self.theta)
-        self._gram, self._moment = np.eye(size), np.zeros(size)
+        self._gram, self._moment = np.zeros((size, size)), np.zeros(size)
         for block in blocks:
             self.add(block)
 
@@ -238,29 +241,32 @@ class Followed:
         part = self.cause.part
         self._gram += block.gram[part, part]
         self._moment += block.moment[part]
-        self._latest.append(np.asarray(np.linalg.solve(self._gram, self._moment), dtype=float))
+        self._latest.append(np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float))
         self.theta, self.blocks = self._latest[0], self.blocks + 1
 
 
 class ChangeDetector:
     """Notices changes of one robot; see the module.
 
-    :param columns: of the model that predicts.
+    :param columns: of the model that predicts. :param told: so many changes were told before.
     """
 
-    def __init__(self, columns: CoupledColumns) -> None:
+    def __init__(self, columns: CoupledColumns, told: int = 0) -> None:
         self.causes, self._directions = causes_of(columns)
         body = columns.body
         self._names, self._scale = body.output_names, output_scale(body)
         self._load_scale = float(load_scale(body, str(self.causes[0].where))[0])
         self._joints = body.output_index if body.outputs == 'effort' else None
-        self._told_of = 0
+        self._told_of = told
         self.forget()
 
     def forget(self) -> None:
         """Begin anew, as with another model."""
         self._usual = [Usual(length, len(self.causes)) for length in LENGTHS]
         self._power: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
+        self._noise_std: Array | None = None
+        """(n,) of the first model: the scale of all that is usual."""
+        self._model: Model | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -287,21 +293,25 @@ class ChangeDetector:
         """Whether it has seen enough free motion to tell anything."""
         return self._usual[LENGTHS.index(8)].known
 
-    def see(self, prediction: Prediction, theta: Array, unseen: bool = False) -> Change | None:
+    def see(self, prediction: Prediction, model: Model) -> Change | None:
         """Take one predicted sample into account; what is told with it.
 
-        :param prediction: of a model without features. :param theta: (p,) its coefficients.
-        :param unseen: it belongs to motion that the model has not seen, whatever its range.
+        :param prediction: of a ``model`` without features.
         """
-        sample = prediction.sample
+        sample, theta = prediction.sample, model.theta
         seconds = 0.0 if self._newest is None else min(max(1e-9 * (sample.stamp - self._newest), 0.0), LONGEST_STEP_S)
         self._newest = sample.stamp
         speed = np.abs(sample.velocity)
         if not prediction.ready or prediction.off or float(speed.max()) < SPEEDS[0]:
             return None
-        strange = unseen or prediction.beyond > (BEYOND if self._familiar >= UNSEEN_S else JUST_BEYOND)
+        strange = prediction.beyond > (BEYOND if self._familiar >= UNSEEN_S else JUST_BEYOND)
         self._familiar = 0.0 if strange else min(self._familiar + seconds, UNSEEN_S)
-        weight = 1.0 / prediction.model_std
+        if self._noise_std is None:
+            self._noise_std = model.noise_std
+        elif model is not self._model:  # its coefficients may be worse than those before
+            self._held, self._compared = True, np.zeros(3)
+        self._model = model
+        weight = model.noise_std / (self._noise_std * prediction.model_std)
         if self._joints is not None:  # what holds a joint that rests tells nothing
             weight = weight * (speed[self._joints] > SPEEDS[0])
         if self._familiar < UNSEEN_S:
@@ -329,9 +339,12 @@ class ChangeDetector:
         learnt = (theta - self._reference)[:len(directions)]
         live = float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
         block = Block(self._start, directions.T @ self._gram @ directions, directions.T @ self._moment, live, self._own)
+        self._begin_block()
+        if not np.isfinite(block.own).all() or not np.isfinite(block.gram).all():
+            self.reset()  # no sensor measures that
+            return None
         self._blocks.append(block)
         self._count += 1
-        self._begin_block()
         if self.followed is not None:
             self.followed.add(block)
         ratios = self._outstanding(self._left())
@@ -398,7 +411,7 @@ class ChangeDetector:
         found = np.empty((len(grams), len(self.causes)))
         for number, cause in enumerate(self.causes):
             along = moments[:, cause.part]
-            inverse = np.linalg.inv(grams[:, cause.part, cause.part] + np.eye(along.shape[1]))
+            inverse = np.linalg.inv(_with_prior(grams[:, cause.part, cause.part]))
             told = along.shape[1] - np.trace(inverse, axis1=1, axis2=2)
             found[:, number] = np.einsum('sk,skj,sj->s', along, inverse, along) / np.maximum(told, 1.0)
         return found
@@ -532,6 +545,12 @@ class ChangeDetector:
         self.touched, self.followed = False, Followed(change, judged, blocks)
         self._compared = np.zeros(3)
         return change
+
+
+def _with_prior(gram: Array) -> Array:
+    """A + I for (..., k, k), where I is not so small beside A that it would be lost."""
+    largest = np.diagonal(gram, axis1=-2, axis2=-1).max(axis=-1)
+    return np.asarray(gram + (1.0 + ROUNDED * largest)[..., None, None] * np.eye(gram.shape[-1]))
 
 
 def _since(values: Array, starts: Indices) -> Array:

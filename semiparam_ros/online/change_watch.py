@@ -1,0 +1,184 @@
+"""Changes of the robot while it works: noticed as samples come, then named in the background.
+
+What was noticed (:mod:`semiparam_ros.online.changes`) is named from the samples before and after it
+(:mod:`semiparam_ros.diagnosis.change`), again and again as more of them come, beside what the model declares and the
+changes that were named before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.single_estimator import Prediction
+from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import place
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import worker
+from semiparam_ros.online.changes import Change, ChangeDetector
+from semiparam_ros.online.history import History
+from semiparam_ros.online.worker import Background, Urgency
+
+if TYPE_CHECKING:
+    from semiparam_ros.diagnosis.change import NamedChange
+
+BEFORE_S = 60.0
+"""So much of what came before a change is looked at."""
+NAMED_AFTER_S = (6.0, 12.0, 25.0, 50.0)
+"""So long after it began a change is named, and named anew."""
+MOST_RECORDS = 50
+"""The latest changes are kept."""
+
+STATES = ('not looked for', 'learns what is usual', 'as it was', 'touched, or changing', 'changed')
+
+
+@dataclass(frozen=True)
+class ChangeRecord:
+    """All that is known of one change; ``named`` is what :func:`~semiparam_ros.diagnosis.change.name_change` found."""
+
+    change: Change
+    named: NamedChange | None = None
+
+    @property
+    def effect(self) -> Effect | None:
+        """What it is, its times as stamps."""
+        return None if self.named is None else self.named.effect
+
+    @property
+    def times_s(self) -> tuple[float | None, float | None]:
+        """[s] when it began and ended, as stamps count; None for what was there before, or is there yet."""
+        change, effect = self.change, self.effect
+        if effect is not None:
+            return effect.span.start_stamp_s, effect.span.end_stamp_s
+        return change.since / NANOSECONDS, None if change.ended is None else change.ended / NANOSECONDS
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        change, effect = self.change, self.effect
+        begun, ended = self.times_s
+        since = f'since {begun:.2f} s' if begun is not None else 'from before'
+        until = '' if ended is None else f', over at {ended:.2f} s'
+        if effect is None:
+            what = f'likeliest {place(change.kind, change.where)}' if change.kind else 'nothing known'
+            asked = '' if self.named is None else '; no effect explains it better than none'
+            return f'the robot has changed {since}{until} ({what}, felt by {", ".join(change.outputs[:3])}){asked}.'
+        assert self.named is not None
+        values = ', '.join(f'{name} {value.value:.3g} +- {value.std or 0.0:.1g} {value.unit}'.rstrip()
+                           for name, value in list(self.named.parameters.items())[:4])
+        return f'{place(effect.kind, effect.where)} {since}{until}: {effect.sentence} ({values}).'
+
+    def as_dict(self) -> dict[str, object]:
+        """For the log; times in seconds as stamps count."""
+        change = self.change
+        return {'schema': 1, 'change': change.number, 'since_stamp_s': change.since / NANOSECONDS,
+                'noticed_stamp_s': change.told / NANOSECONDS,
+                'ended_stamp_s': None if change.ended is None else change.ended / NANOSECONDS,
+                'noticed_as': {'kind': change.kind or None, 'where': change.where, 'evidence': change.evidence,
+                               'outputs': list(change.outputs)},
+                'named': None if self.named is None else self.named.as_dict(), 'sentence': self.sentence}
+
+
+class ChangeWatch:
+    """Notices changes of one robot, and has them named.
+
+    :param told: called with each record when it is new, and when more is known of it.
+    :param failed: called with what went wrong while one was named.
+    """
+
+    def __init__(self, body: RigidBody, background: Background, told: Callable[[ChangeRecord], None],
+                 failed: Callable[[str, BaseException], None]) -> None:
+        self.records: dict[int, ChangeRecord] = {}
+        """The latest, by their numbers."""
+        self.detector: ChangeDetector | None = None
+        """None while no model can be judged: with features in every one, or coefficients that are fixed."""
+        self._body, self._background, self._told, self._failed = body, background, told, failed
+        self._columns: CoupledColumns | None = None
+        self._due: list[tuple[int, int]] = []
+        """When [ns] changes of these numbers are named next."""
+        self._naming = False
+
+    @property
+    def state(self) -> str:
+        """One of STATES."""
+        detector = self.detector
+        if detector is None:
+            return STATES[0]
+        if detector.followed is not None:
+            return STATES[4]
+        if detector.touched:
+            return STATES[3]
+        return STATES[2] if detector.knows else STATES[1]
+
+    def forget(self) -> None:
+        """Another model predicts, of which nothing is known yet; what was told stays."""
+        self.detector = self._columns = None
+
+    def reset(self) -> None:
+        """Drop what is half seen, as after a jump of the clock."""
+        if self.detector is not None:
+            self.detector.reset()
+
+    def see(self, estimator: Estimator, prediction: Prediction, history: History) -> None:
+        """Take one predicted sample into account, before it is learnt."""
+        part = estimator.rigid_body_part(prediction) if prediction.ready else None
+        if part is None:
+            self.forget()
+            return
+        change = self._detector_of(estimator.columns).see(*part)
+        now = prediction.sample.stamp
+        if change is not None:
+            self._record(change, now)
+        if self._due and not self._naming and now >= self._due[0][0]:
+            self._name(self._due.pop(0)[1], history, estimator.columns.effects, now)
+
+    def _detector_of(self, columns: CoupledColumns) -> ChangeDetector:
+        """That of a model, which goes on where the model's columns are those that it had."""
+        known, self._columns = self._columns, columns
+        if self.detector is None or known is None or known.n_own != columns.n_own \
+                or known.physical != columns.physical:
+            self.detector = ChangeDetector(columns, max(self.records, default=0))
+        elif known.effects != columns.effects:
+            self.detector.reset()
+        return self.detector
+
+    def _record(self, change: Change, now: int) -> None:
+        known = self.records.get(change.number)
+        record = ChangeRecord(change) if known is None else replace(known, change=change)
+        self.records[change.number] = record
+        for number in list(self.records)[:-MOST_RECORDS]:
+            del self.records[number]
+        if known is None:
+            self._due += [(change.since + round(seconds * NANOSECONDS), change.number) for seconds in NAMED_AFTER_S]
+        elif change.ended is not None:
+            self._due = [(when, number) for when, number in self._due if number != change.number]
+            self._due.append((now, change.number))
+        self._due.sort()
+        self._told(record)
+
+    def _name(self, number: int, history: History, effects: Sequence[object], now: int) -> None:
+        """Ask the background what it was, beside all else that is known."""
+        record = self.records.get(number)
+        if record is None:
+            return
+        change = record.change
+        batch = history.span((now - change.since) / NANOSECONDS + BEFORE_S)
+        others = [other.effect for key, other in self.records.items() if key != number and other.effect is not None]
+        self._naming = True
+        self._background.submit(worker.name_change, self._body, batch, (*effects, *others), change.since, change.ended,
+                                done=partial(self._named, number), urgency=Urgency.ASKED)
+
+    def _named(self, number: int, named: NamedChange | None, error: BaseException | None) -> None:
+        self._naming = False
+        if error is not None and not isinstance(error, SemiparamError):
+            self._failed('naming a change', error)
+        record = self.records.get(number)
+        if record is not None and named is not None:
+            self.records[number] = replace(record, named=named)
+            self._told(self.records[number])
