@@ -28,7 +28,7 @@ from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, working_factor
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
-from semiparam_ros.diagnosis.search.score import Gain, gain
+from semiparam_ros.diagnosis.search.score import Gain, gain, repetition, summed
 from semiparam_ros.diagnosis.search.spans import with_best_edge
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.uncertainty import deviations
@@ -112,6 +112,7 @@ def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], si
         after, parameters = best.after, _parameters(best.after, inputs, samples)
     used = fit.train_mask
     rest = changed if ended_s is None else changed & (fit.samples.time < ended_s)
+    require_enough(config, used & rest)
     step = float(np.median(np.diff(fit.samples.time)))
     return NamedChange(
         effect=None if best is None else best.after.effects[-1], gain=tried[0].gain if tried else Gain(0.0, 0.0),
@@ -121,6 +122,29 @@ def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], si
         parameters=parameters, before=evaluate_here(fit, used & ~changed).as_dict(),
         without=evaluate_here(fit, used & rest).as_dict(), after=evaluate_here(after, used & rest).as_dict(),
         seconds=float(rest.sum()) * step)
+
+
+def gain_since(body: RigidBody, samples: Samples, since_s: float, before: Sequence[Effect],
+               after: Sequence[Effect], config: DiagnosisConfig = DEFAULTS) -> Gain:
+    """By how much [nat] a model with the effects ``after`` predicts samples from ``since_s`` [s since their origin]
+    on better than one with the effects ``before``, both fitted to those before it.
+
+    Raises SemiparamError when there are too few of either.
+    """
+    clean, factor = ~excluded(samples, config), working_factor(samples, config)
+    whole = samples[:len(samples) // factor * factor]
+    old, new = (clean[:len(whole)] & part for part in (whole.time < since_s, whole.time >= since_s))
+    models = [[effect.in_recording(samples.origin) for effect in effects] for effects in (before, after)]
+    inputs = best_inputs(body, whole, models[0], old, config)
+    chosen, fitting, judging = inputs.prepare(whole), inputs.mask(old), inputs.mask(new)
+    require_enough(config, fitting, judging)
+    counted = counted_outputs(body, chosen, config)
+    fits = [starting_fit(body, chosen, effects, fitting & counted.any(axis=1), config, counted) for effects in models]
+    repeated = repetition(fits[1])
+    densities = [-0.5 * counted * (fit.residual**2 / fit.scale**2 + 2.0 * np.log(fit.scale)) / repeated
+                 for fit in fits]
+    gained = (densities[1] - densities[0]).sum(axis=1)[judging]
+    return summed(np.array([part.sum() for part in np.array_split(gained, min(config.blocks, len(gained)))]))
 
 
 def _declared(body: RigidBody, samples: Samples, effects: Sequence[Effect], since_s: float,

@@ -553,6 +553,21 @@ def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], 
     return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
 
 
+def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence[Effect],
+               after: Sequence[Effect]) -> float | None:
+    """By how much [nat] other effects predict what came after a stamp [ns] better than those before; None where that
+    is too little to tell."""
+    from semiparam_ros.diagnosis.change import gain_since
+
+    samples = batch.samples
+    if samples is None:
+        return None
+    try:
+        return gain_since(body, samples, (since - samples.origin) * 1e-9, before, after).total
+    except SemiparamError:
+        return None
+
+
 def declared(found: Diagnosis) -> tuple[Effect, ...]:
     """The effects of the final model, times as stamps: a node counts time from its own start, which a reset moves."""
     origin = found.recorded.samples.origin

@@ -7,7 +7,8 @@ import pytest
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.single_estimator import ModelOptions
-from semiparam_ros.diagnosis.change import name_change
+from semiparam_ros.diagnosis.change import gain_since, name_change
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.changes import ChangeDetector
 from support.changing_arm import LOADED_S, free, loaded, pushed
 
@@ -106,3 +107,11 @@ def test_a_load_that_was_put_down_is_named_with_its_end():
 def test_no_effect_is_named_where_nothing_changed():
     body, samples = free()
     assert name_change(body, samples, [], 70.0).effect is None
+
+
+@pytest.mark.parametrize(('until', 'helps'), [(130.0, True), (LOADED_S[1], False)])
+def test_what_was_found_helps_as_long_as_it_is_there(until, helps):
+    body, samples, _ = loaded((LOADED_S[0], until))
+    found = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')
+    gain = gain_since(body, samples, LOADED_S[1], [], [found])
+    assert (gain.total > 12.0) if helps else (gain.total < -12.0)
