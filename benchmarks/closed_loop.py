@@ -231,7 +231,7 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
 def summed(rows: list[Figures]) -> list[str]:
     """Cells of a table."""
     def median(values: list[float]) -> str:
-        return f'{np.median(values):.2g}' if values else '-'
+        return f'{np.nanmedian(values):.2g}' if values else '-'
 
     changes = sum(row.changes for row in rows)
 

@@ -68,6 +68,8 @@ class NamedChange:
     without: EvaluationFigures
     after: EvaluationFigures
     seconds: float
+    inputs: Inputs
+    """How the samples were prepared, for the next one of the same robot."""
 
     def as_dict(self) -> dict[str, object]:
         """For a record."""
@@ -95,33 +97,37 @@ class Tried(NamedTuple):
 
 
 def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], since_s: float,
-                ended_s: float | None = None, config: DiagnosisConfig = DEFAULTS) -> NamedChange:
+                ended_s: float | None = None, inputs: Inputs | None = None,
+                config: DiagnosisConfig = DEFAULTS) -> NamedChange:
     """Find what began near ``since_s`` [s since the origin of the samples], and was over near ``ended_s``.
 
     :param effects: those that the model holds, declared or named before.
+    :param inputs: how the samples are prepared; chosen anew, which takes most of the time, unless given.
 
     Raises SemiparamError when too few samples are left to work with.
     """
-    fit, inputs, changed = _declared(body, samples, effects, since_s, config)
+    fit, inputs, changed = _declared(body, samples, effects, since_s, inputs, config)
     tried = [trial for effect in _candidates(fit)
              if (trial := _tried(fit, effect, since_s, ended_s)) is not None]
+    tried += [_over(fit, effect, since_s) for effect in fit.effects[:len(effects)]
+              if effect.changes and not effect.ends and ended_s is None]
     tried.sort(key=lambda trial: -trial.net)
     best = tried[0] if tried and tried[0].gain.exceeds(tried[0].price, config.sure) else None
     after, parameters = fit, dict[str, Quantity]()
     if best is not None:
-        after, parameters = best.after, _parameters(best.after, inputs, samples)
+        after, parameters = best.after, _parameters(best, inputs, samples)
     used = fit.train_mask
     rest = changed if ended_s is None else changed & (fit.samples.time < ended_s)
     require_enough(config, used & rest)
     step = float(np.median(np.diff(fit.samples.time)))
     return NamedChange(
-        effect=None if best is None else best.after.effects[-1], gain=tried[0].gain if tried else Gain(0.0, 0.0),
+        effect=None if best is None else best.effect, gain=tried[0].gain if tried else Gain(0.0, 0.0),
         price=tried[0].price if tried else 0.0,
         rivals=tuple(Rival(other.effect.kind, other.effect.where, best.net - other.net)
                      for other in tried[1:4]) if best else (),
         parameters=parameters, before=evaluate_here(fit, used & ~changed).as_dict(),
         without=evaluate_here(fit, used & rest).as_dict(), after=evaluate_here(after, used & rest).as_dict(),
-        seconds=float(rest.sum()) * step)
+        seconds=float(rest.sum()) * step, inputs=inputs)
 
 
 def gain_since(body: RigidBody, samples: Samples, since_s: float, before: Sequence[Effect],
@@ -148,13 +154,13 @@ def gain_since(body: RigidBody, samples: Samples, since_s: float, before: Sequen
 
 
 def _declared(body: RigidBody, samples: Samples, effects: Sequence[Effect], since_s: float,
-              config: DiagnosisConfig) -> tuple[Fit, Inputs, Mask]:
+              inputs: Inputs | None, config: DiagnosisConfig) -> tuple[Fit, Inputs, Mask]:
     """The model that is declared, how its samples were prepared, and which (N,) came after the change."""
     clean, factor = ~excluded(samples, config), working_factor(samples, config)
     whole = samples[:len(samples) // factor * factor]
     clean = clean[:len(whole)]
     effects = [*(effect.in_recording(samples.origin) for effect in effects), *_friction(body)]
-    inputs = best_inputs(body, whole, effects, clean, config)
+    inputs = inputs or best_inputs(body, whole, effects, clean, config)
     chosen, valid = inputs.prepare(whole), inputs.mask(clean)
     counted = counted_outputs(body, chosen, config)
     valid &= counted.any(axis=1)
@@ -208,18 +214,29 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> T
     return best
 
 
+def _over(fit: Fit, effect: Effect, since_s: float) -> Tried:
+    """An effect that the model holds, with its end near a time."""
+    rest = with_effects(fit, [known for known in fit.effects if known is not effect])
+    ended = with_best_edge(rest, effect, 'end_s', (since_s - NEAR_S, since_s + NEAR_S))
+    after = refit_weights(with_effects(fit, [ended if known is effect else known for known in fit.effects]))
+    return Tried(ended, after, gain(fit, after, ended.span.values.values()), math.log(fit.config.start_grid))
+
+
 def _price(effect: Effect, fit: Fit) -> float:
-    """[nat] minus the log of its prior probability: a load may have come at any time near; the rest is as unlikely as a
-    diagnosis takes it to be (``search.prior_odds``)."""
+    """[nat] minus the log of its prior probability: a load may have come or gone at any time near. The rest is as
+    unlikely as a diagnosis takes it to be (``search.prior_odds``), and so is another load than the one that is known to
+    be there."""
     times = math.log(fit.config.start_grid) * len(effect.span.values)
     if effect.is_load:
-        return times
+        known = any(other.is_load and not other.ends for other in fit.effects)
+        return times + (math.log(fit.config.odds) if known and effect.start_s is None else 0.0)
     return times + math.log(fit.config.odds * max(len(effect.places(fit.body)), 1))
 
 
-def _parameters(fit: Fit, inputs: Inputs, samples: Samples) -> dict[str, Quantity]:
-    """The values of the last effect, with their standard deviations."""
-    effect, number = fit.effects[-1], len(fit.effects) - 1
+def _parameters(best: Tried, inputs: Inputs, samples: Samples) -> dict[str, Quantity]:
+    """The values of the effect, with their standard deviations."""
+    effect, fit = best.effect, best.after
+    number = fit.effects.index(effect)
     block = fit.assembly.blocks[str(number)]
     std = deviations(fit, [number], inputs.disturbed(samples)).coefficients[block]
     return {name: Quantity(float(value), float(deviation), unit) for (name, unit), value, deviation in

@@ -12,21 +12,26 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from semiparam_ros.core.columns import CoupledColumns
+import numpy as np
+
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
+from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
 from semiparam_ros.online.changes import Change, ChangeDetector
 from semiparam_ros.online.history import History
+from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.worker import Background, Urgency
 
 if TYPE_CHECKING:
     from semiparam_ros.diagnosis.change import NamedChange
+    from semiparam_ros.diagnosis.preparation import Inputs
 
 BEFORE_S = 60.0
 """So much of what came before a change is looked at."""
@@ -85,6 +90,16 @@ class ChangeRecord:
                 'named': None if self.named is None else self.named.as_dict(), 'sentence': self.sentence}
 
 
+def known(declared: Sequence[Effect], named: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Effects that are declared or were named, each once: with its end, where one is known."""
+    found: dict[tuple[str, str | None, float | None], Effect] = {}
+    for effect in (*declared, *named):
+        identity = effect.kind, effect.where, effect.span.start_stamp_s
+        if identity not in found or effect.ends:
+            found[identity] = effect
+    return tuple(found.values())
+
+
 class ChangeWatch:
     """Notices changes of one robot, and has them named.
 
@@ -103,6 +118,8 @@ class ChangeWatch:
         self._due: list[tuple[int, int]] = []
         """When [ns] changes of these numbers are named next."""
         self._naming = False
+        self._inputs: Inputs | None = None
+        """How the samples of this robot are best prepared, once that is known."""
 
     @property
     def state(self) -> str:
@@ -115,6 +132,22 @@ class ChangeWatch:
         if detector.touched:
             return STATES[3]
         return STATES[2] if detector.knows else STATES[1]
+
+    @property
+    def picked(self) -> tuple[bool, Load | None]:
+        """Whether a load was picked up that is still there, and that load where it is named."""
+        followed = None if self.detector is None else self.detector.followed
+        record = None if followed is None else self.records.get(followed.change.number)
+        if record is None or followed is None:
+            return False, None
+        named, effect = record.named, record.effect
+        if named is None or effect is None:
+            return followed.change.kind == Payload.kind, None
+        if not effect.is_load or effect.ends:
+            return False, None
+        values = list(named.parameters.values())
+        return True, Load(str(effect.where), np.array([value.value for value in values]),
+                          np.diag([(value.std or 0.0)**2 for value in values]))
 
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
@@ -162,7 +195,7 @@ class ChangeWatch:
         self._due.sort()
         self._told(record)
 
-    def _name(self, number: int, history: History, effects: Sequence[object], now: int) -> None:
+    def _name(self, number: int, history: History, effects: Sequence[ColumnBlock], now: int) -> None:
         """Ask the background what it was, beside all else that is known."""
         record = self.records.get(number)
         if record is None:
@@ -171,8 +204,9 @@ class ChangeWatch:
         batch = history.span((now - change.since) / NANOSECONDS + BEFORE_S)
         others = [other.effect for key, other in self.records.items() if key != number and other.effect is not None]
         self._naming = True
-        self._background.submit(worker.name_change, self._body, batch, (*effects, *others), change.since, change.ended,
-                                done=partial(self._named, number), urgency=Urgency.ASKED)
+        declared = [effect for effect in effects if isinstance(effect, Effect)]
+        self._background.submit(worker.name_change, self._body, batch, known(declared, others), change.since,
+                                change.ended, self._inputs, done=partial(self._named, number), urgency=Urgency.ASKED)
 
     def _named(self, number: int, named: NamedChange | None, error: BaseException | None) -> None:
         self._naming = False
@@ -180,5 +214,6 @@ class ChangeWatch:
             self._failed('naming a change', error)
         record = self.records.get(number)
         if record is not None and named is not None:
+            self._inputs = named.inputs
             self.records[number] = replace(record, named=named)
             self._told(self.records[number])

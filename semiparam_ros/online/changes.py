@@ -293,6 +293,11 @@ class ChangeDetector:
         """Whether it has seen enough free motion to tell anything."""
         return self._usual[LENGTHS.index(8)].known
 
+    @property
+    def before(self) -> Array | None:
+        """(p,) coefficients of the model from before anything stood out; None while they are those that it has."""
+        return self._reference if self._held else None
+
     def see(self, prediction: Prediction, model: Model) -> Change | None:
         """Take one predicted sample into account; what is told with it.
 

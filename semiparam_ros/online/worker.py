@@ -43,6 +43,7 @@ from semiparam_ros.settings.snapshot import Settings
 if TYPE_CHECKING:
     from semiparam_ros.diagnosis.change import NamedChange
     from semiparam_ros.diagnosis.diagnose import Diagnosis
+    from semiparam_ros.diagnosis.preparation import Inputs
     from semiparam_ros.effects import Effect
 
 Result = TypeVar('Result')
@@ -539,9 +540,9 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> 
 
 
 def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], since: int,
-                ended: int | None) -> NamedChange:
-    """What began at a stamp [ns], and ended at another; times of the effect as stamps. Raises SemiparamError where too
-    few samples are there."""
+                ended: int | None, inputs: Inputs | None) -> NamedChange:
+    """What began at a stamp [ns], and ended at another; times of the effect as stamps. See
+    :func:`~semiparam_ros.diagnosis.change.name_change`."""
     from semiparam_ros.diagnosis.change import name_change
 
     samples = batch.samples
@@ -549,7 +550,7 @@ def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], 
         raise SemiparamError('there are no samples to name a change from.')
     origin = samples.origin
     found = name_change(body, samples, effects, (since - origin) * 1e-9,
-                        None if ended is None else (ended - origin) * 1e-9)
+                        None if ended is None else (ended - origin) * 1e-9, inputs)
     return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
 
 

@@ -1,22 +1,10 @@
 """The learner has changes named in the background, with what came before and after."""
 
-from dataclasses import replace
-
 import pytest
 
-from semiparam_ros.settings import Settings
-from support.changing_arm import LOADED_S, free, loaded
+from support.changing_arm import LOADED_S, SETTINGS, free, loaded, offered
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
-
-SETTINGS = Settings(outputs='wrench', variant='P', initial_samples=200)
-
-
-def offered(body, samples, **settings):
-    stage = Stage(replace(SETTINGS, **settings), background=InlineBackground(), body=body)
-    stage.offer(samples)
-    assert not stage.failures
-    return stage
 
 
 def test_a_load_is_named_soon_and_again_as_more_comes_until_it_is_put_down():

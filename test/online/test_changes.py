@@ -115,3 +115,12 @@ def test_what_was_found_helps_as_long_as_it_is_there(until, helps):
     found = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')
     gain = gain_since(body, samples, LOADED_S[1], [], [found])
     assert (gain.total > 12.0) if helps else (gain.total < -12.0)
+
+
+def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():
+    body, samples, _ = loaded()
+    declared = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')
+    found = name_change(body, samples[samples.time > 30.0], [declared], LOADED_S[1] + 0.5)
+    assert (found.effect.kind, found.effect.where) == ('payload', 'r_gripper')
+    assert found.effect.start_s == pytest.approx(LOADED_S[0], abs=0.2)
+    assert found.effect.end_s == pytest.approx(LOADED_S[1], abs=0.2)

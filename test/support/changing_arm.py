@@ -6,10 +6,14 @@ from functools import lru_cache
 import numpy as np
 
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.settings import Settings
 from semiparam_ros.simulation.arm import Arm
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support.learner_stage import Stage
+from support.node_helpers import InlineBackground
 
+SETTINGS = Settings(outputs='wrench', variant='P', initial_samples=200)
 SECONDS = 130.0
 LOADED_S = 70.0, 100.0
 
@@ -43,3 +47,11 @@ def pushed(start=70.0, seconds=5.0, newton=15.0, seed=3):
     force = newton * (rise * sway)[:, None] * np.array([0.6, -0.7, 0.39])
     change = arm.load_of_force(arm.pose(arm.tip, samples.position), force, samples.position)
     return body, replace(samples, outputs=samples.outputs + change)
+
+
+def offered(body, samples, **settings):
+    """A learner that has seen samples."""
+    stage = Stage(replace(SETTINGS, **settings), background=InlineBackground(), body=body)
+    stage.offer(samples)
+    assert not stage.failures
+    return stage
