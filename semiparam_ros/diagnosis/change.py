@@ -107,11 +107,7 @@ def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], si
     Raises SemiparamError when too few samples are left to work with.
     """
     fit, inputs, changed = _declared(body, samples, effects, since_s, inputs, config)
-    tried = [trial for effect in _candidates(fit)
-             if (trial := _tried(fit, effect, since_s, ended_s)) is not None]
-    tried += [_over(fit, effect, since_s) for effect in fit.effects[:len(effects)]
-              if effect.changes and not effect.ends and ended_s is None]
-    tried.sort(key=lambda trial: -trial.net)
+    tried = _ranked(fit, fit.effects[:len(effects)], since_s, ended_s)
     best = tried[0] if tried and tried[0].gain.exceeds(tried[0].price, config.sure) else None
     after, parameters = fit, dict[str, Quantity]()
     if best is not None:
@@ -128,6 +124,18 @@ def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], si
         parameters=parameters, before=evaluate_here(fit, used & ~changed).as_dict(),
         without=evaluate_here(fit, used & rest).as_dict(), after=evaluate_here(after, used & rest).as_dict(),
         seconds=float(rest.sum()) * step, inputs=inputs)
+
+
+def _ranked(fit: Fit, known: Sequence[Effect], since_s: float, ended_s: float | None) -> list[Tried]:
+    """Every effect that may have begun, the likeliest first; before them all one that is known and is over,
+    unless another explains much more."""
+    found = [trial for effect in _candidates(fit)
+             if (trial := _tried(fit, effect, since_s, ended_s)) is not None]
+    over = [_over(fit, effect, since_s) for effect in known if effect.changes and not effect.ends and ended_s is None]
+    most = max((trial.gain.total for trial in found), default=0.0)
+    enough = [trial for trial in over if trial.gain.total * fit.config.start_worth > most]
+    found += [trial for trial in over if trial not in enough]
+    return [*sorted(enough, key=lambda trial: -trial.net), *sorted(found, key=lambda trial: -trial.net)]
 
 
 def gain_since(body: RigidBody, samples: Samples, since_s: float, before: Sequence[Effect],
@@ -223,13 +231,11 @@ def _over(fit: Fit, effect: Effect, since_s: float) -> Tried:
 
 
 def _price(effect: Effect, fit: Fit) -> float:
-    """[nat] minus the log of its prior probability: a load may have come or gone at any time near. The rest is as
-    unlikely as a diagnosis takes it to be (``search.prior_odds``), and so is another load than the one that is known to
-    be there."""
+    """[nat] minus the log of its prior probability: a load may have come or gone at any time near; the rest is
+    as unlikely as a diagnosis takes it to be (``search.prior_odds``)."""
     times = math.log(fit.config.start_grid) * len(effect.span.values)
     if effect.is_load:
-        known = any(other.is_load and not other.ends for other in fit.effects)
-        return times + (math.log(fit.config.odds) if known and effect.start_s is None else 0.0)
+        return times
     return times + math.log(fit.config.odds * max(len(effect.places(fit.body)), 1))
 
 
