@@ -2,16 +2,17 @@
 
     python benchmarks/closed_loop.py --urdf ur3=ur3.urdf --urdf panda=panda.urdf --data DATA
 
-Simulated arms (the iCub's with its sensor, and each URDF by its joint efforts, with friction in every
-joint) move for four minutes at 100 Hz (iCub: 20 Hz). DATA holds the measured recordings of a UR3, a
-Franka and an iCub, already converted (``id1.mcap id2.mcap panda.mcap train.mcap test.mcap``).
-Into each come, by recursive Newton-Euler and Jacobians that the package's models do not share: a load
-in the hand, off and on again; an offset of one effort, or of the sensor; dry friction of one joint; a
-hand that pushes three times for 5 s; and nothing. Seeds choose masses, joints and directions.
+Simulated arms (the iCub's with its sensor, and each URDF by its joint efforts, with friction in
+every joint) move for four minutes at 100 Hz (iCub: 20 Hz). DATA holds the measured recordings of a
+UR3, a Franka and an iCub, already converted (``id1.mcap id2.mcap panda.mcap train.mcap
+test.mcap``). Into each come, by recursive Newton-Euler and Jacobians that the package's models do
+not share: a load in the hand, off and on again; an offset of one effort, or of the sensor; dry
+friction of one joint; a hand that pushes three times for 5 s; and nothing. Seeds choose masses,
+joints and directions.
 
-*Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it has
-the right effect, 30 s after it or when it ends. *Back*: the error that its model leaves after the
-change, over the one before it. *False*: changes told of where there is none, or only a push.
+*Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it
+has the right effect, 30 s after it or when it ends. *Back*: the error that its model leaves after
+the change, over the one before it. *False*: changes told of where there is none, or only a push.
 """
 
 from __future__ import annotations
@@ -52,13 +53,29 @@ NOTICED_S, NAMED_S, PUSH_S = 3.0, 30.0, 5.0
 CHANGES = ('load', 'offset', 'friction', 'push', 'none')
 MEASURED = {
     'UR3 measured': (('id1', 'id2'), Settings(outputs='effort')),
-    'Franka measured': (('panda',), Settings(
-        outputs='effort', joints=tuple(f'panda_joint{number}' for number in range(1, 8)), initial_samples=200)),
-    'iCub measured': (('train', 'test'), Settings(
-        outputs='wrench', joints=('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow'),
-        sensor_frame='r_arm_ft_sensor', wrench_convention='reaction'))}
-NAMES = {'load': ('payload',), 'offset': ('sensor_offset', 'effort_offset'),
-         'friction': ('coulomb_friction', 'viscous_friction')}
+    'Franka measured': (
+        ('panda',),
+        Settings(
+            outputs='effort',
+            joints=tuple(f'panda_joint{number}' for number in range(1, 8)),
+            initial_samples=200,
+        ),
+    ),
+    'iCub measured': (
+        ('train', 'test'),
+        Settings(
+            outputs='wrench',
+            joints=('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow'),
+            sensor_frame='r_arm_ft_sensor',
+            wrench_convention='reaction',
+        ),
+    ),
+}
+NAMES = {
+    'load': ('payload',),
+    'offset': ('sensor_offset', 'effort_offset'),
+    'friction': ('coulomb_friction', 'viscous_friction'),
+}
 
 
 class Robot(NamedTuple):
@@ -95,30 +112,62 @@ def simulated(urdf: str | None, seed: int) -> Robot:
     """An arm in a mixture of circles, Fourier motion and reaching."""
     rate, effects = (20.0, ()) if urdf is None else (100.0, _friction(urdf))
     joints = None if urdf is None else tuple(dict.fromkeys(str(effect.where) for effect in effects))
-    found = simulate(Scenario(motion='mixed', samples=round(SECONDS * rate), rate_hz=rate, seed=seed, urdf=urdf,
-                              joints=joints, outputs='wrench' if urdf is None else 'effort', effects=effects,
-                              baseline='bundled' if urdf is None else 'none', accelerations=False,
-                              noise_correlation_s=0.05))
-    settings = Settings(robot_description=found.urdf, joints=found.joint_names, outputs=found.outputs_kind,
-                        sensor_frame=found.frame_id, wrench_convention='reaction')
+    found = simulate(
+        Scenario(
+            motion='mixed',
+            samples=round(SECONDS * rate),
+            rate_hz=rate,
+            seed=seed,
+            urdf=urdf,
+            joints=joints,
+            outputs='wrench' if urdf is None else 'effort',
+            effects=effects,
+            baseline='bundled' if urdf is None else 'none',
+            accelerations=False,
+            noise_correlation_s=0.05,
+        )
+    )
+    settings = Settings(
+        robot_description=found.urdf,
+        joints=found.joint_names,
+        outputs=found.outputs_kind,
+        sensor_frame=found.frame_id,
+        wrench_convention='reaction',
+    )
     causal = CausalDifferentiator(len(found.joint_names), settings.acceleration_cutoff)
-    acceleration = np.array([causal.update(int(stamp), velocity)
-                             for stamp, velocity in zip(found.stamps, found.velocity, strict=True)])
-    samples = Samples(found.stamps, found.position, found.velocity, acceleration, found.outputs, int(found.stamps[0]))
+    acceleration = np.array(
+        [
+            causal.update(int(stamp), velocity)
+            for stamp, velocity in zip(found.stamps, found.velocity, strict=True)
+        ]
+    )
+    samples = Samples(
+        found.stamps,
+        found.position,
+        found.velocity,
+        acceleration,
+        found.outputs,
+        int(found.stamps[0]),
+    )
     return Robot(settings, samples, arm_of(settings, found.urdf), 0.3 if urdf is None else 0.6)
 
 
 def _friction(urdf: str) -> tuple[EffectRequest, ...]:
     arm = Arm.from_urdf(urdf, moving_joints(Settings(outputs='effort'), urdf), 'effort')
     joints = [joint for joint in arm.joints if 'finger' not in joint]
-    return tuple(EffectRequest(kind, joint, 1.0, 0.0) for joint in joints
-                 for kind in ('coulomb_friction', 'viscous_friction'))
+    return tuple(
+        EffectRequest(kind, joint, 1.0, 0.0)
+        for joint in joints
+        for kind in ('coulomb_friction', 'viscous_friction')
+    )
 
 
 def measured(data: Path, names: tuple[str, ...], settings: Settings, _: int = 0) -> Robot:
     """Recordings, one after the other; the same for every seed."""
     bags = [load_samples(data / f'{name}.mcap', settings) for name in names]
-    urdf = robot_description(settings, next(bag.robot_description for bag in bags if bag.robot_description))
+    urdf = robot_description(
+        settings, next(bag.robot_description for bag in bags if bag.robot_description)
+    )
     stamps, end = [], 0
     for bag in bags:
         own = bag.samples.stamps - bag.samples.stamps[0]
@@ -127,13 +176,20 @@ def measured(data: Path, names: tuple[str, ...], settings: Settings, _: int = 0)
     joined = Samples.joined([bag.samples for bag in bags])
     samples = replace(joined, stamps=np.concatenate(stamps) + 10**9, origin=10**9, breaks=())
     settings = replace(settings, robot_description=urdf, robot_description_file='')
-    return Robot(settings, samples, arm_of(settings, urdf), 0.3 if settings.outputs == 'wrench' else 0.6)
+    return Robot(
+        settings, samples, arm_of(settings, urdf), 0.3 if settings.outputs == 'wrench' else 0.6
+    )
 
 
 def arm_of(settings: Settings, urdf: str) -> Arm:
     """The simulator's arm, which shares no code with the model."""
-    return Arm.from_urdf(urdf, moving_joints(settings, urdf), settings.outputs, settings.sensor_frame or None,
-                         settings.wrench_convention)
+    return Arm.from_urdf(
+        urdf,
+        moving_joints(settings, urdf),
+        settings.outputs,
+        settings.sensor_frame or None,
+        settings.wrench_convention,
+    )
 
 
 def case_of(robot: Robot, change: str, seed: int) -> Case:
@@ -153,7 +209,9 @@ def case_of(robot: Robot, change: str, seed: int) -> Case:
         added, times = (time >= times[0])[:, None] * jump, times[:1]
     elif change == 'friction':
         joint = int(rng.integers(n))
-        added[:, joint] = 0.3 * spread[joint] * np.tanh(samples.velocity[:, joint] / 0.02) * (time >= times[0])
+        added[:, joint] = (
+            0.3 * spread[joint] * np.tanh(samples.velocity[:, joint] / 0.02) * (time >= times[0])
+        )
         times = times[:1]
     elif change == 'push':
         added, times = pushes(robot, times, rng), ()
@@ -166,7 +224,9 @@ def weight(robot: Robot, mass: float, rng: np.random.Generator) -> Array:
     """(N, n) what a body in the hand adds, by recursive Newton-Euler with and without it."""
     samples, arm = robot.samples, robot.arm
     step = float(np.median(np.diff(samples.time)))
-    acceleration = savgol_filter(samples.velocity, max(int(0.1 / step) | 1, 7), 3, deriv=1, delta=step, axis=0)
+    acceleration = savgol_filter(
+        samples.velocity, max(int(0.1 / step) | 1, 7), 3, deriv=1, delta=step, axis=0
+    )
     centre = np.array([*rng.uniform(-0.03, 0.03, 2), 0.06])
     body = pin.Inertia(mass, centre, 6e-4 * mass * np.eye(3))
     states = samples.position, samples.velocity, acceleration
@@ -187,7 +247,11 @@ def pushes(robot: Robot, times: tuple[float, ...], rng: np.random.Generator) -> 
 
 def run(robot: Robot, case: Case) -> tuple[list[ChangeRecord], Array]:
     """Every record that was told, and (N,) whether the state was another than usual."""
-    learner, told, unusual = OfflineLearner(robot.settings, [], lambda: None), list[ChangeRecord](), list[bool]()
+    learner, told, unusual = (
+        OfflineLearner(robot.settings, [], lambda: None),
+        list[ChangeRecord](),
+        list[bool](),
+    )
     learner.look_for_changes(told.append)
     learner.begin(case.samples.origin)
     for sample in case.samples:
@@ -218,18 +282,27 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
         near = [record for record in told if at - 3.0 < seconds(record.change.told) < at + NAMED_S]
         right |= {record.change.number for record in near}
         delays += [seconds(near[0].change.told) - at] if near else []
-        found = [record for record in near if record.effect is not None and record.effect.kind in NAMES[change]]
+        found = [
+            record
+            for record in near
+            if record.effect is not None and record.effect.kind in NAMES[change]
+        ]
         named += bool(found)
         if found and found[-1].named is not None:
             last = found[-1].named
             back.append(last.after['nmse_mean'] / last.before['nmse_mean'])
-            errors += [abs(last.parameters['mass'].value / case.mass - 1.0)] if change == 'load' else []
+            errors += (
+                [abs(last.parameters['mass'].value / case.mass - 1.0)] if change == 'load' else []
+            )
     false = len({record.change.number for record in told} - right)
-    return Figures(len(case.times), noticed, named, delays, errors, back, false, float(time[-1]) / 3600.0)
+    return Figures(
+        len(case.times), noticed, named, delays, errors, back, false, float(time[-1]) / 3600.0
+    )
 
 
 def summed(rows: list[Figures]) -> list[str]:
     """Cells of a table."""
+
     def median(values: list[float]) -> str:
         return f'{np.nanmedian(values):.2g}' if values else '-'
 
@@ -238,17 +311,30 @@ def summed(rows: list[Figures]) -> list[str]:
     def share(count: int) -> str:
         return f'{count} of {changes}' if changes else '-'
 
-    flat = [[value for row in rows for value in getattr(row, name)] for name in ('delays', 'mass_errors', 'back')]
+    flat = [
+        [value for row in rows for value in getattr(row, name)]
+        for name in ('delays', 'mass_errors', 'back')
+    ]
     worst = f' ({max(flat[1]):.0%})' if flat[1] else ''
     mass = f'{np.median(flat[1]):.1%}{worst}' if flat[1] else '-'
-    return [share(sum(row.noticed for row in rows)), median(flat[0]), share(sum(row.named for row in rows)), mass,
-            median(flat[2]), f'{sum(row.false for row in rows)} in {sum(row.hours for row in rows):.2f} h']
+    return [
+        share(sum(row.noticed for row in rows)),
+        median(flat[0]),
+        share(sum(row.named for row in rows)),
+        mass,
+        median(flat[2]),
+        f'{sum(row.false for row in rows)} in {sum(row.hours for row in rows):.2f} h',
+    ]
 
 
 def main() -> int:
     """A row for each robot and change."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--urdf', action='append', default=[], metavar='NAME=FILE', help='an arm of joint efforts')
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        '--urdf', action='append', default=[], metavar='NAME=FILE', help='an arm of joint efforts'
+    )
     parser.add_argument('--data', type=Path, help='folder of the measured recordings')
     parser.add_argument('--seeds', type=int, default=3)
     parser.add_argument('--first-seed', type=int, default=1)
@@ -256,12 +342,16 @@ def main() -> int:
     parser.add_argument('--no-icub', action='store_true', help='without the simulated iCub')
     parser.add_argument('--json')
     given = parser.parse_args()
-    robots: dict[str, Callable[[int], Robot]] = {} if given.no_icub else {'iCub': partial(simulated, None)}
+    robots: dict[str, Callable[[int], Robot]] = (
+        {} if given.no_icub else {'iCub': partial(simulated, None)}
+    )
     for name, _, file in (text.partition('=') for text in given.urdf):
         robots[name] = partial(simulated, Path(file).read_text())
     for name, (bags, settings) in MEASURED.items() if given.data else ():
         robots[name] = partial(measured, given.data, bags, settings)
-    table = Table('robot', 'change', 'noticed', 'told after [s]', 'named', 'mass error', 'back', 'false')
+    table = Table(
+        'robot', 'change', 'noticed', 'told after [s]', 'named', 'mass error', 'back', 'false'
+    )
     everything = {}
     for name, robot in robots.items():
         for change in given.changes:

@@ -1,8 +1,8 @@
 """Changes of the robot while it works: noticed as samples come, then named in the background.
 
 What was noticed (:mod:`semiparam_ros.online.changes`) is named from the samples before and after it
-(:mod:`semiparam_ros.diagnosis.change`), again and again as more of them come, beside what the model declares and the
-changes that were named before.
+(:mod:`semiparam_ros.diagnosis.change`), again and again as more of them come, beside what the model
+declares and the changes that were named before.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ STATES = ('not looked for', 'learns what is usual', 'as it was', 'touched, or ch
 
 @dataclass(frozen=True)
 class ChangeRecord:
-    """All that is known of one change; ``named`` is what :func:`~semiparam_ros.diagnosis.change.name_change` found."""
+    """All that is known of one change; ``named`` is what
+    :func:`~semiparam_ros.diagnosis.change.name_change` found."""
 
     change: Change
     named: NamedChange | None = None
@@ -57,11 +58,15 @@ class ChangeRecord:
 
     @property
     def times_s(self) -> tuple[float | None, float | None]:
-        """[s] when it began and ended, as stamps count; None for what was there before, or is there yet."""
+        """[s] when it began and ended, as stamps count; None for what was there before, or is there
+        yet."""
         change, effect = self.change, self.effect
         if effect is not None:
             return effect.span.start_stamp_s, effect.span.end_stamp_s
-        return change.since / NANOSECONDS, None if change.ended is None else change.ended / NANOSECONDS
+        return (
+            change.since / NANOSECONDS,
+            None if change.ended is None else change.ended / NANOSECONDS,
+        )
 
     @property
     def sentence(self) -> str:
@@ -71,23 +76,37 @@ class ChangeRecord:
         since = f'since {begun:.2f} s' if begun is not None else 'from before'
         until = '' if ended is None else f', over at {ended:.2f} s'
         if effect is None:
-            what = f'likeliest {place(change.kind, change.where)}' if change.kind else 'nothing known'
+            what = (
+                f'likeliest {place(change.kind, change.where)}' if change.kind else 'nothing known'
+            )
             asked = '' if self.named is None else '; no effect explains it better than none'
-            return f'the robot has changed {since}{until} ({what}, felt by {", ".join(change.outputs[:3])}){asked}.'
+            felt = ', '.join(change.outputs[:3])
+            return f'the robot has changed {since}{until} ({what}, felt by {felt}){asked}.'
         assert self.named is not None
-        values = ', '.join(f'{name} {value.value:.3g} +- {value.std or 0.0:.1g} {value.unit}'.rstrip()
-                           for name, value in list(self.named.parameters.items())[:4])
+        values = ', '.join(
+            f'{name} {value.value:.3g} +- {value.std or 0.0:.1g} {value.unit}'.rstrip()
+            for name, value in list(self.named.parameters.items())[:4]
+        )
         return f'{place(effect.kind, effect.where)} {since}{until}: {effect.sentence} ({values}).'
 
     def as_dict(self) -> dict[str, object]:
         """For the log; times in seconds as stamps count."""
         change = self.change
-        return {'schema': 1, 'change': change.number, 'since_stamp_s': change.since / NANOSECONDS,
-                'noticed_stamp_s': change.told / NANOSECONDS,
-                'ended_stamp_s': None if change.ended is None else change.ended / NANOSECONDS,
-                'noticed_as': {'kind': change.kind or None, 'where': change.where, 'evidence': change.evidence,
-                               'outputs': list(change.outputs)},
-                'named': None if self.named is None else self.named.as_dict(), 'sentence': self.sentence}
+        return {
+            'schema': 1,
+            'change': change.number,
+            'since_stamp_s': change.since / NANOSECONDS,
+            'noticed_stamp_s': change.told / NANOSECONDS,
+            'ended_stamp_s': None if change.ended is None else change.ended / NANOSECONDS,
+            'noticed_as': {
+                'kind': change.kind or None,
+                'where': change.where,
+                'evidence': change.evidence,
+                'outputs': list(change.outputs),
+            },
+            'named': None if self.named is None else self.named.as_dict(),
+            'sentence': self.sentence,
+        }
 
 
 def known(declared: Sequence[Effect], named: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -107,12 +126,18 @@ class ChangeWatch:
     :param failed: called with what went wrong while one was named.
     """
 
-    def __init__(self, body: RigidBody, background: Background, told: Callable[[ChangeRecord], None],
-                 failed: Callable[[str, BaseException], None]) -> None:
+    def __init__(
+        self,
+        body: RigidBody,
+        background: Background,
+        told: Callable[[ChangeRecord], None],
+        failed: Callable[[str, BaseException], None],
+    ) -> None:
         self.records: dict[int, ChangeRecord] = {}
         """The latest, by their numbers."""
         self.detector: ChangeDetector | None = None
-        """None while no model can be judged: with features in every one, or coefficients that are fixed."""
+        """None while no model can be judged: with features in every one, or coefficients that are
+        fixed."""
         self._body, self._background, self._told, self._failed = body, background, told, failed
         self._columns: CoupledColumns | None = None
         self._due: list[tuple[int, int]] = []
@@ -146,8 +171,11 @@ class ChangeWatch:
         if not effect.is_load or effect.ends:
             return False, None
         values = list(named.parameters.values())
-        return True, Load(str(effect.where), np.array([value.value for value in values]),
-                          np.diag([(value.std or 0.0)**2 for value in values]))
+        return True, Load(
+            str(effect.where),
+            np.array([value.value for value in values]),
+            np.diag([(value.std or 0.0) ** 2 for value in values]),
+        )
 
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
@@ -174,8 +202,12 @@ class ChangeWatch:
     def _detector_of(self, columns: CoupledColumns) -> ChangeDetector:
         """That of a model, which goes on where the model's columns are those that it had."""
         known, self._columns = self._columns, columns
-        if self.detector is None or known is None or known.n_own != columns.n_own \
-                or known.physical != columns.physical:
+        if (
+            self.detector is None
+            or known is None
+            or known.n_own != columns.n_own
+            or known.physical != columns.physical
+        ):
             self.detector = ChangeDetector(columns, max(self.records, default=0))
         elif known.effects != columns.effects:
             self.detector.reset()
@@ -188,25 +220,43 @@ class ChangeWatch:
         for number in list(self.records)[:-MOST_RECORDS]:
             del self.records[number]
         if known is None:
-            self._due += [(change.since + round(seconds * NANOSECONDS), change.number) for seconds in NAMED_AFTER_S]
+            self._due += [
+                (change.since + round(seconds * NANOSECONDS), change.number)
+                for seconds in NAMED_AFTER_S
+            ]
         elif change.ended is not None:
             self._due = [(when, number) for when, number in self._due if number != change.number]
             self._due.append((now, change.number))
         self._due.sort()
         self._told(record)
 
-    def _name(self, number: int, history: History, effects: Sequence[ColumnBlock], now: int) -> None:
+    def _name(
+        self, number: int, history: History, effects: Sequence[ColumnBlock], now: int
+    ) -> None:
         """Ask the background what it was, beside all else that is known."""
         record = self.records.get(number)
         if record is None:
             return
         change = record.change
         batch = history.span((now - change.since) / NANOSECONDS + BEFORE_S)
-        others = [other.effect for key, other in self.records.items() if key != number and other.effect is not None]
+        others = [
+            other.effect
+            for key, other in self.records.items()
+            if key != number and other.effect is not None
+        ]
         self._naming = True
         declared = [effect for effect in effects if isinstance(effect, Effect)]
-        self._background.submit(worker.name_change, self._body, batch, known(declared, others), change.since,
-                                change.ended, self._inputs, done=partial(self._named, number), urgency=Urgency.ASKED)
+        self._background.submit(
+            worker.name_change,
+            self._body,
+            batch,
+            known(declared, others),
+            change.since,
+            change.ended,
+            self._inputs,
+            done=partial(self._named, number),
+            urgency=Urgency.ASKED,
+        )
 
     def _named(self, number: int, named: NamedChange | None, error: BaseException | None) -> None:
         self._naming = False

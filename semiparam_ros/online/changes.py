@@ -13,12 +13,12 @@ kept of the samples, for each quarter of a second b of motion, with S = diag(s):
 
     A_b = sum L' C' S^-2 C L,    h_b = sum L' C' S^-2 r
 
-*Noticing.* q = h' (A + I)^-1 h, summed over the last half, one, two, four and eight seconds, is what
-a cause explains beside its prior theta ~ N(0, I). How large it is in free motion is learnt, for
-innovations are coloured, and no model is exactly true. The root of q over its usual mean square has a
-tail, and what stands out is a ratio that chance exceeds only so often an hour over all causes and
-lengths (:class:`~semiparam_ros.online.contact_gate.Tail`). Motion that the model has not seen weighs
-less.
+*Noticing.* q = h' (A + I)^-1 h, summed over the last half, one, two, four and eight seconds, is
+what a cause explains beside its prior theta ~ N(0, I). How large it is in free motion is learnt,
+for innovations are coloured, and no model is exactly true. The root of q over its usual mean square
+has a tail, and what stands out is a ratio that chance exceeds only so often an hour over all causes
+and lengths (:class:`~semiparam_ros.online.contact_gate.Tail`). Motion that the model has not seen
+weighs less.
 
 *Telling.* What stands out is judged by the log evidence of each hypothesis over the free one, with
 noise kappa S^2. kappa is the usual mean square, and grows with what the best hypothesis leaves:
@@ -29,9 +29,10 @@ noise kappa S^2. kappa is the usual mean square, and grows with what the best hy
 A change is told once it has ``SURE`` nat more than both others. The price is minus the log of the
 prior probability: robots pick up and put down, and the rest is rare.
 
-All this time the model predicts with the coefficients that it had before anything stood out. A change
-that was told is followed: its coefficients, from all quarters since it began, are taken off, so that
-the next change stands out in turn; and it is over when the model without it predicts better.
+All this time the model predicts with the coefficients that it had before anything stood out. A
+change that was told is followed: its coefficients, from all quarters since it began, are taken off,
+so that the next change stands out in turn; and it is over when the model without it predicts
+better.
 """
 
 from __future__ import annotations
@@ -51,7 +52,14 @@ from semiparam_ros.core.robot.size import base_scale, output_scale
 from semiparam_ros.core.single_estimator import Model, Prediction
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects.loads import Payload
-from semiparam_ros.online.contact_gate import BEYOND, JUST_BEYOND, SPEEDS, UNSEEN_FACTOR, UNSEEN_S, Tail
+from semiparam_ros.online.contact_gate import (
+    BEYOND,
+    JUST_BEYOND,
+    SPEEDS,
+    UNSEEN_FACTOR,
+    UNSEEN_S,
+    Tail,
+)
 
 BLOCK_S = 0.25
 LENGTHS = (2, 4, 8, 16, 32)
@@ -63,8 +71,9 @@ USUAL, FEWEST = 20, 4
 SINCE = (32, 28, 24, 20, 16, 14, 12, 10, 8, 7, 6, 5, 4)
 """[blocks] How long ago a change may have begun."""
 EACH, LASTING = 4, 24
-"""So many blocks of outputs that feel it speak for each coefficient of a load at least: fewer anything explains. Of all
-else so many altogether: a contact may be as steady, but does not last as long."""
+"""So many blocks of outputs that feel it speak for each coefficient of a load at least: fewer
+anything explains. Of all else so many altogether: a contact may be as steady, but does not last as
+long."""
 MASS_SHOWS = 2.5
 """[standard deviations] A load has a mass that is so sure at least."""
 CALM = 0.5
@@ -74,8 +83,8 @@ PER_HOUR = 0.1
 SURE = 12.0
 """[nat] Odds of 160 000 to 1, as a diagnosis asks of an effect."""
 RARE = 1e4
-"""A load is picked up or put down so many times as often as anything else changes; and that as often as something of
-which the kind is not known."""
+"""A load is picked up or put down so many times as often as anything else changes; and that as
+often as something of which the kind is not known."""
 HAND_M = 0.15
 """[m] How far from the last link the centre of a load may be, and how large it is."""
 SETTLED = 8
@@ -83,8 +92,8 @@ SETTLED = 8
 JUDGED_ANEW = 32
 """[blocks] So long after it began, what a change is may still be told anew."""
 COMPARED, LEAST_COMPARED = 1.0 - 1.0 / 80.0, 40.0 * (1.0 - 1.0 / 80.0)
-"""[blocks] After anything stood out, the model as it stands is compared with the one from before over the last twenty
-seconds in which nothing does, ten at least."""
+"""[blocks] After anything stood out, the model as it stands is compared with the one from before
+over the last twenty seconds in which nothing does, ten at least."""
 RELEASED = 3
 """A contact is over when nothing stands out over the first so many lengths."""
 CONTACT = (1, 4, 8)
@@ -95,8 +104,9 @@ ROUNDED = 1e-11
 
 
 class Cause(NamedTuple):
-    """What may change: its kind and place as effects have them ('' for no known kind), its part of the directions,
-    minus the log of its prior probability [nat], and how many blocks must speak for it."""
+    """What may change: its kind and place as effects have them ('' for no known kind), its part of
+    the directions, minus the log of its prior probability [nat], and how many blocks must speak for
+    it."""
 
     kind: str
     where: str | None
@@ -111,9 +121,11 @@ class Change(NamedTuple):
     :param number: counts them; one that is judged anew keeps its own.
     :param since: [ns] stamp at which it began. :param told: [ns] when that was told.
     :param kind: the likeliest cause ('' for none that is known), at ``where``.
-    :param value: of a load its mass [kg], with its standard deviation; of what was put down negative; else NaN.
-    :param evidence: [nat] over what is next likely: no change, a contact. :param outputs: those that feel it, the
-        strongest first. :param ended: [ns] when it was over; None while it is there.
+    :param value: of a load its mass [kg], with its standard deviation; of what was put down
+        negative; else NaN.
+    :param evidence: [nat] over what is next likely: no change, a contact. :param outputs: those
+        that feel it, the strongest first. :param ended: [ns] when it was over; None while it is
+        there.
     """
 
     number: int
@@ -135,35 +147,49 @@ class Block(NamedTuple):
     gram: Array  # (K, K) A
     moment: Array  # (K,) h
     live: float  # weighed squares that the model leaves as it stands
-    own: Array  # (6, n) of each output sums of w (1, t, t^2, r, r t, r^2), weights w, time t in blocks
+    own: Array
+    """(6, n) of each output the sums of w (1, t, t^2, r, r t, r^2), with weights w and time t in
+    blocks."""
 
 
 def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
-    """What may change on a robot, and the directions L (p, K) of all of them in units of their priors; p: columns of
-    the model without those of effects."""
+    """What may change on a robot, and the directions L (p, K) of all of them in units of their
+    priors; p: columns of the model without those of effects."""
     body, blocks = columns.body, columns.blocks
-    own, causes, parts = np.diag(columns.prior_scale[:columns.n_own]), list[Cause](), list[Array]()
+    own, causes, parts = np.diag(columns.prior_scale[: columns.n_own]), list[Cause](), list[Array]()
     rigid, offset, friction = (blocks[name] for name in ('rigid_body', 'offset', 'friction'))
     own[rigid, rigid] = np.diag(base_scale(body))
 
     def add(kind: str, where: str | None, directions: Array, price: float) -> None:
         start = sum(part.shape[1] for part in parts)
         size = directions.shape[1]
-        causes.append(Cause(kind, where, slice(start, start + size), price,
-                            -(-EACH * size // body.n_outputs) if kind == Payload.kind else LASTING))
+        causes.append(
+            Cause(
+                kind,
+                where,
+                slice(start, start + size),
+                price,
+                -(-EACH * size // body.n_outputs) if kind == Payload.kind else LASTING,
+            )
+        )
         parts.append(directions)
 
     link = list(loaded_links(body))[-1]
     index, transform = load_transform(body, link)
     load = np.zeros((columns.n_own, transform.shape[1]))
-    load[rigid] = body.basis[10 * index:10 * index + 10].T @ transform * load_scale(body, link)
+    load[rigid] = body.basis[10 * index : 10 * index + 10].T @ transform * load_scale(body, link)
     add(Payload.kind, link, load, 0.0)
     price = log(RARE * (1 + (2 * body.n_outputs if columns.has_friction else 1)))
     if body.outputs == 'wrench':
         add('sensor_offset', None, own[:, offset], price)
     for number, joint in enumerate(body.output_names if columns.has_friction else ()):
         add('effort_offset', joint, own[:, [offset.start + number]], price)
-        add('friction', joint, own[:, friction.start + number:friction.stop:body.n_outputs], price)
+        add(
+            'friction',
+            joint,
+            own[:, friction.start + number : friction.stop : body.n_outputs],
+            price,
+        )
     add('', None, own[:, rigid], price + log(RARE))
     return causes, np.hstack(parts)
 
@@ -175,7 +201,8 @@ def load_scale(body: RigidBody, link: str) -> Array:
 
 
 class Usual:
-    """What causes explain in free motion over windows of one length, and which ratio to that stands out.
+    """What causes explain in free motion over windows of one length, and which ratio to that stands
+    out.
 
     :param length: [blocks]
     """
@@ -214,8 +241,8 @@ class Usual:
 
 
 class Judged(NamedTuple):
-    """A hypothesis: its cause, how many of the last blocks it explains, its coefficients in units of their prior, their
-    covariance, and its evidence [nat] over what is next likely."""
+    """A hypothesis: its cause, how many of the last blocks it explains, its coefficients in units
+    of their prior, their covariance, and its evidence [nat] over what is next likely."""
 
     cause: Cause
     blocks: int
@@ -225,7 +252,8 @@ class Judged(NamedTuple):
 
 
 class Followed:
-    """A change that was told, with the sums of all blocks since it began: its coefficients, in units of their prior."""
+    """A change that was told, with the sums of all blocks since it began: its coefficients, in
+    units of their prior."""
 
     def __init__(self, change: Change, judged: Judged, blocks: Sequence[Block]) -> None:
         self.change, self.cause, self.blocks = change, judged.cause, 0
@@ -241,7 +269,9 @@ class Followed:
         part = self.cause.part
         self._gram += block.gram[part, part]
         self._moment += block.moment[part]
-        self._latest.append(np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float))
+        self._latest.append(
+            np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
+        )
         self.theta, self.blocks = self._latest[0], self.blocks + 1
 
 
@@ -280,7 +310,8 @@ class ChangeDetector:
         self.touched = False
         self._standing, self._held, self._felt = 0, False, False
         self._compared: Array = np.zeros(3)
-        """Weighed squares of the model from before, and as it stands, over so many blocks; none while they are one."""
+        """Weighed squares of the model from before, and as it stands, over so many blocks; none
+        while they are one."""
         self._begin_block()
 
     def _begin_block(self) -> None:
@@ -295,7 +326,8 @@ class ChangeDetector:
 
     @property
     def before(self) -> Array | None:
-        """(p,) coefficients of the model from before anything stood out; None while they are those that it has."""
+        """(p,) coefficients of the model from before anything stood out; None while they are those
+        that it has."""
         return self._reference if self._held else None
 
     def see(self, prediction: Prediction, model: Model) -> Change | None:
@@ -304,7 +336,11 @@ class ChangeDetector:
         :param prediction: of a ``model`` without features.
         """
         sample, theta = prediction.sample, model.theta
-        seconds = 0.0 if self._newest is None else min(max(1e-9 * (sample.stamp - self._newest), 0.0), LONGEST_STEP_S)
+        seconds = (
+            0.0
+            if self._newest is None
+            else min(max(1e-9 * (sample.stamp - self._newest), 0.0), LONGEST_STEP_S)
+        )
         self._newest = sample.stamp
         speed = np.abs(sample.velocity)
         if not prediction.ready or prediction.off or float(speed.max()) < SPEEDS[0]:
@@ -330,20 +366,33 @@ class ChangeDetector:
 
     def _add(self, prediction: Prediction, reference: Array, weight: Array) -> None:
         columns = prediction.columns
-        rows = columns[:, :len(self._directions)] * weight[:, None]
+        rows = columns[:, : len(self._directions)] * weight[:, None]
         left = (prediction.sample.outputs - columns @ reference) * weight
         self._gram += rows.T @ rows
         self._moment += left @ rows
         time = self._seconds / BLOCK_S
         squares, pulls = weight * weight, weight * left
-        self._own += (squares, time * squares, time * time * squares, pulls, time * pulls, left * left)
+        self._own += (
+            squares,
+            time * squares,
+            time * time * squares,
+            pulls,
+            time * pulls,
+            left * left,
+        )
 
     def _finish_block(self, stamp: int, theta: Array) -> Change | None:
         directions = self._directions
         assert self._reference is not None
-        learnt = (theta - self._reference)[:len(directions)]
+        learnt = (theta - self._reference)[: len(directions)]
         live = float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
-        block = Block(self._start, directions.T @ self._gram @ directions, directions.T @ self._moment, live, self._own)
+        block = Block(
+            self._start,
+            directions.T @ self._gram @ directions,
+            directions.T @ self._moment,
+            live,
+            self._own,
+        )
         self._begin_block()
         if not np.isfinite(block.own).all() or not np.isfinite(block.gram).all():
             self.reset()  # no sensor measures that
@@ -357,7 +406,7 @@ class ChangeDetector:
         latest = max(ratios[:RELEASED], default=0.0)
         self._felt = (self.touched and self._felt) or latest >= 1.0
         if self.touched and self._felt and latest < CALM:  # it is over
-            self._blocks = deque(list(self._blocks)[-LENGTHS[RELEASED - 1]:], self._blocks.maxlen)
+            self._blocks = deque(list(self._blocks)[-LENGTHS[RELEASED - 1] :], self._blocks.maxlen)
             outstanding = 0.0
         self._standing = self._standing + 1 if outstanding >= 1.0 else 0
         if self._standing:
@@ -370,7 +419,8 @@ class ChangeDetector:
         return None
 
     def _calm(self, block: Block, theta: Array) -> None:
-        """Nothing stands out: go on with the model as it stands, unless the one from before predicts better."""
+        """Nothing stands out: go on with the model as it stands, unless the one from before
+        predicts better."""
         if self.followed is None:
             self.touched = False
             self._power.append(float(block.own[-1].sum()))
@@ -378,11 +428,16 @@ class ChangeDetector:
             self._compare(block)
             if self._compared[2] < LEAST_COMPARED or self._compared[1] > self._compared[0]:
                 return
-        self._held, self._compared, self._reference, self.followed = False, np.zeros(3), theta.copy(), None
+        self._held, self._compared, self._reference, self.followed = (
+            False,
+            np.zeros(3),
+            theta.copy(),
+            None,
+        )
 
     def _compare(self, block: Block) -> None:
-        """Charge what is left of a block by the model from before, with the change that is followed, and as it
-        stands."""
+        """Charge what is left of a block by the model from before, with the change that is
+        followed, and as it stands."""
         left = float(block.own[-1].sum())
         if self.followed is not None:
             part, theta = self.followed.cause.part, self.followed.theta
@@ -390,11 +445,14 @@ class ChangeDetector:
         self._compared = COMPARED * self._compared + (left, block.live, 1.0)
 
     def _outstanding(self, moments: Array) -> list[float]:
-        """How far anything stands out of the last blocks, which have these h (B, K), over each of the lengths."""
+        """How far anything stands out of the last blocks, which have these h (B, K), over each of
+        the lengths."""
         lengths = [length for length in LENGTHS if length <= len(self._blocks)]
         starts, ratios = len(self._blocks) - np.array(lengths, dtype=int), list[float]()
-        found = self._explained(_since(np.array([block.gram for block in self._blocks]), starts),
-                                _since(moments, starts))
+        found = self._explained(
+            _since(np.array([block.gram for block in self._blocks]), starts),
+            _since(moments, starts),
+        )
         free = self.followed is None and not self.touched
         for length, usual, explained in zip(lengths, self._usual, found, strict=False):
             ratios.append(usual.ratio(explained))
@@ -412,18 +470,22 @@ class ChangeDetector:
         return moments
 
     def _explained(self, grams: Array, moments: Array) -> Array:
-        """(S, c) what each cause explains of windows, over the number of directions that it tells of."""
+        """(S, c) what each cause explains of windows, over the number of directions that it tells
+        of."""
         found = np.empty((len(grams), len(self.causes)))
         for number, cause in enumerate(self.causes):
             along = moments[:, cause.part]
             inverse = np.linalg.inv(_with_prior(grams[:, cause.part, cause.part]))
             told = along.shape[1] - np.trace(inverse, axis1=1, axis2=2)
-            found[:, number] = np.einsum('sk,skj,sj->s', along, inverse, along) / np.maximum(told, 1.0)
+            found[:, number] = np.einsum('sk,skj,sj->s', along, inverse, along) / np.maximum(
+                told, 1.0
+            )
         return found
 
     @property
     def _noise(self) -> float:
-        """kappa: the usual mean square of what the whole rigid body explains, over the longest windows known."""
+        """kappa: the usual mean square of what the whole rigid body explains, over the longest
+        windows known."""
         return float(next(usual.median[-1] for usual in reversed(self._usual) if usual.known))
 
     def _tell(self, stamp: int) -> Change | None:
@@ -454,17 +516,26 @@ class ChangeDetector:
         own = np.array([block.own for block in self._blocks])
         power = _since(own[:, -1].sum(axis=1), starts)
         spectra = [np.linalg.eigh(grams[:, cause.part, cause.part]) for cause in self.causes]
-        along = [np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
-                 for (_, vectors), cause in zip(spectra, self.causes, strict=True)]
+        along = [
+            np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
+            for (_, vectors), cause in zip(spectra, self.causes, strict=True)
+        ]
         # what a cause leaves of the squares at its best
-        left = power - np.max([(each**2 * (values + 2.0) / (values + 1.0)**2).sum(axis=1)
-                               for (values, _), each in zip(spectra, along, strict=True)], axis=0)
+        left = power - np.max(
+            [
+                (each**2 * (values + 2.0) / (values + 1.0) ** 2).sum(axis=1)
+                for (values, _), each in zip(spectra, along, strict=True)
+            ],
+            axis=0,
+        )
         kappa = self._noise * np.maximum(left / (np.median(self._power) * counts), 1.0)
         rival = self._touched(own, kappa, starts)
         best: Judged | None = None
         for (values, vectors), each, cause in zip(spectra, along, self.causes, strict=True):
             whole = np.maximum(values, 0.0) + kappa[:, None]
-            evidence = 0.5 * ((each**2 / whole).sum(axis=1) / kappa - np.log(whole / kappa[:, None]).sum(axis=1))
+            evidence = 0.5 * (
+                (each**2 / whole).sum(axis=1) / kappa - np.log(whole / kappa[:, None]).sum(axis=1)
+            )
             evidence = evidence - cause.price - rival
             evidence[counts < cause.blocks] = -np.inf
             if cause.kind == Payload.kind:
@@ -473,28 +544,42 @@ class ChangeDetector:
             at = int(evidence.argmax())
             if best is None or evidence[at] > best.evidence:
                 root = vectors[at] / np.sqrt(whole[at])
-                best = Judged(cause, int(counts[at]), vectors[at] @ (each[at] / whole[at]),
-                              kappa[at] * root @ root.T, float(evidence[at]))
+                best = Judged(
+                    cause,
+                    int(counts[at]),
+                    vectors[at] @ (each[at] / whole[at]),
+                    kappa[at] * root @ root.T,
+                    float(evidence[at]),
+                )
         return best
 
     def _goes_on(self, cause: Cause, vectors: Array, along: Array) -> Mask:
         """(S,) whether the last half second too is better explained by a cause than by none."""
         theta = np.einsum('skj,sj->sk', vectors, along)
-        gram, moment = (np.sum([getattr(block, name) for block in list(self._blocks)[-LENGTHS[0]:]], axis=0)
-                        for name in ('gram', 'moment'))
+        gram, moment = (
+            np.sum([getattr(block, name) for block in list(self._blocks)[-LENGTHS[0] :]], axis=0)
+            for name in ('gram', 'moment')
+        )
         part = cause.part
-        return np.asarray((theta * (2.0 * moment[part] - theta @ gram[part, part])).sum(axis=1) > 0.0)
+        return np.asarray(
+            (theta * (2.0 * moment[part] - theta @ gram[part, part])).sum(axis=1) > 0.0
+        )
 
-    def _of_load(self, evidence: Array, values: Array, vectors: Array, along: Array, kappa: Array) -> Array:
+    def _of_load(
+        self, evidence: Array, values: Array, vectors: Array, along: Array, kappa: Array
+    ) -> Array:
         """(S,) that of a load, which has a mass; what was put down was in the hand before."""
         whole, of_mass = np.maximum(values, 0.0) + kappa[:, None], vectors[:, 0]
-        mass, variance = (of_mass * along / whole).sum(axis=1), kappa * (of_mass**2 / whole).sum(axis=1)
+        mass, variance = (
+            (of_mass * along / whole).sum(axis=1),
+            kappa * (of_mass**2 / whole).sum(axis=1),
+        )
         evidence = np.where(mass < 0.0, evidence - log(RARE), evidence)
         return np.where(mass**2 > MASS_SHOWS**2 * variance, evidence, -np.inf)
 
     def _touched(self, own: Array, kappa: Array, starts: Indices) -> Array:
-        """(S,) log evidence of a contact that began at any block, the noise being that of each of some starts, over
-        that of none."""
+        """(S,) log evidence of a contact that began at any block, the noise being that of each of
+        some starts, over that of none."""
         found = np.zeros((len(CONTACT), len(starts)))
         for row, together in enumerate(CONTACT):
             first = np.arange(len(own), 0, -together)[::-1] - together
@@ -505,7 +590,8 @@ class ChangeDetector:
         return np.asarray(found.max(axis=0))
 
     def _line(self, sums: Array, noise: float) -> Array:
-        """(B,) log evidence of outputs that go along a line, over that of none; sums (B, 5, n) as in a block."""
+        """(B,) log evidence of outputs that go along a line, over that of none; sums (B, 5, n) as
+        in a block."""
         one, first, second, moved, turned = np.moveaxis(sums, 1, 0) / noise
         prior = self._scale**-2
         a, c = one + prior, second + prior
@@ -515,14 +601,22 @@ class ChangeDetector:
 
     def _end(self, followed: Followed) -> int | None:
         """Since when [ns] the change that is followed is over; None while it is there."""
-        latest = list(self._blocks)[-LENGTHS[0]:]
-        gram, moment = (np.sum([getattr(block, name) for block in latest], axis=0) for name in ('gram', 'moment'))
+        latest = list(self._blocks)[-LENGTHS[0] :]
+        gram, moment = (
+            np.sum([getattr(block, name) for block in latest], axis=0)
+            for name in ('gram', 'moment')
+        )
         if self._usual[0].ratio(self._explained(gram[None], moment[None])[0]) >= 1.0:
             return None
         part, theta = followed.cause.part, followed.theta
-        gains = np.array([0.5 * theta @ block.gram[part, part] @ theta - theta @ block.moment[part]
-                          for block in self._blocks if block.start >= followed.change.since])
-        power = np.array([block.own[-1].sum() for block in self._blocks])[-len(gains):]
+        gains = np.array(
+            [
+                0.5 * theta @ block.gram[part, part] @ theta - theta @ block.moment[part]
+                for block in self._blocks
+                if block.start >= followed.change.since
+            ]
+        )
+        power = np.array([block.own[-1].sum() for block in self._blocks])[-len(gains) :]
         counts = np.arange(len(gains), 0, -1)
         left = np.cumsum(power[::-1])[::-1] / (np.median(self._power) * counts)
         gains = np.cumsum(gains[::-1])[::-1] / (self._noise * np.maximum(left, 1.0))
@@ -530,8 +624,10 @@ class ChangeDetector:
         return self._blocks[len(self._blocks) - len(gains) + at].start if gains[at] > SURE else None
 
     def _told(self, stamp: int, judged: Judged) -> Change:
-        blocks = list(self._blocks)[-judged.blocks:]
-        felt = np.sum([block.own[3]**2 / np.maximum(block.own[0], 1e-300) for block in blocks], axis=0)
+        blocks = list(self._blocks)[-judged.blocks :]
+        felt = np.sum(
+            [block.own[3] ** 2 / np.maximum(block.own[0], 1e-300) for block in blocks], axis=0
+        )
         order = [int(index) for index in np.argsort(-felt) if felt[index] > 0.1 * felt.max()]
         mass = std = np.nan
         if judged.cause.kind == Payload.kind:
@@ -540,12 +636,21 @@ class ChangeDetector:
         followed = self.followed
         again = followed is not None and followed.blocks < JUDGED_ANEW
         self._told_of += not again
-        change = Change(self._told_of, blocks[0].start, stamp, judged.cause.kind, judged.cause.where, mass,
-                        std, judged.evidence, tuple(self._names[index] for index in order))
+        change = Change(
+            self._told_of,
+            blocks[0].start,
+            stamp,
+            judged.cause.kind,
+            judged.cause.where,
+            mass,
+            std,
+            judged.evidence,
+            tuple(self._names[index] for index in order),
+        )
         if followed is not None and not again and self._reference is not None:
             # what was told before is part of the robot now
             known = self._directions[:, followed.cause.part] @ followed.theta
-            self._reference[:len(known)] += known
+            self._reference[: len(known)] += known
             blocks = []
         self.touched, self.followed = False, Followed(change, judged, blocks)
         self._compared = np.zeros(3)
@@ -562,13 +667,16 @@ def _since(values: Array, starts: Indices) -> Array:
     """(S, ...) sums of values (B, ...) of blocks from each of some on, the latest first or last."""
     edges = np.append(np.unique(starts), len(values))
     parts = [values[start:end].sum(axis=0) for start, end in pairwise(edges)]
-    return np.asarray(np.cumsum(parts[::-1], axis=0)[::-1][np.searchsorted(edges, starts)]) if len(starts) else \
-        values[:0]
+    return (
+        np.asarray(np.cumsum(parts[::-1], axis=0)[::-1][np.searchsorted(edges, starts)])
+        if len(starts)
+        else values[:0]
+    )
 
 
 def _along_line(own: Array, first: Indices, together: int) -> Array:
-    """(M, 5, n) the first five sums (B, 6, n) of so many blocks together, from each of some on, time in units of all of
-    them; blocks before the first one count as empty."""
+    """(M, 5, n) the first five sums (B, 6, n) of so many blocks together, from each of some on,
+    time in units of all of them; blocks before the first one count as empty."""
     found = np.zeros((len(first), 5, own.shape[2]))
     for offset in range(together):
         inside = np.flatnonzero(first + offset >= 0)

@@ -35,7 +35,9 @@ def test_a_record_is_machine_readable_and_says_what_the_errors_would_have_been()
     assert record['noticed_stamp_s'] > record['since_stamp_s']
 
 
-@pytest.mark.parametrize('settings', [{'diagnosis_auto': 'off'}, {'variant': 'NP-ML', 'features_count': 20}])
+@pytest.mark.parametrize(
+    'settings', [{'diagnosis_auto': 'off'}, {'variant': 'NP-ML', 'features_count': 20}]
+)
 def test_nothing_is_looked_for_where_it_is_off_or_cannot_be(settings):
     body, samples, _ = loaded()
     stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], **settings)
@@ -46,7 +48,9 @@ def test_nothing_is_looked_for_where_it_is_off_or_cannot_be(settings):
 def test_answers_are_the_same_whether_changes_are_looked_for_or_not():
     body, samples, _ = loaded()
     samples = samples[samples.time < LOADED_S[0] + 8.0]
-    assert (offered(body, samples).means == offered(body, samples, diagnosis_auto='off').means).all()
+    assert (
+        offered(body, samples).means == offered(body, samples, diagnosis_auto='off').means
+    ).all()
 
 
 def test_an_error_while_looking_keeps_no_sample_from_being_learnt(monkeypatch):

@@ -14,7 +14,8 @@ from support.changing_arm import LOADED_S, free, loaded, pushed
 
 
 def told(body, samples):
-    """What a detector beside a rigid body tells, and (N,) whether it says that the robot is touched."""
+    """What a detector beside a rigid body tells, and (N,) whether it says that the robot is
+    touched."""
     estimator = Estimator(body, ModelOptions(variant='P', initial_samples=200))
     detector, found, touched = ChangeDetector(estimator.columns), [], []
     for sample in samples:

@@ -27,9 +27,13 @@ def test_what_the_hand_carries_follows_a_load_that_is_named_and_put_down():
 def test_declared_loads_are_told_together_while_they_are_there():
     body, samples, mass = loaded()
     from_there = LOADED_S[0]
-    effects = (f'payload@r_gripper {{"start_s": {from_there}, "end_s": {LOADED_S[1]}}}',
-               'payload@r_hand {"start_s": 5.0, "mass": 0.25}')
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 15.0], effects=effects, diagnosis_auto='off')
+    effects = (
+        f'payload@r_gripper {{"start_s": {from_there}, "end_s": {LOADED_S[1]}}}',
+        'payload@r_hand {"start_s": 5.0, "mass": 0.25}',
+    )
+    stage = offered(
+        body, samples[samples.time < LOADED_S[0] + 15.0], effects=effects, diagnosis_auto='off'
+    )
     assert carried(stage) == pytest.approx(mass + 0.25, rel=0.1)
     stage.offer(samples[(samples.time >= LOADED_S[0] + 15.0) & (samples.time < LOADED_S[1] + 3.0)])
     assert carried(stage) == pytest.approx(0.25, rel=0.01)

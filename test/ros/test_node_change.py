@@ -24,11 +24,24 @@ def carrying(count, until=10**6):
     """A motion with a load in the hand from sample number LOADED on, and not from ``until`` on."""
     samples = Samples.from_list(motion(count))
     inertia = MASS * (CENTRE @ CENTRE * np.eye(3) - np.outer(CENTRE, CENTRE)) + 1e-3 * np.eye(3)
-    parameters = np.array([MASS, *(MASS * CENTRE), inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2],
-                           inertia[1, 2], inertia[2, 2]])
+    parameters = np.array(
+        [
+            MASS,
+            *(MASS * CENTRE),
+            inertia[0, 0],
+            inertia[0, 1],
+            inertia[1, 1],
+            inertia[0, 2],
+            inertia[1, 2],
+            inertia[2, 2],
+        ]
+    )
     on = (np.arange(count) >= LOADED) & (np.arange(count) < until)
     load = load_regressor(BODY, samples, 'ft') @ parameters * on[:, None]
-    return [sample._replace(outputs=sample.outputs + own) for sample, own in zip(samples, load, strict=True)]
+    return [
+        sample._replace(outputs=sample.outputs + own)
+        for sample, own in zip(samples, load, strict=True)
+    ]
 
 
 def play(client, samples):
@@ -41,8 +54,13 @@ def play(client, samples):
 
 
 def test_a_diagnosis_of_a_load_that_was_put_down_meanwhile_is_not_applied(tmp_path):
-    settings = replace(SETTINGS, variant='P', acceleration_source='measured', diagnosis_auto='off',
-                       state_folder=str(tmp_path / 'states'))
+    settings = replace(
+        SETTINGS,
+        variant='P',
+        acceleration_source='measured',
+        diagnosis_auto='off',
+        state_folder=str(tmp_path / 'states'),
+    )
     dump_params(settings, tmp_path / 'p.yaml')
     samples, off = carrying(LOADED + 700, LOADED + 400), LOADED + 400
     with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
@@ -54,12 +72,18 @@ def test_a_diagnosis_of_a_load_that_was_put_down_meanwhile_is_not_applied(tmp_pa
         play(client, samples[off:])
         refused = client.trigger('apply_diagnosis')
         assert not refused.success
-        assert re.match(r'what came since the diagnosis is better predicted without the effects that it found, by '
-                        r'\d+ nat: the robot has changed; ~/diagnose looks again\.', refused.message), refused.message
+        assert re.match(
+            r'what came since the diagnosis is better predicted without the effects that it '
+            r'found, by '
+            r'\d+ nat: the robot has changed; ~/diagnose looks again\.',
+            refused.message,
+        ), refused.message
 
 
 def test_a_load_is_told_on_a_topic_in_the_status_and_in_a_file(tmp_path):
-    settings = replace(SETTINGS, variant='P', acceleration_source='measured', state_folder=str(tmp_path / 'states'))
+    settings = replace(
+        SETTINGS, variant='P', acceleration_source='measured', state_folder=str(tmp_path / 'states')
+    )
     dump_params(settings, tmp_path / 'p.yaml')
     samples = carrying(LOADED + 500)
     with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
@@ -69,8 +93,11 @@ def test_a_load_is_told_on_a_topic_in_the_status_and_in_a_file(tmp_path):
         play(client, samples)
 
         def told():
-            return [message.status[0] for message in client.heard['change']
-                    if message.status[0].message.startswith('payload at ft since ')]
+            return [
+                message.status[0]
+                for message in client.heard['change']
+                if message.status[0].message.startswith('payload at ft since ')
+            ]
 
         client.wait(told, 'the change by its name')
         status = told()[-1]

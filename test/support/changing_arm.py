@@ -1,4 +1,5 @@
-"""A simulated arm that changes while it works: a load from one time to another, a push, a jump of the sensor."""
+"""A simulated arm that changes while it works: a load from one time to another, a push, a jump of
+the sensor."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -21,7 +22,9 @@ LOADED_S = 70.0, 100.0
 @lru_cache(maxsize=4)
 def _recording(load: bool, seed: int):
     effects = (EffectRequest('payload', size=2.0, start_s=0.0),) if load else ()
-    return simulate(Scenario(motion='mixed', samples=round(SECONDS * 20), seed=seed, effects=effects))
+    return simulate(
+        Scenario(motion='mixed', samples=round(SECONDS * 20), seed=seed, effects=effects)
+    )
 
 
 def free(seed=3):

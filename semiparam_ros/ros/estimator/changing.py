@@ -24,16 +24,31 @@ QUIET = STATES[:3]
 
 
 class Changing:
-    """``~/change``, a latched DiagnosticArray of one status: whether the robot is as it was, and the latest change.
+    """``~/change``, a latched DiagnosticArray of one status: whether the robot is as it was, and
+    the latest change.
 
-    :param learner: gives the learner, None before the robot is known. :param folder: where the file of records lies.
-    :param say: receives sentences for the log. :param later: see :data:`Later`. :param failed: receives an error and
-        its place.
+    :param learner: gives the learner, None before the robot is known. :param folder: where the file
+        of records lies.
+    :param say: receives sentences for the log. :param later: see :data:`Later`. :param failed:
+        receives an error and its place.
     """
 
-    def __init__(self, node: Node, learner: Callable[[], Learner | None], folder: Path, say: Callable[[str], None],
-                 later: Callable[..., object], failed: Callable[[str, Exception], object]) -> None:
-        self._node, self._learner, self._say, self._later, self._failed = node, learner, say, later, failed
+    def __init__(
+        self,
+        node: Node,
+        learner: Callable[[], Learner | None],
+        folder: Path,
+        say: Callable[[str], None],
+        later: Callable[..., object],
+        failed: Callable[[str, Exception], object],
+    ) -> None:
+        self._node, self._learner, self._say, self._later, self._failed = (
+            node,
+            learner,
+            say,
+            later,
+            failed,
+        )
         self._path, self._file = folder / FILE, FileThread('changes')
         self._publisher = node.create_publisher(DiagnosticArray, '~/change', LATCHED)
         self._state = ''
@@ -64,22 +79,35 @@ class Changing:
             return Report(OK, f'changes: {STATES[0]}.', {})
         state = learner.changes.state
         level = OK if state in QUIET else WARN
-        latest = max(learner.changes.records.values(), key=lambda record: record.change.number, default=None)
+        latest = max(
+            learner.changes.records.values(), key=lambda record: record.change.number, default=None
+        )
         if latest is None:
             return Report(level, f'the robot: {state}.', {'state': state})
         change, named = latest.change, latest.named
         values: dict[str, object] = {
-            'state': state, 'number': change.number, 'since [s]': change.since / NANOSECONDS,
+            'state': state,
+            'number': change.number,
+            'since [s]': change.since / NANOSECONDS,
             'noticed [s]': change.told / NANOSECONDS,
             'over [s]': '' if change.ended is None else change.ended / NANOSECONDS,
-            'kind': change.kind, 'where': change.where or '', 'evidence [nat]': round(change.evidence, 1),
-            'outputs': ', '.join(change.outputs)}
+            'kind': change.kind,
+            'where': change.where or '',
+            'evidence [nat]': round(change.evidence, 1),
+            'outputs': ', '.join(change.outputs),
+        }
         if named is not None and named.effect is not None:
-            values |= {'kind': named.effect.kind, 'where': named.effect.where or '',
-                       'evidence [nat]': round(named.gain.total - named.price, 1),
-                       'error without it': named.without['nmse_mean'], 'error with it': named.after['nmse_mean']}
-            values |= {f'{name} [{value.unit}]': f'{value.value:.6g} +- {value.std or 0.0:.2g}'
-                       for name, value in named.parameters.items()}
+            values |= {
+                'kind': named.effect.kind,
+                'where': named.effect.where or '',
+                'evidence [nat]': round(named.gain.total - named.price, 1),
+                'error without it': named.without['nmse_mean'],
+                'error with it': named.after['nmse_mean'],
+            }
+            values |= {
+                f'{name} [{value.unit}]': f'{value.value:.6g} +- {value.std or 0.0:.2g}'
+                for name, value in named.parameters.items()
+            }
         return Report(level, latest.sentence, values)
 
     def _publish(self, learner: Learner) -> None:
@@ -97,6 +125,8 @@ class Changing:
 
     def _written(self, _: None, error: Exception | None) -> None:
         if isinstance(error, OSError):
-            error = SemiparamError(f'{self._path} cannot be written: {error.strerror}; the change is told on ~/change.')
+            error = SemiparamError(
+                f'{self._path} cannot be written: {error.strerror}; the change is told on ~/change.'
+            )
         if error is not None:
             self._failed('the file of changes', error)
