@@ -12,7 +12,8 @@ joints and directions.
 
 *Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it
 has the right effect, 30 s after it or when it ends. *Back*: the error that its model leaves after
-the change, over the one before it. *False*: changes told of where there is none, or only a push.
+the change, over the one before it. *False*: changes told of where there is none, or
+only a push; those that their naming took back are counted apart.
 """
 
 from __future__ import annotations
@@ -105,6 +106,7 @@ class Figures(NamedTuple):
     mass_errors: list[float]  # as shares
     back: list[float]
     false: int
+    retracted: int
     hours: float
 
 
@@ -294,9 +296,19 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
             errors += (
                 [abs(last.parameters['mass'].value / case.mass - 1.0)] if change == 'load' else []
             )
-    false = len({record.change.number for record in told} - right)
+    final = {record.change.number: record.retracted for record in told}
+    wrong = [back_taken for number, back_taken in final.items() if number not in right]
+    hours = float(time[-1]) / 3600.0
     return Figures(
-        len(case.times), noticed, named, delays, errors, back, false, float(time[-1]) / 3600.0
+        len(case.times),
+        noticed,
+        named,
+        delays,
+        errors,
+        back,
+        len(wrong) - sum(wrong),
+        sum(wrong),
+        hours,
     )
 
 
@@ -324,6 +336,7 @@ def summed(rows: list[Figures]) -> list[str]:
         mass,
         median(flat[2]),
         f'{sum(row.false for row in rows)} in {sum(row.hours for row in rows):.2f} h',
+        str(sum(row.retracted for row in rows)),
     ]
 
 
@@ -350,7 +363,15 @@ def main() -> int:
     for name, (bags, settings) in MEASURED.items() if given.data else ():
         robots[name] = partial(measured, given.data, bags, settings)
     table = Table(
-        'robot', 'change', 'noticed', 'told after [s]', 'named', 'mass error', 'back', 'false'
+        'robot',
+        'change',
+        'noticed',
+        'told after [s]',
+        'named',
+        'mass error',
+        'back',
+        'false',
+        'taken back',
     )
     everything = {}
     for name, robot in robots.items():

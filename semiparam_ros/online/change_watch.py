@@ -24,7 +24,7 @@ from semiparam_ros.effects.base import place
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
-from semiparam_ros.online.changes import Change, ChangeDetector
+from semiparam_ros.online.changes import BLOCK_S, LASTING, Change, ChangeDetector
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.worker import Background, Urgency
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from semiparam_ros.diagnosis.change import NamedChange
     from semiparam_ros.diagnosis.preparation import Inputs
 
+CONTACT_S = LASTING * BLOCK_S
+"""A contact does not last longer."""
 BEFORE_S = 60.0
 """So much of what came before a change is looked at."""
 NAMED_AFTER_S = (6.0, 12.0, 25.0, 50.0)
@@ -57,6 +59,18 @@ class ChangeRecord:
         return None if self.named is None else self.named.effect
 
     @property
+    def retracted(self) -> bool:
+        """Whether it was no change after all: no effect explains it better than none, or it was
+        over as soon as a contact is and no load."""
+        change, effect = self.change, self.effect
+        if self.named is None:
+            return False
+        if effect is None:
+            return bool(change.kind)
+        brief = change.ended is not None and change.ended - change.since < CONTACT_S * NANOSECONDS
+        return brief and not effect.is_load
+
+    @property
     def times_s(self) -> tuple[float | None, float | None]:
         """[s] when it began and ended, as stamps count; None for what was there before, or is there
         yet."""
@@ -75,6 +89,9 @@ class ChangeRecord:
         begun, ended = self.times_s
         since = f'since {begun:.2f} s' if begun is not None else 'from before'
         until = '' if ended is None else f', over at {ended:.2f} s'
+        if self.retracted:
+            why = 'it was over as soon as a contact is' if effect else 'no effect explains it'
+            return f'the robot has not changed {since}{until}: {why}.'
         if effect is None:
             what = (
                 f'likeliest {place(change.kind, change.where)}' if change.kind else 'nothing known'
@@ -105,6 +122,7 @@ class ChangeRecord:
                 'outputs': list(change.outputs),
             },
             'named': None if self.named is None else self.named.as_dict(),
+            'retracted': self.retracted,
             'sentence': self.sentence,
         }
 
@@ -242,7 +260,7 @@ class ChangeWatch:
         others = [
             other.effect
             for key, other in self.records.items()
-            if key != number and other.effect is not None
+            if key != number and other.effect is not None and not other.retracted
         ]
         self._naming = True
         declared = [effect for effect in effects if isinstance(effect, Effect)]
@@ -266,4 +284,12 @@ class ChangeWatch:
         if record is not None and named is not None:
             self._inputs = named.inputs
             self.records[number] = replace(record, named=named)
+            if self.records[number].retracted:
+                self._retract(number)
             self._told(self.records[number])
+
+    def _retract(self, number: int) -> None:
+        self._due = [(when, other) for when, other in self._due if other != number]
+        followed = None if self.detector is None else self.detector.followed
+        if self.detector is not None and followed is not None and followed.change.number == number:
+            self.detector.reset()

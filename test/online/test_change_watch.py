@@ -2,6 +2,7 @@
 
 import pytest
 
+from semiparam_ros.diagnosis.change import name_change
 from support.changing_arm import LOADED_S, SETTINGS, free, loaded, offered
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
@@ -63,3 +64,17 @@ def test_an_error_while_looking_keeps_no_sample_from_being_learnt(monkeypatch):
     stage.offer(samples[300:302])
     assert [place for place, _ in stage.failures] == ['looking for changes']
     assert stage.learner.learnt == learnt + 2
+
+
+def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0])
+    watch, (record, *_) = stage.learner.changes, stage.changes
+    nothing = name_change(body, free()[1], [], LOADED_S[0])
+    watch._named(record.change.number, nothing, None)
+    taken_back = stage.changes[-1]
+    assert taken_back.retracted
+    assert taken_back.sentence.startswith('the robot has not changed since ')
+    assert watch.state == 'as it was'
+    stage.offer(samples[(samples.time >= LOADED_S[0] + 4.0) & (samples.time < LOADED_S[0] + 9.0)])
+    assert stage.changes[-1].change.number > record.change.number, 'it still stands out'
