@@ -63,11 +63,9 @@ class ChangeRecord:
         """Whether it was no change after all: no effect explains it better than none, or it was
         over as soon as a contact is and no load."""
         change, effect = self.change, self.effect
-        if self.named is None:
-            return False
-        if effect is None:
-            return bool(change.kind)
         brief = change.ended is not None and change.ended - change.since < CONTACT_S * NANOSECONDS
+        if effect is None:
+            return brief or (self.named is not None and bool(change.kind))
         return brief and not effect.is_load
 
     @property
@@ -90,7 +88,8 @@ class ChangeRecord:
         since = f'since {begun:.2f} s' if begun is not None else 'from before'
         until = '' if ended is None else f', over at {ended:.2f} s'
         if self.retracted:
-            why = 'it was over as soon as a contact is' if effect else 'no effect explains it'
+            brief = change.ended is not None
+            why = 'it was over as soon as a contact is' if brief else 'no effect explains it'
             return f'the robot has not changed {since}{until}: {why}.'
         if effect is None:
             what = (

@@ -511,8 +511,10 @@ class ChangeDetector:
         if not len(counts):
             return None
         starts = len(self._blocks) - counts
-        grams = _since(np.array([block.gram for block in self._blocks]), starts)
-        sums = _since(moments, starts)
+        blocks = np.array([block.gram for block in self._blocks])
+        grams, sums = _since(blocks, starts), _since(moments, starts)
+        late = starts + (counts + 1) // 2
+        late_grams, late_sums = _since(blocks, late), _since(moments, late)
         own = np.array([block.own for block in self._blocks])
         power = _since(own[:, -1].sum(axis=1), starts)
         spectra = [np.linalg.eigh(grams[:, cause.part, cause.part]) for cause in self.causes]
@@ -540,7 +542,9 @@ class ChangeDetector:
             evidence[counts < cause.blocks] = -np.inf
             if cause.kind == Payload.kind:
                 evidence = self._of_load(evidence, values, vectors, each, kappa)
-            evidence[~self._goes_on(cause, vectors, each / whole)] = -np.inf
+            theta, part = np.einsum('skj,sj->sk', vectors, each / whole), cause.part
+            later = _explains(theta, late_grams[:, part, part], late_sums[:, part])
+            evidence[~later] = -np.inf  # what is over explains nothing of the later half
             at = int(evidence.argmax())
             if best is None or evidence[at] > best.evidence:
                 root = vectors[at] / np.sqrt(whole[at])
@@ -552,18 +556,6 @@ class ChangeDetector:
                     float(evidence[at]),
                 )
         return best
-
-    def _goes_on(self, cause: Cause, vectors: Array, along: Array) -> Mask:
-        """(S,) whether the last half second too is better explained by a cause than by none."""
-        theta = np.einsum('skj,sj->sk', vectors, along)
-        gram, moment = (
-            np.sum([getattr(block, name) for block in list(self._blocks)[-LENGTHS[0] :]], axis=0)
-            for name in ('gram', 'moment')
-        )
-        part = cause.part
-        return np.asarray(
-            (theta * (2.0 * moment[part] - theta @ gram[part, part])).sum(axis=1) > 0.0
-        )
 
     def _of_load(
         self, evidence: Array, values: Array, vectors: Array, along: Array, kappa: Array
@@ -655,6 +647,12 @@ class ChangeDetector:
         self.touched, self.followed = False, Followed(change, judged, blocks)
         self._compared = np.zeros(3)
         return change
+
+
+def _explains(theta: Array, grams: Array, moments: Array) -> Mask:
+    """(S,) whether coefficients (S, k) explain blocks with these sums better than none."""
+    gained = theta * (2.0 * moments - np.einsum('skj,sj->sk', grams, theta))
+    return np.asarray(gained.sum(axis=1) > 0.0)
 
 
 def _with_prior(gram: Array) -> Array:
