@@ -46,6 +46,7 @@ from semiparam_ros.cli.simulate import write_bag
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
+from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.renewal import LaterWindow
 from semiparam_ros.online.worker import Done, Job, Result, absorb
@@ -277,6 +278,9 @@ class Listener:
 
     def model_switched(self, success: bool, sentence: str) -> None:
         self.told(sentence)
+
+    def change_told(self, record: ChangeRecord) -> None:
+        """Nothing is asked of it here."""
 
     def settings_reverted(self, settings: Settings) -> None:
         pass

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from semiparam_ros.core.single_estimator import Prediction
     from semiparam_ros.core.types import Array
     from semiparam_ros.experiments.evaluation import Scores
+    from semiparam_ros.online.change_watch import ChangeRecord
     from semiparam_ros.settings import Settings
 
 HEADINGS = {'eps_force': 'eps^F', 'eps_torque': 'eps^T', 'eps_effort': 'eps'}
@@ -95,6 +96,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='samples from the end of each window until the draft and then the model of it take over, '
                              'as in the node while it estimates hyperparameters, whose diagnostics tell them; the last '
                              'N holds for all that follow (default 0: at once)')
+    parser.add_argument('--auto', choices=('off', 'report'), default='off',
+                        help='report: look for changes of the robot, and name them, as the node does with '
+                             'diagnosis.auto; of one variant (default off)')
     add_json_option(parser)
     parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
     parser.add_argument('--external-wrench', metavar='FILE', type=Path,
@@ -117,11 +121,14 @@ def run(args: argparse.Namespace) -> int:
         raise SemiparamError('--frozen predicts with what was learnt from --train BAG, which is missing.')
     if args.external_wrench and len(variants) > 1:
         raise SemiparamError(f'--external-wrench tells what one variant leaves; {len(variants)} are evaluated.')
+    if args.auto != 'off' and len(variants) > 1:
+        raise SemiparamError(f'--auto {args.auto} tells what changes for one variant; {len(variants)} are evaluated.')
     rows: list[str] | None = [] if args.external_wrench else None
+    changes: dict[int, ChangeRecord] | None = None if args.auto == 'off' else {}
     training, bags = load_bags(args.train, settings), load_bags(args.bags, settings)
     with progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
-                                    waits, rows)
+                                    waits, rows, changes)
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(output, results)
@@ -131,7 +138,9 @@ def run(args: argparse.Namespace) -> int:
         chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()
                            if result['features'])
         output.print(f'random features: {chosen or "none"}')
-    write_outputs(args, results, scores, bags, channels[0])
+    for record in (changes or {}).values():
+        output.print(record.sentence, highlight=False)
+    write_outputs(args, results, scores, bags, channels[0], changes)
     if rows is not None:
         write_text(args.external_wrench, '\n'.join([WRENCH_HEADER, *rows]) + '\n')
     return 0
@@ -182,10 +191,12 @@ def load_bags(paths: Sequence[Path], settings: Settings,
 
 
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
-             progress: Progress, takeovers: Sequence[int] = (0,), wrenches: list[str] | None = None) -> Scores:
+             progress: Progress, takeovers: Sequence[int] = (0,), wrenches: list[str] | None = None,
+             changes: dict[int, ChangeRecord] | None = None) -> Scores:
     """Scores of one variant over ``bags``, from the first sample that it predicts itself.
 
     :param wrenches: receives a line of a table for each of these samples: what acts from outside.
+    :param changes: receives what was told of changes of the robot, by their numbers.
 
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
     Raises SemiparamError when the recordings are over before the initial window is.
@@ -196,6 +207,8 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     total = sum(len(bag.samples) for bag in [*training, *bags])
     task = progress.add_task(settings.variant, total=total)
     learner = OfflineLearner(settings, [*bags, *training], lambda: progress.advance(task), takeovers)
+    if changes is not None:
+        learner.look_for_changes(lambda record: changes.update({record.change.number: record}))
     for bag in training:
         learner.take(bag, Scores(settings.outputs), learning=True)
     learner.finish(training, frozen)
@@ -224,13 +237,15 @@ def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction,
 
 
 def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, Scores],
-                  bags: Sequence[LoadedBag], channels: Sequence[str]) -> None:
+                  bags: Sequence[LoadedBag], channels: Sequence[str],
+                  changes: Mapping[int, ChangeRecord] | None = None) -> None:
     """The JSON file and the plot, where asked for."""
     if args.json:
         write_json(args.json, {
             'command': 'evaluate', 'bags': [str(path) for path in args.bags],
             'train': [str(path) for path in args.train], 'frozen': args.frozen, 'outputs': list(channels),
             'variants': results,
+            'changes': None if changes is None else [record.as_dict() for record in changes.values()],
             'left_out': [dict(bag.faults) for bag in bags], 'losses': [str(bag.losses) for bag in bags]})
     if args.plot:
         from semiparam_ros.report.horizon_figure import plot_indices

@@ -306,6 +306,16 @@ class Estimator(SingleEstimator):
                 return each.model
         return self.model
 
+    def rigid_body_part(self, prediction: Prediction) -> tuple[Prediction, Model] | None:
+        """What the rigid body alone, with the declared effects, says of a sample, and its model; None
+        where every model has features, or coefficients that are fixed."""
+        model = self.rigid_body_model
+        if model.features is not None or model.pi is not None or model.learnt.start:
+            return None
+        said = prediction.members or (prediction,)
+        return next((its for each, its in zip((self, *self._others), said, strict=False) if each.model is model),
+                    prediction), model
+
     def _effects_of(self, member: Member) -> Sequence[ColumnBlock]:
         return self.columns.effects if member.has_effects else ()
 

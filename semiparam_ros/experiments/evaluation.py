@@ -18,12 +18,13 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.learning import learning_of, observe
 from semiparam_ros.online.model_switcher import sentence_of
 from semiparam_ros.online.renewal import LaterWindow, Renewal, has_draft
-from semiparam_ros.online.worker import absorb, finish_window, renew
+from semiparam_ros.online.worker import Done, Job, Result, Urgency, absorb, finish_window, renew
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator
 
@@ -130,6 +131,30 @@ def _mean(values: Array | list[float]) -> float | None:
     return float(np.mean(values)) if len(values) else None
 
 
+class AtOnce:
+    """A background that does its jobs at once."""
+
+    urgency = Urgency.ASKED
+
+    def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result],
+               urgency: Urgency = Urgency.SHADOW) -> Job:
+        """See :class:`~semiparam_ros.online.worker.Background`."""
+        try:
+            result = function(*arguments)
+        except Exception as error:
+            done(None, error)
+        else:
+            done(result, None)
+        return self
+
+    def later(self, function: Callable[[], None]) -> None:
+        """See :class:`~semiparam_ros.online.worker.Background`."""
+        function()
+
+    def cancel(self) -> None:
+        """It is done."""
+
+
 class OfflineLearner:
     """The estimator of the settings behind the contact gate, as in the node.
 
@@ -162,6 +187,14 @@ class OfflineLearner:
         self._successor: Callable[[], Estimator] | None = None
         self._draft: Callable[[], Estimator] | None = None
         self._waiting: list[tuple[Sample, int]] = []
+        self.changes: ChangeWatch | None = None
+
+    def look_for_changes(self, told: Callable[[ChangeRecord], None]) -> None:
+        """From now on, as the node does with ``diagnosis.auto``; ``told`` receives each record."""
+        def failed(place: str, error: BaseException) -> None:
+            raise error
+
+        self.changes = ChangeWatch(self.estimator.body, AtOnce(), told, failed)
 
     def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
@@ -181,6 +214,8 @@ class OfflineLearner:
         if self._successor is not None:
             self._take_over()
         self.gate.reset()
+        if self.changes is not None:
+            self.changes.reset()
         self.estimator.clear_pending()
 
     def begin(self, origin: int) -> None:
@@ -197,6 +232,8 @@ class OfflineLearner:
         prediction = self.estimator.predict(sample)
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
         learn = learning_of(learning and not contact and prediction.motion.is_news, self.gate)
+        if self.changes is not None:
+            self.changes.see(self.estimator, prediction, self.history)
         errors = observe(self.estimator, prediction, learn, finish=False)
         self.history.append(sample, learn, prediction.motion.is_news)
         due = learn and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)

@@ -95,9 +95,13 @@ not quite."""
 
 
 class Tail:
-    """Ratios of peaks to usual ones, and the thresholds (n,) that follow."""
+    """Ratios of peaks to usual ones, and the thresholds (n,) that follow.
 
-    def __init__(self, n_outputs: int) -> None:
+    :param block_s: [s] how long a block is.
+    """
+
+    def __init__(self, n_outputs: int, block_s: float = BLOCK_S) -> None:
+        self._block_s = block_s
         self.ratios = np.zeros((0, n_outputs))
         self._rate: float | None = None
 
@@ -121,7 +125,7 @@ class Tail:
             level, higher = np.quantile(self.ratios, (1 - TAIL_SHARE, 1 - TAIL_SHARE / 2), axis=0)
             levels = (count * level + PRIOR_BLOCKS * levels) / (count + PRIOR_BLOCKS)
             excesses += known * (higher - level) / log(2.0)
-        chance = min(per_hour / n_outputs * BLOCK_S / 3600.0 / TAIL_SHARE, 1.0)
+        chance = min(per_hour / n_outputs * self._block_s / 3600.0 / TAIL_SHARE, 1.0)
         return levels + excesses * (chance ** (-1.0 / (known + PRIOR_EXCESSES)) - 1.0), levels
 
 

@@ -99,22 +99,53 @@ def quantities(estimator: Estimator) -> list[Quantity]:
             zip(labels, model.theta, model.theta_std(), strict=True)]
 
 
-def payload(estimator: Estimator) -> Payload | None:
-    """The declared payload that is still there, or else what the estimate adds to the last link that the outputs feel.
+class Load(NamedTuple):
+    """Ten inertial parameters in the frame of ``link``, and their covariance."""
+
+    link: str
+    parameters: Array  # (10,)
+    covariance: Array  # (10, 10)
+
+
+def payload(estimator: Estimator, before: Array | None = None, picked: Load | None = None) -> Payload | None:
+    """The declared loads that are there now, or else what the estimate adds to the last link that the outputs feel;
+    and what was picked up since.
+
+    :param before: (n_parameters,) base parameters of the model from before a change, in place of those learnt since.
+    :param picked: a load that came with the change and is not declared.
 
     None while the initial window is not over, and while the model learns no base parameters.
     """
     if not estimator.ready:
         return None
-    for index, effect in enumerate(estimator.columns.effects):
-        if getattr(effect, 'is_load', False) and not getattr(effect, 'ends', False):
-            theta, covariance = _block(estimator.model, estimator.columns.blocks[str(index)])
-            return _payload(str(getattr(effect, 'where', '')), theta, covariance) if len(theta) else None
-    theta, covariance = _block(estimator.model, slice(0, estimator.body.n_parameters))
-    if not len(theta):
+    body, model = estimator.body, estimator.model
+    carried = [Load(str(getattr(effect, 'where', '')), *_block(model, estimator.columns.blocks[str(index)]))
+               for index, effect in enumerate(estimator.columns.effects)
+               if getattr(effect, 'is_load', False) and estimator.holds(effect)]
+    if not carried:
+        theta, covariance = _block(model, slice(0, body.n_parameters))
+        if not len(theta):
+            return None
+        link = list(loaded_links(body))[-1]
+        carried = [Load(link, *_added_load(body, link, theta if before is None else before, covariance))]
+    elif not len(carried[0].parameters):
         return None
-    link = list(loaded_links(estimator.body))[-1]
-    return _payload(link, *_added_load(estimator.body, link, theta, covariance))
+    carried += [] if picked is None else [picked]
+    first, *others = carried
+    for other in others:
+        moved = _seen_from(body, first.link, other)
+        if moved is not None:
+            first = Load(first.link, first.parameters + moved.parameters, first.covariance + moved.covariance)
+    return _payload(*first)
+
+
+def _seen_from(body: RigidBody, link: str, load: Load) -> Load | None:
+    """A load in the frame of another link; None where that belongs to another body."""
+    (body_index, to_body), (other_index, from_body) = load_transform(body, load.link), load_transform(body, link)
+    if body_index != other_index:
+        return None
+    there = np.linalg.solve(from_body, to_body)
+    return Load(link, there @ load.parameters, there @ load.covariance @ there.T)
 
 
 def _block(model: Model, block: slice) -> tuple[Array, Array]:

@@ -26,6 +26,7 @@ from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
+from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
 from semiparam_ros.online.learning import Learning, learning_of, observe
@@ -41,6 +42,8 @@ from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import Background
 from semiparam_ros.settings.snapshot import Settings
 
+OFF = 'off'
+"""Of ``diagnosis.auto``."""
 FAILURES_AT_MOST = 3
 """So many samples in a row that the active model cannot answer, and it counts as broken."""
 
@@ -79,6 +82,9 @@ class LearnerListener(Protocol):
     def settings_reverted(self, settings: Settings) -> None:
         """The settings that hold from now on, after a change that failed or a model that broke."""
 
+    def change_told(self, record: ChangeRecord) -> None:
+        """The robot has changed, or more is known of a change."""
+
     def failed(self, place: str, error: BaseException) -> None:
         """Something unexpected went wrong at ``place``; the learner goes on."""
 
@@ -101,6 +107,7 @@ class Learner:
         self._background, self._listener, self._checkpoint = background, listener, checkpoint
         self._failures = 0
         self.switcher = ModelSwitcher(body, background, self)
+        self.changes = ChangeWatch(body, background, listener.change_told, listener.failed)
         self._begin(settings, worker.new_estimator(settings, body))
 
     def _begin(self, settings: Settings, estimator: Estimator, past: SampleBatch | None = None,
@@ -112,6 +119,7 @@ class Learner:
             self._renewal.restore(renewal)
             self.switcher.renewed = self._renewal.done
         self.gate.forget()
+        self.changes.forget()
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
                                estimator.origin)
@@ -154,6 +162,7 @@ class Learner:
         answer = Answer(self._as_measured(prediction, of_tools), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learn, contact, self.gate.level, *self.gate.places())
         self._emit(answer, learning)  # before learning, which takes as long as predicting
+        self._look_for_changes(prediction)
         if self._observe(prediction, learning):
             renews = learn and not self.settings.hyperparameters_sigma and self._renews(prediction)
             self.switcher.offer(sample, learning)
@@ -161,6 +170,17 @@ class Learner:
                 self._end_window()
             elif renews:
                 self._renew()
+
+    def _look_for_changes(self, prediction: Prediction) -> None:
+        """Whatever goes wrong there, the sample is learnt."""
+        if self.settings.diagnosis_auto == OFF:
+            self.changes.forget()
+            return
+        try:
+            self.changes.see(self.estimator, prediction, self.history)
+        except Exception as error:
+            self.changes.forget()
+            self._listener.failed('looking for changes', error)
 
     def compensated(self, answer: Answer, compensation: Compensation) -> Array:
         """(6,) the measured wrench of an answer that was just given, without weight, inertia and bias of the tool."""
@@ -172,6 +192,7 @@ class Learner:
     def clear_pending(self) -> None:
         """Forget half-finished horizons after a jump of the clock; the models stay."""
         self.gate.reset()
+        self.changes.reset()
         self.switcher.clear_pending()
         self.estimator.clear_pending()
 

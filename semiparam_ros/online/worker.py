@@ -41,7 +41,9 @@ from semiparam_ros.settings.build import declared_effects, hyperparameter_values
 from semiparam_ros.settings.snapshot import Settings
 
 if TYPE_CHECKING:
+    from semiparam_ros.diagnosis.change import NamedChange
     from semiparam_ros.diagnosis.diagnose import Diagnosis
+    from semiparam_ros.diagnosis.preparation import Inputs
     from semiparam_ros.effects import Effect
 
 Result = TypeVar('Result')
@@ -535,6 +537,36 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> 
 
     found = diagnose(body, samples, effects, progress=progress)
     return Outcome(found.verdict, summary(found), text_report(found), found.as_dict(), declared(found))
+
+
+def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], since: int,
+                ended: int | None, inputs: Inputs | None) -> NamedChange:
+    """What began at a stamp [ns], and ended at another; times of the effect as stamps. See
+    :func:`~semiparam_ros.diagnosis.change.name_change`."""
+    from semiparam_ros.diagnosis.change import name_change
+
+    samples = batch.samples
+    if samples is None:
+        raise SemiparamError('there are no samples to name a change from.')
+    origin = samples.origin
+    found = name_change(body, samples, effects, (since - origin) * 1e-9,
+                        None if ended is None else (ended - origin) * 1e-9, inputs)
+    return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
+
+
+def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence[Effect],
+               after: Sequence[Effect]) -> float | None:
+    """By how much [nat] other effects predict what came after a stamp [ns] better than those before; None where that
+    is too little to tell."""
+    from semiparam_ros.diagnosis.change import gain_since
+
+    samples = batch.samples
+    if samples is None:
+        return None
+    try:
+        return gain_since(body, samples, (since - samples.origin) * 1e-9, before, after).total
+    except SemiparamError:
+        return None
 
 
 def declared(found: Diagnosis) -> tuple[Effect, ...]:

@@ -328,6 +328,10 @@ class Table:
     diagnosis_window: float = declare(
         'diagnosis.window', 300.0, 'Span of the latest samples that ~/diagnose looks at, as far as they are retained.',
         unit='s', minimum=1.0, maximum=1e6, live=True)
+    diagnosis_auto: str = declare(
+        'diagnosis.auto', 'report', 'What follows when the robot changes while it works. report: the '
+        'change is told on ~/change, named in the background, and written to changes.jsonl in '
+        'state_folder. off: nobody looks for changes.', choices=('off', 'report'), live=True)
     state_file: str = declare(
         'state_file', 'semiparam_state.npz', 'File of save_state and load_state: a plain name in state_folder.',
         live=True)

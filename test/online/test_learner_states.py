@@ -116,6 +116,9 @@ class Lives(RuleBasedStateMachine):
     def settings_reverted(self, settings):
         assert settings == self.learner.settings
 
+    def change_told(self, record):
+        assert record.sentence
+
     def failed(self, place, error):
         raise AssertionError(f'internal error at {place}') from error
 

@@ -11,6 +11,7 @@ class Stage:
 
     def __init__(self, settings=SETTINGS, background=None, body=BODY, checkpoint=lambda: None):
         self.answers, self.errors, self.horizons, self.news, self.reverted = [], [], [], [], []
+        self.changes = []
         self.background = background or DelayedBackground()
         self.failures = []
         self.learner = Learner(settings, body, self.background, self, checkpoint)
@@ -32,6 +33,9 @@ class Stage:
 
     def settings_reverted(self, settings):
         self.reverted.append(settings)
+
+    def change_told(self, record):
+        self.changes.append(record)
 
     def failed(self, place, error):
         self.failures.append((place, error))

@@ -44,6 +44,7 @@ from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import Effect
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import state_file
+from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.settings import Settings
@@ -342,6 +343,9 @@ class Live:
 
     def settings_reverted(self, settings: Settings) -> None:
         raise AssertionError('no setting was changed')
+
+    def change_told(self, record: ChangeRecord) -> None:
+        self.record.news.append(record.sentence)
 
     def failed(self, place: str, error: BaseException) -> None:
         raise AssertionError(f'{place}: {type(error).__name__}: {error}') from error

@@ -24,6 +24,8 @@ from semiparam_ros.ros.estimator.services import Reply, create_deferred_trigger,
 from semiparam_ros.settings.build import declared_effects
 
 Result = TypeVar('Result')
+SURE = 12.0
+"""[nat] So much worse must the effects of a diagnosis predict what came after it, and they are refused."""
 
 
 class Running(NamedTuple):
@@ -56,11 +58,13 @@ class Diagnosing:
         self._stage, self._left_s = 'none has been asked for.', 0.0
         self._outcome: Outcome | None = None
         self._examined: tuple[Effect, ...] = ()
+        self._until = 0
+        """[ns] Stamp of the last sample that the last diagnosis looked at."""
         self._report = node.create_publisher(String, '~/diagnosis', LATCHED)
         self._progress = node.create_publisher(String, '~/diagnosis_progress', 10)
         create_deferred_trigger(node, '~/diagnose', self._diagnose, errors)
         create_trigger(node, '~/cancel_diagnosis', self.cancel, errors)
-        create_trigger(node, '~/apply_diagnosis', self.apply, errors)
+        create_deferred_trigger(node, '~/apply_diagnosis', self._apply, errors)
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
@@ -77,8 +81,33 @@ class Diagnosing:
         return Report(OK, self._stage, {'running': True, 'elapsed [s]': round(elapsed, 1),
                                         'expected to take yet [s]': round(self._left_s, 1)})
 
-    def apply(self) -> str:
-        """Declare the effects of the last diagnosis."""
+    def _apply(self, reply: Reply) -> None:
+        """Declare the effects of the last diagnosis, unless what came since is better predicted without them."""
+        found = self._found()
+        if isinstance(found, str):
+            reply(found)
+            return
+        learner = self._learner()
+        samples = learner.history.span(self._parameters.settings.diagnosis_window)
+        assert self._background is not None  # it has made the diagnosis
+        self._background.submit(worker.gain_since, learner.body, worker.thinned(samples, 1.0), self._until,
+                                self._examined, found.effects, done=partial(self._declare, reply, found))
+
+    def _declare(self, reply: Reply, found: Outcome, gain: float | None, error: BaseException | None) -> None:
+        try:
+            if error is not None:
+                raise error
+            if self._found() is not found:
+                raise SemiparamError('there is another diagnosis by now; look at it, then apply it.')
+            if gain is not None and gain < -SURE:
+                raise SemiparamError(f'what came since the diagnosis is better predicted without the effects that it '
+                                     f'found, by {-gain:.0f} nat: the robot has changed; ~/diagnose looks again.')
+            reply(self._applied(found))
+        except Exception as failure:
+            reply(reason('~/apply_diagnosis', failure, self._errors), success=False)
+
+    def _found(self) -> Outcome | str:
+        """The last diagnosis that can be applied, or a sentence where nothing is left to do."""
         if self._running is not None:
             raise SemiparamError('a diagnosis is running; wait for its answer, then apply it.')
         if self._outcome is None:
@@ -91,11 +120,14 @@ class Diagnosing:
         if declared != self._examined:
             raise SemiparamError('the effects have changed since the last diagnosis, which looked for what is missing '
                                  f'beside {_listed(self._examined)}; ~/diagnose looks again.')
-        values = zip(('effects', 'effects_reference'), effects_to_parameters(self._outcome.effects), strict=True)
+        return self._outcome
+
+    def _applied(self, found: Outcome) -> str:
+        values = zip(('effects', 'effects_reference'), effects_to_parameters(found.effects), strict=True)
         result = self._node.set_parameters_atomically([self._parameters.ros_parameter(*value) for value in values])
         if not result.successful:
             raise SemiparamError(result.reason)
-        return f'effects are now {_listed(self._outcome.effects)}; {result.reason}'
+        return f'effects are now {_listed(found.effects)}; {result.reason}'
 
     def cancel(self) -> str:
         """Give up the one that is running; what the one before found stays."""
@@ -153,6 +185,7 @@ class Diagnosing:
         report = json.dumps({'schema': 1, 'looked_at': looked, **outcome.report})
         self._node.get_logger().info(f'the diagnosis is over. {answer}')
         self._outcome, self._examined = outcome, effects
+        self._until = int(self._running.samples.stamps[-1])
         self._report.publish(String(data=report))
         self._end(f'the last one: {head}')(answer)
 

@@ -375,10 +375,14 @@ def believed_payload(learner: Learner, tally: Tally) -> tuple[Payload | None, st
     """What the arm carries and a sentence of it; None and the reason while that cannot be told."""
     if not learner.estimator.ready:
         return None, 'withheld: the initial window is not over.'
-    if tally.worst > IMPLAUSIBLE:
+    detector, (picked, load) = learner.changes.detector, learner.changes.picked
+    if picked and load is None:
+        return None, 'withheld: something was just picked up or put down, and is being named.'
+    if load is None and tally.worst > IMPLAUSIBLE:
         return None, (f'withheld: the outputs lay {tally.worst:.1f} predicted standard deviations off within the last '
                       f'{REPORTS} s.')
-    carried = payload(learner.estimator)
+    before = None if detector is None or detector.before is None else detector.before[:learner.body.n_parameters]
+    carried = payload(learner.estimator, before, load)
     if carried is None or carried.std is None:
         return None, 'withheld: the model learns no inertias.'
     untold = ''

@@ -19,12 +19,14 @@ from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
+from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import Later, ProcessBackground, Worker
 from semiparam_ros.ros.context import DELIVER_S
 from semiparam_ros.ros.estimator.autosave import Autosave
+from semiparam_ros.ros.estimator.changing import Changing
 from semiparam_ros.ros.estimator.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing
 from semiparam_ros.ros.estimator.diagnostics import (
@@ -59,6 +61,7 @@ class EstimatorNode(Node):
 
     _autosave: Autosave
     _diagnosing: Diagnosing
+    _changing: Changing
 
     def __init__(self, later: Later, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
         super().__init__(NAME)
@@ -77,7 +80,8 @@ class EstimatorNode(Node):
         self._inputs = Inputs(self, settings, self, later)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
-        others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report()}
+        others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report(),
+                  'changes': lambda: self._changing.report()}
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
                                 trajectories.feedforward, others, self._outputs.twins, self._outside.unseen)
         self._held_replies = HeldReplies(self, self._announcement)
@@ -86,6 +90,8 @@ class EstimatorNode(Node):
         self._exporting = Exporting(self, self._live, self._the_learner, lambda: self._robot.description,
                                     self._background, folder_of(settings), lock, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
+        self._changing = Changing(self, lambda: self.learner, folder_of(settings), self._reports.say, guarded,
+                                  lambda place, error: self._report(error, place))
         self._autosave = Autosave(self, settings, lock,
                                   lambda: None if self.learner is None else self.learner.state(),
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
@@ -110,6 +116,7 @@ class EstimatorNode(Node):
         self._autosave.close()
         self._requests.close()
         self._diagnosing.close()
+        self._changing.close()
         self._background.close()
         deadline = time.monotonic() + DELIVER_S
         for publisher in self.publishers:
@@ -173,6 +180,7 @@ class EstimatorNode(Node):
         try:
             self._outputs.publish(answer)
             self._outside.publish(answer)
+            self._changing.update()
             self._inputs.stopwatch.stop()
             self._reports.tally.add(answer)
         except Exception as error:
@@ -199,6 +207,10 @@ class EstimatorNode(Node):
     def settings_reverted(self, settings: Settings) -> None:
         """The parameters show what holds."""
         self._live.write(settings)
+
+    def change_told(self, record: ChangeRecord) -> None:
+        """The robot has changed, or more is known of a change."""
+        self._changing.told(record)
 
     def failed(self, place: str, error: BaseException) -> None:
         """An internal error; the node goes on."""

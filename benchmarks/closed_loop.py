@@ -1,0 +1,394 @@
+"""Changes of a robot while it works: noticed, named, and told from contacts.
+
+    python benchmarks/closed_loop.py --urdf ur3=ur3.urdf --urdf panda=panda.urdf --data DATA
+
+Simulated arms (the iCub's with its sensor, and each URDF by its joint efforts, with friction in
+every joint) move for four minutes at 100 Hz (iCub: 20 Hz). DATA holds the measured recordings of a
+UR3, a Franka and an iCub, already converted (``id1.mcap id2.mcap panda.mcap train.mcap
+test.mcap``). Into each come, by recursive Newton-Euler and Jacobians that the package's models do
+not share: a load in the hand, off and on again; an offset of one effort, or of the sensor; dry
+friction of one joint; a hand that pushes three times for 5 s; and nothing. Seeds choose masses,
+joints and directions.
+
+*Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it
+has the right effect, 30 s after it or when it ends. *Back*: the error that its model leaves after
+the change, over the one before it. *False*: changes told of where there is none, or
+only a push; those that their naming took back are counted apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+os.environ.setdefault('OMP_NUM_THREADS', '1')
+
+import numpy as np
+import pinocchio as pin
+from rich.console import Console
+from rich.table import Table
+from scipy.signal import savgol_filter
+
+from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.signals.differentiation import CausalDifferentiator
+from semiparam_ros.core.types import Array
+from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.online.change_watch import STATES, ChangeRecord
+from semiparam_ros.settings import Settings
+from semiparam_ros.settings.robot_description import moving_joints, robot_description
+from semiparam_ros.simulation.arm import Arm
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+
+SECONDS, AT = 240.0, (0.55, 0.7, 0.85)
+"""Of a simulated recording; changes as shares of a recording."""
+NOTICED_S, NAMED_S, PUSH_S = 3.0, 30.0, 5.0
+CHANGES = ('load', 'offset', 'friction', 'push', 'none')
+MEASURED = {
+    'UR3 measured': (('id1', 'id2'), Settings(outputs='effort')),
+    'Franka measured': (
+        ('panda',),
+        Settings(
+            outputs='effort',
+            joints=tuple(f'panda_joint{number}' for number in range(1, 8)),
+            initial_samples=200,
+        ),
+    ),
+    'iCub measured': (
+        ('train', 'test'),
+        Settings(
+            outputs='wrench',
+            joints=('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow'),
+            sensor_frame='r_arm_ft_sensor',
+            wrench_convention='reaction',
+        ),
+    ),
+}
+NAMES = {
+    'load': ('payload',),
+    'offset': ('sensor_offset', 'effort_offset'),
+    'friction': ('coulomb_friction', 'viscous_friction'),
+}
+
+
+class Robot(NamedTuple):
+    """Free motion of an arm, and what loads it."""
+
+    settings: Settings
+    samples: Samples
+    arm: Arm
+    mass: float  # [kg] of a usual load
+
+
+class Case(NamedTuple):
+    """A recording with changes at times [s], and the mass that came [kg]."""
+
+    samples: Samples
+    times: tuple[float, ...]
+    mass: float
+
+
+class Figures(NamedTuple):
+    """What became of one case."""
+
+    changes: int
+    noticed: int
+    named: int
+    delays: list[float]  # [s] until a change was told
+    mass_errors: list[float]  # as shares
+    back: list[float]
+    false: int
+    retracted: int
+    hours: float
+
+
+def simulated(urdf: str | None, seed: int) -> Robot:
+    """An arm in a mixture of circles, Fourier motion and reaching."""
+    rate, effects = (20.0, ()) if urdf is None else (100.0, _friction(urdf))
+    joints = None if urdf is None else tuple(dict.fromkeys(str(effect.where) for effect in effects))
+    found = simulate(
+        Scenario(
+            motion='mixed',
+            samples=round(SECONDS * rate),
+            rate_hz=rate,
+            seed=seed,
+            urdf=urdf,
+            joints=joints,
+            outputs='wrench' if urdf is None else 'effort',
+            effects=effects,
+            baseline='bundled' if urdf is None else 'none',
+            accelerations=False,
+            noise_correlation_s=0.05,
+        )
+    )
+    settings = Settings(
+        robot_description=found.urdf,
+        joints=found.joint_names,
+        outputs=found.outputs_kind,
+        sensor_frame=found.frame_id,
+        wrench_convention='reaction',
+    )
+    causal = CausalDifferentiator(len(found.joint_names), settings.acceleration_cutoff)
+    acceleration = np.array(
+        [
+            causal.update(int(stamp), velocity)
+            for stamp, velocity in zip(found.stamps, found.velocity, strict=True)
+        ]
+    )
+    samples = Samples(
+        found.stamps,
+        found.position,
+        found.velocity,
+        acceleration,
+        found.outputs,
+        int(found.stamps[0]),
+    )
+    return Robot(settings, samples, arm_of(settings, found.urdf), 0.3 if urdf is None else 0.6)
+
+
+def _friction(urdf: str) -> tuple[EffectRequest, ...]:
+    arm = Arm.from_urdf(urdf, moving_joints(Settings(outputs='effort'), urdf), 'effort')
+    joints = [joint for joint in arm.joints if 'finger' not in joint]
+    return tuple(
+        EffectRequest(kind, joint, 1.0, 0.0)
+        for joint in joints
+        for kind in ('coulomb_friction', 'viscous_friction')
+    )
+
+
+def measured(data: Path, names: tuple[str, ...], settings: Settings, _: int = 0) -> Robot:
+    """Recordings, one after the other; the same for every seed."""
+    bags = [load_samples(data / f'{name}.mcap', settings) for name in names]
+    urdf = robot_description(
+        settings, next(bag.robot_description for bag in bags if bag.robot_description)
+    )
+    stamps, end = [], 0
+    for bag in bags:
+        own = bag.samples.stamps - bag.samples.stamps[0]
+        stamps.append(own + end)
+        end += int(own[-1] + own[1])
+    joined = Samples.joined([bag.samples for bag in bags])
+    samples = replace(joined, stamps=np.concatenate(stamps) + 10**9, origin=10**9, breaks=())
+    settings = replace(settings, robot_description=urdf, robot_description_file='')
+    return Robot(
+        settings, samples, arm_of(settings, urdf), 0.3 if settings.outputs == 'wrench' else 0.6
+    )
+
+
+def arm_of(settings: Settings, urdf: str) -> Arm:
+    """The simulator's arm, which shares no code with the model."""
+    return Arm.from_urdf(
+        urdf,
+        moving_joints(settings, urdf),
+        settings.outputs,
+        settings.sensor_frame or None,
+        settings.wrench_convention,
+    )
+
+
+def case_of(robot: Robot, change: str, seed: int) -> Case:
+    """The recording with one of ``CHANGES``."""
+    rng, samples = np.random.default_rng(1000 + seed), robot.samples
+    times = tuple(share * float(samples.time[-1]) for share in AT)
+    time, n = samples.time, samples.outputs.shape[1]
+    spread, mass, added = samples.outputs.std(axis=0), 0.0, np.zeros_like(samples.outputs)
+    if change == 'load':
+        mass = robot.mass * rng.uniform(0.6, 1.4)
+        on = ((time >= times[0]) & (time < times[1])) | (time >= times[2])
+        added = on[:, None] * weight(robot, mass, rng)
+    elif change == 'offset':
+        jump = rng.choice([-0.5, 0.5], n) * spread
+        if robot.settings.outputs == 'effort':
+            jump *= np.arange(n) == rng.integers(n)
+        added, times = (time >= times[0])[:, None] * jump, times[:1]
+    elif change == 'friction':
+        joint = int(rng.integers(n))
+        added[:, joint] = (
+            0.3 * spread[joint] * np.tanh(samples.velocity[:, joint] / 0.02) * (time >= times[0])
+        )
+        times = times[:1]
+    elif change == 'push':
+        added, times = pushes(robot, times, rng), ()
+    else:
+        times = ()
+    return Case(replace(samples, outputs=samples.outputs + added), times, mass)
+
+
+def weight(robot: Robot, mass: float, rng: np.random.Generator) -> Array:
+    """(N, n) what a body in the hand adds, by recursive Newton-Euler with and without it."""
+    samples, arm = robot.samples, robot.arm
+    step = float(np.median(np.diff(samples.time)))
+    acceleration = savgol_filter(
+        samples.velocity, max(int(0.1 / step) | 1, 7), 3, deriv=1, delta=step, axis=0
+    )
+    centre = np.array([*rng.uniform(-0.03, 0.03, 2), 0.06])
+    body = pin.Inertia(mass, centre, 6e-4 * mass * np.eye(3))
+    states = samples.position, samples.velocity, acceleration
+    return arm.with_body(arm.distal_frames()[-1], body).evaluate(*states) - arm.evaluate(*states)
+
+
+def pushes(robot: Robot, times: tuple[float, ...], rng: np.random.Generator) -> Array:
+    """(N, n) what a hand adds that pushes the tip by some 10 to 30 N."""
+    position, time = robot.samples.position, robot.samples.time
+    force = np.zeros((len(time), 3))
+    for start in times:
+        direction, newton = rng.standard_normal(3), rng.uniform(10.0, 30.0)
+        shape = np.clip(np.minimum(time - start, start + PUSH_S - time) / 0.5, 0.0, 1.0)
+        sway = 1.0 + 0.2 * np.sin(4.4 * (time - start) + rng.uniform(0.0, 6.3))
+        force += newton * (shape * sway)[:, None] * direction / np.linalg.norm(direction)
+    return robot.arm.load_of_force(robot.arm.pose(robot.arm.tip, position), force, position)
+
+
+def run(robot: Robot, case: Case) -> tuple[list[ChangeRecord], Array]:
+    """Every record that was told, and (N,) whether the state was another than usual."""
+    learner, told, unusual = (
+        OfflineLearner(robot.settings, [], lambda: None),
+        list[ChangeRecord](),
+        list[bool](),
+    )
+    learner.look_for_changes(told.append)
+    learner.begin(case.samples.origin)
+    for sample in case.samples:
+        learner.step(sample, learning=True)
+        unusual.append(learner.changes is not None and learner.changes.state in STATES[3:])
+    return told, np.array(unusual)
+
+
+def judged(robot: Robot, change: str, seed: int) -> Figures:
+    """One case."""
+    case = case_of(robot, change, seed)
+    told, unusual = run(robot, case)
+    time, origin = case.samples.time, case.samples.origin
+
+    def seconds(stamp: int | None) -> float:
+        return np.nan if stamp is None else (stamp - origin) * 1e-9
+
+    noticed = named = 0
+    delays, errors, back, right = list[float](), list[float](), list[float](), set[int]()
+    for number, at in enumerate(case.times):
+        noticed += bool(unusual[(time >= at) & (time < at + NOTICED_S)].any())
+        if change == 'load' and number == 1:  # it is put down
+            near = [record for record in told if abs(seconds(record.change.ended) - at) < NAMED_S]
+            named += bool(near)
+            delays += [seconds(near[0].change.told) - at] if near else []
+            right |= {record.change.number for record in near}
+            continue
+        near = [record for record in told if at - 3.0 < seconds(record.change.told) < at + NAMED_S]
+        right |= {record.change.number for record in near}
+        delays += [seconds(near[0].change.told) - at] if near else []
+        found = [
+            record
+            for record in near
+            if record.effect is not None and record.effect.kind in NAMES[change]
+        ]
+        named += bool(found)
+        if found and found[-1].named is not None:
+            last = found[-1].named
+            back.append(last.after['nmse_mean'] / last.before['nmse_mean'])
+            errors += (
+                [abs(last.parameters['mass'].value / case.mass - 1.0)] if change == 'load' else []
+            )
+    final = {record.change.number: record.retracted for record in told}
+    wrong = [back_taken for number, back_taken in final.items() if number not in right]
+    hours = float(time[-1]) / 3600.0
+    return Figures(
+        len(case.times),
+        noticed,
+        named,
+        delays,
+        errors,
+        back,
+        len(wrong) - sum(wrong),
+        sum(wrong),
+        hours,
+    )
+
+
+def summed(rows: list[Figures]) -> list[str]:
+    """Cells of a table."""
+
+    def median(values: list[float]) -> str:
+        return f'{np.nanmedian(values):.2g}' if values else '-'
+
+    changes = sum(row.changes for row in rows)
+
+    def share(count: int) -> str:
+        return f'{count} of {changes}' if changes else '-'
+
+    flat = [
+        [value for row in rows for value in getattr(row, name)]
+        for name in ('delays', 'mass_errors', 'back')
+    ]
+    worst = f' ({max(flat[1]):.0%})' if flat[1] else ''
+    mass = f'{np.median(flat[1]):.1%}{worst}' if flat[1] else '-'
+    return [
+        share(sum(row.noticed for row in rows)),
+        median(flat[0]),
+        share(sum(row.named for row in rows)),
+        mass,
+        median(flat[2]),
+        f'{sum(row.false for row in rows)} in {sum(row.hours for row in rows):.2f} h',
+        str(sum(row.retracted for row in rows)),
+    ]
+
+
+def main() -> int:
+    """A row for each robot and change."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        '--urdf', action='append', default=[], metavar='NAME=FILE', help='an arm of joint efforts'
+    )
+    parser.add_argument('--data', type=Path, help='folder of the measured recordings')
+    parser.add_argument('--seeds', type=int, default=3)
+    parser.add_argument('--first-seed', type=int, default=1)
+    parser.add_argument('--changes', nargs='+', choices=CHANGES, default=list(CHANGES))
+    parser.add_argument('--no-icub', action='store_true', help='without the simulated iCub')
+    parser.add_argument('--json')
+    given = parser.parse_args()
+    robots: dict[str, Callable[[int], Robot]] = (
+        {} if given.no_icub else {'iCub': partial(simulated, None)}
+    )
+    for name, _, file in (text.partition('=') for text in given.urdf):
+        robots[name] = partial(simulated, Path(file).read_text())
+    for name, (bags, settings) in MEASURED.items() if given.data else ():
+        robots[name] = partial(measured, given.data, bags, settings)
+    table = Table(
+        'robot',
+        'change',
+        'noticed',
+        'told after [s]',
+        'named',
+        'mass error',
+        'back',
+        'false',
+        'taken back',
+    )
+    everything = {}
+    for name, robot in robots.items():
+        for change in given.changes:
+            if change == 'friction' and 'iCub' in name:
+                continue  # a sensor at the wrist does not feel it
+            seeds = range(given.first_seed, given.first_seed + given.seeds)
+            only = 1 if change == 'none' and name in MEASURED else None  # nothing is drawn
+            rows = [judged(robot(seed), change, seed) for seed in seeds[:only]]
+            everything[f'{name}, {change}'] = [row._asdict() for row in rows]
+            table.add_row(name, change, *summed(rows))
+            print(name, change, *summed(rows), sep=' | ', flush=True)
+    Console(width=140).print(table)
+    if given.json:
+        Path(given.json).write_text(json.dumps(everything, indent=1))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

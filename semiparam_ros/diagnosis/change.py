@@ -1,0 +1,336 @@
+"""What has changed at a time that is known: the likeliest effect that began, or was over, near it.
+
+A diagnosis asks what is missing, anywhere in a recording. Here the time is known, and what the
+model holds before it too, so that few samples after it are enough, and few seconds of a processor.
+The score is that of a diagnosis: the log predictive density of blocks that did not fit, as many
+before the change as after it (``search.score``), less minus the log of the effect's prior
+probability. Loads come first by that: a robot picks up and puts down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.robot.frames import loaded_links
+from semiparam_ros.core.robot.joint_friction import TURN_SPEEDS
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Mask
+from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.outliers import excluded
+from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluate_here
+from semiparam_ros.diagnosis.findings import Quantity
+from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, working_factor
+from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
+from semiparam_ros.diagnosis.search.plausibility import all_plausible
+from semiparam_ros.diagnosis.search.score import Gain, gain, repetition, summed
+from semiparam_ros.diagnosis.search.spans import with_best_edge
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
+from semiparam_ros.diagnosis.uncertainty import deviations
+from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects.base import Span
+from semiparam_ros.effects.drive import EffortOffset
+from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
+
+NEAR_S = 2.0
+"""[s] A change is looked for so long before and after the time that is known."""
+
+
+class Rival(NamedTuple):
+    """Another effect in place of the likeliest: by how much [nat] that one is better."""
+
+    kind: str
+    where: str | None
+    behind: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedChange:
+    """The likeliest effect, None where none is worth its price.
+
+    :param gain: of log density of unseen blocks by it, and its standard error [nat]. :param price:
+        minus the log of its prior probability. :param rivals: the foremost others. :param
+        parameters: its values.
+    :param before: errors of the model before the change. :param without: of the model without the
+        effect, after it.
+    :param after: of the model with the effect, after it. :param seconds: of motion that was looked
+        at after it.
+    """
+
+    effect: Effect | None
+    gain: Gain
+    price: float
+    rivals: tuple[Rival, ...]
+    parameters: dict[str, Quantity]
+    before: EvaluationFigures
+    without: EvaluationFigures
+    after: EvaluationFigures
+    seconds: float
+    inputs: Inputs
+    """How the samples were prepared, for the next one of the same robot."""
+
+    def as_dict(self) -> dict[str, object]:
+        """For a record."""
+        effect = self.effect
+        return {
+            'effect': None
+            if effect is None
+            else {
+                'kind': effect.kind,
+                'where': effect.where,
+                **effect.span.values,
+                'sentence': effect.sentence,
+                'parameters': {name: vars(quantity) for name, quantity in self.parameters.items()},
+            },
+            'log_evidence_gain': self.gain.total,
+            'log_evidence_error': self.gain.error,
+            'price': self.price,
+            'rivals': [rival._asdict() for rival in self.rivals],
+            'before': self.before,
+            'without': self.without,
+            'after': self.after,
+            'seconds_after': self.seconds,
+        }
+
+
+class Tried(NamedTuple):
+    """An effect, the model with it, what it gains and what it costs."""
+
+    effect: Effect
+    after: Fit
+    gain: Gain
+    price: float
+
+    @property
+    def net(self) -> float:
+        """[nat] what it gains beyond its price."""
+        return self.gain.total - self.price
+
+
+def name_change(
+    body: RigidBody,
+    samples: Samples,
+    effects: Sequence[Effect],
+    since_s: float,
+    ended_s: float | None = None,
+    inputs: Inputs | None = None,
+    config: DiagnosisConfig = DEFAULTS,
+) -> NamedChange:
+    """Find what began near ``since_s`` [s since the origin of the samples], and was over near
+    ``ended_s``.
+
+    :param effects: those that the model holds, declared or named before.
+    :param inputs: how the samples are prepared; chosen anew, which takes most of the time, unless
+        given.
+
+    Raises SemiparamError when too few samples are left to work with.
+    """
+    fit, inputs, changed = _declared(body, samples, effects, since_s, inputs, config)
+    tried = _ranked(fit, fit.effects[: len(effects)], since_s, ended_s)
+    best = tried[0] if tried and tried[0].gain.exceeds(tried[0].price, config.sure) else None
+    after, parameters = fit, dict[str, Quantity]()
+    if best is not None:
+        after, parameters = best.after, _parameters(best, inputs, samples)
+    used = fit.train_mask
+    rest = changed if ended_s is None else changed & (fit.samples.time < ended_s)
+    require_enough(config, used & rest)
+    step = float(np.median(np.diff(fit.samples.time)))
+    return NamedChange(
+        effect=None if best is None else best.effect,
+        gain=tried[0].gain if tried else Gain(0.0, 0.0),
+        price=tried[0].price if tried else 0.0,
+        rivals=tuple(
+            Rival(other.effect.kind, other.effect.where, best.net - other.net)
+            for other in tried[1:4]
+        )
+        if best
+        else (),
+        parameters=parameters,
+        before=evaluate_here(fit, used & ~changed).as_dict(),
+        without=evaluate_here(fit, used & rest).as_dict(),
+        after=evaluate_here(after, used & rest).as_dict(),
+        seconds=float(rest.sum()) * step,
+        inputs=inputs,
+    )
+
+
+def _ranked(
+    fit: Fit, known: Sequence[Effect], since_s: float, ended_s: float | None
+) -> list[Tried]:
+    """Every effect that may have begun, the likeliest first; before them all one that is known and
+    is over, unless another explains much more."""
+    found = [
+        trial
+        for effect in _candidates(fit)
+        if (trial := _tried(fit, effect, since_s, ended_s)) is not None
+    ]
+    over = [
+        _over(fit, effect, since_s)
+        for effect in known
+        if effect.changes and not effect.ends and ended_s is None
+    ]
+    most = max((trial.gain.total for trial in found), default=0.0)
+    enough = [trial for trial in over if trial.gain.total * fit.config.start_worth > most]
+    found += [trial for trial in over if trial not in enough]
+    return [
+        *sorted(enough, key=lambda trial: -trial.net),
+        *sorted(found, key=lambda trial: -trial.net),
+    ]
+
+
+def gain_since(
+    body: RigidBody,
+    samples: Samples,
+    since_s: float,
+    before: Sequence[Effect],
+    after: Sequence[Effect],
+    config: DiagnosisConfig = DEFAULTS,
+) -> Gain:
+    """By how much [nat] a model with the effects ``after`` predicts samples from ``since_s`` [s
+    since their origin] on better than one with the effects ``before``, both fitted to those before
+    it.
+
+    Raises SemiparamError when there are too few of either.
+    """
+    clean, factor = ~excluded(samples, config), working_factor(samples, config)
+    whole = samples[: len(samples) // factor * factor]
+    old, new = (
+        clean[: len(whole)] & part for part in (whole.time < since_s, whole.time >= since_s)
+    )
+    models = [
+        [effect.in_recording(samples.origin) for effect in effects] for effects in (before, after)
+    ]
+    inputs = best_inputs(body, whole, models[0], old, config)
+    chosen, fitting, judging = inputs.prepare(whole), inputs.mask(old), inputs.mask(new)
+    require_enough(config, fitting, judging)
+    counted = counted_outputs(body, chosen, config)
+    fits = [
+        starting_fit(body, chosen, effects, fitting & counted.any(axis=1), config, counted)
+        for effects in models
+    ]
+    repeated = repetition(fits[1])
+    densities = [
+        -0.5 * counted * (fit.residual**2 / fit.scale**2 + 2.0 * np.log(fit.scale)) / repeated
+        for fit in fits
+    ]
+    gained = (densities[1] - densities[0]).sum(axis=1)[judging]
+    return summed(
+        np.array([part.sum() for part in np.array_split(gained, min(config.blocks, len(gained)))])
+    )
+
+
+def _declared(
+    body: RigidBody,
+    samples: Samples,
+    effects: Sequence[Effect],
+    since_s: float,
+    inputs: Inputs | None,
+    config: DiagnosisConfig,
+) -> tuple[Fit, Inputs, Mask]:
+    """The model that is declared, how its samples were prepared, and which (N,) came after the
+    change."""
+    clean, factor = ~excluded(samples, config), working_factor(samples, config)
+    whole = samples[: len(samples) // factor * factor]
+    clean = clean[: len(whole)]
+    effects = [*(effect.in_recording(samples.origin) for effect in effects), *_friction(body)]
+    inputs = inputs or best_inputs(body, whole, effects, clean, config)
+    chosen, valid = inputs.prepare(whole), inputs.mask(clean)
+    counted = counted_outputs(body, chosen, config)
+    valid &= counted.any(axis=1)
+    changed = np.asarray(chosen.time >= since_s)
+    require_enough(config, valid & ~changed, valid)
+    return starting_fit(body, chosen, effects, valid, config, counted), inputs, changed
+
+
+def _friction(body: RigidBody) -> list[Effect]:
+    """What the model of an arm with joint efforts holds of each joint
+    (``core.robot.joint_friction``)."""
+    found: list[Effect] = []
+    for joint in body.output_names if body.outputs == 'effort' else ():
+        found += [
+            ViscousFriction(joint),
+            EffortOffset(joint),
+            *(_dry(joint, speed) for speed in TURN_SPEEDS),
+        ]
+    return found
+
+
+def _dry(joint: str, speed: float) -> Effect:
+    return CoulombFriction(joint, {'turn_speed': float(speed)})
+
+
+def _candidates(fit: Fit) -> list[Effect]:
+    """Every effect that may begin, those of links at the last one alone."""
+    body, link = fit.body, list(loaded_links(fit.body))[-1]
+    found: list[Effect] = []
+    for kind in kinds(body.outputs).values():
+        if kind.may_start or kind.must_start:
+            places = [link] if link in kind.places(body) else kind.places(body)
+            found += [
+                kind.from_values(where, kind.searches(body, fit.samples, where, fit.residual)[0])
+                for where in places
+            ]
+    for joint in body.output_names if body.outputs == 'effort' else ():
+        found += [ViscousFriction(joint), _dry(joint, TURN_SPEEDS[-1])]
+    return found
+
+
+def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> Tried | None:
+    """The effect with its best times near those given, in the model; None where it has values that
+    it cannot have."""
+    spans = [Span(start_s=since_s, end_s=ended_s)]
+    if effect.is_load and ended_s is None:
+        spans.append(Span(end_s=since_s))  # what was in the hand before, and the model has learnt
+    best: Tried | None = None
+    for span in spans:
+        acting = replace(effect, span=span)
+        for name, time_s in span.values.items():
+            acting = with_best_edge(fit, acting, name, (time_s - NEAR_S, time_s + NEAR_S))
+        after = refit_weights(with_effects(fit, [*fit.effects, acting]))
+        if effect.is_load and not all_plausible(fit, after):
+            continue
+        times = acting.span.values.values()
+        trial = Tried(acting, after, gain(fit, after, times), _price(acting, fit))
+        best = trial if best is None or trial.net > best.net else best
+    return best
+
+
+def _over(fit: Fit, effect: Effect, since_s: float) -> Tried:
+    """An effect that the model holds, with its end near a time."""
+    rest = with_effects(fit, [known for known in fit.effects if known is not effect])
+    ended = with_best_edge(rest, effect, 'end_s', (since_s - NEAR_S, since_s + NEAR_S))
+    after = refit_weights(
+        with_effects(fit, [ended if known is effect else known for known in fit.effects])
+    )
+    return Tried(
+        ended, after, gain(fit, after, ended.span.values.values()), math.log(fit.config.start_grid)
+    )
+
+
+def _price(effect: Effect, fit: Fit) -> float:
+    """[nat] minus the log of its prior probability: a load may have come or gone at any time near;
+    the rest is as unlikely as a diagnosis takes it to be (``search.prior_odds``)."""
+    times = math.log(fit.config.start_grid) * len(effect.span.values)
+    if effect.is_load:
+        return times
+    return times + math.log(fit.config.odds * max(len(effect.places(fit.body)), 1))
+
+
+def _parameters(best: Tried, inputs: Inputs, samples: Samples) -> dict[str, Quantity]:
+    """The values of the effect, with their standard deviations."""
+    effect, fit = best.effect, best.after
+    number = fit.effects.index(effect)
+    block = fit.assembly.blocks[str(number)]
+    std = deviations(fit, [number], inputs.disturbed(samples)).coefficients[block]
+    return {
+        name: Quantity(float(value), float(deviation), unit)
+        for (name, unit), value, deviation in zip(
+            effect.coefficients(fit.body), fit.theta[block], std, strict=True
+        )
+    }

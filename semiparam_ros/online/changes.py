@@ -1,0 +1,687 @@
+"""Has the robot changed, is it touched, or is it as it was: told from the innovations as they come.
+
+An innovation r (measured minus predicted, by the rigid body alone) is judged by three hypotheses:
+
+    free       r is noise, as large as usual beside the standard deviation s that the model gave it
+    touched    a contact: further outputs that go along another line every quarter of a second
+    changed    r = C L theta: the coefficients of some columns of the model have become others
+
+The columns of a change are those of C that one cause moves: the ten of a body at the last link (a
+load was picked up or put down), the offsets (of a sensor, of one joint's effort), the friction of
+one joint, or those of the whole rigid body (something else). So products of C and r are all that is
+kept of the samples, for each quarter of a second b of motion, with S = diag(s):
+
+    A_b = sum L' C' S^-2 C L,    h_b = sum L' C' S^-2 r
+
+*Noticing.* q = h' (A + I)^-1 h, summed over the last half, one, two, four and eight seconds, is
+what a cause explains beside its prior theta ~ N(0, I). How large it is in free motion is learnt,
+for innovations are coloured, and no model is exactly true. The root of q over its usual mean square
+has a tail, and what stands out is a ratio that chance exceeds only so often an hour over all causes
+and lengths (:class:`~semiparam_ros.online.contact_gate.Tail`). Motion that the model has not seen
+weighs less.
+
+*Telling.* What stands out is judged by the log evidence of each hypothesis over the free one, with
+noise kappa S^2. kappa is the usual mean square, and grows with what the best hypothesis leaves:
+
+    changed    h' (kappa I + A)^-1 h / (2 kappa) - log|I + A / kappa| / 2 - price
+    touched    the same with a line for each output and quarter, or each second or two
+
+A change is told once it has ``SURE`` nat more than both others. The price is minus the log of the
+prior probability: robots pick up and put down, and the rest is rare.
+
+All this time the model predicts with the coefficients that it had before anything stood out. A
+change that was told is followed: its coefficients, from all quarters since it began, are taken off,
+so that the next change stands out in turn; and it is over when the model without it predicts
+better.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from itertools import pairwise
+from math import log
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.frames import load_transform, loaded_links
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import base_scale, output_scale
+from semiparam_ros.core.single_estimator import Model, Prediction
+from semiparam_ros.core.types import Array, Indices, Mask
+from semiparam_ros.effects.loads import Payload
+from semiparam_ros.online.contact_gate import (
+    BEYOND,
+    JUST_BEYOND,
+    SPEEDS,
+    UNSEEN_FACTOR,
+    UNSEEN_S,
+    Tail,
+)
+
+BLOCK_S = 0.25
+LENGTHS = (2, 4, 8, 16, 32)
+"""[blocks] Half a second to eight."""
+LONGEST_STEP_S = 0.1
+"""What a sample adds to a block at most."""
+USUAL, FEWEST = 20, 4
+"""Windows of each length that a usual mean square is from, and so many at least."""
+SINCE = (32, 28, 24, 20, 16, 14, 12, 10, 8, 7, 6, 5, 4)
+"""[blocks] How long ago a change may have begun."""
+EACH, LASTING = 4, 24
+"""So many blocks of outputs that feel it speak for each coefficient of a load at least: fewer
+anything explains. Of all else so many altogether: a contact may be as steady, but does not last as
+long."""
+MASS_SHOWS = 2.5
+"""[standard deviations] A load has a mass that is so sure at least."""
+CALM = 0.5
+"""Below this share of what stands out, nothing does."""
+PER_HOUR = 0.1
+"""[1/h] So often anything may stand out of free motion."""
+SURE = 12.0
+"""[nat] Odds of 160 000 to 1, as a diagnosis asks of an effect."""
+RARE = 1e4
+"""A load is picked up or put down so many times as often as anything else changes; and that as
+often as something of which the kind is not known."""
+HAND_M = 0.15
+"""[m] How far from the last link the centre of a load may be, and how large it is."""
+SETTLED = 8
+"""[blocks] The newest ones say whether a change goes on; the older ones say how large it is."""
+JUDGED_ANEW = 32
+"""[blocks] So long after it began, what a change is may still be told anew."""
+COMPARED, LEAST_COMPARED = 1.0 - 1.0 / 80.0, 40.0 * (1.0 - 1.0 / 80.0)
+"""[blocks] After anything stood out, the model as it stands is compared with the one from before
+over the last twenty seconds in which nothing does, ten at least."""
+RELEASED = 3
+"""A contact is over when nothing stands out over the first so many lengths."""
+CONTACT = (1, 4, 8)
+"""[blocks] Over so long the outputs of a contact go along a line."""
+
+
+ROUNDED = 1e-11
+
+
+class Cause(NamedTuple):
+    """What may change: its kind and place as effects have them ('' for no known kind), its part of
+    the directions, minus the log of its prior probability [nat], and how many blocks must speak for
+    it."""
+
+    kind: str
+    where: str | None
+    part: slice
+    price: float
+    blocks: int
+
+
+class Change(NamedTuple):
+    """What was told of a change.
+
+    :param number: counts them; one that is judged anew keeps its own.
+    :param since: [ns] stamp at which it began. :param told: [ns] when that was told.
+    :param kind: the likeliest cause ('' for none that is known), at ``where``.
+    :param value: of a load its mass [kg], with its standard deviation; of what was put down
+        negative; else NaN.
+    :param evidence: [nat] over what is next likely: no change, a contact. :param outputs: those
+        that feel it, the strongest first. :param ended: [ns] when it was over; None while it is
+        there.
+    """
+
+    number: int
+    since: int
+    told: int
+    kind: str
+    where: str | None
+    value: float
+    std: float
+    evidence: float
+    outputs: tuple[str, ...]
+    ended: int | None = None
+
+
+class Block(NamedTuple):
+    """Products of a quarter of a second of motion that began at ``start`` [ns]."""
+
+    start: int
+    gram: Array  # (K, K) A
+    moment: Array  # (K,) h
+    live: float  # weighed squares that the model leaves as it stands
+    own: Array
+    """(6, n) of each output the sums of w (1, t, t^2, r, r t, r^2), with weights w and time t in
+    blocks."""
+
+
+def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
+    """What may change on a robot, and the directions L (p, K) of all of them in units of their
+    priors; p: columns of the model without those of effects."""
+    body, blocks = columns.body, columns.blocks
+    own, causes, parts = np.diag(columns.prior_scale[: columns.n_own]), list[Cause](), list[Array]()
+    rigid, offset, friction = (blocks[name] for name in ('rigid_body', 'offset', 'friction'))
+    own[rigid, rigid] = np.diag(base_scale(body))
+
+    def add(kind: str, where: str | None, directions: Array, price: float) -> None:
+        start = sum(part.shape[1] for part in parts)
+        size = directions.shape[1]
+        causes.append(
+            Cause(
+                kind,
+                where,
+                slice(start, start + size),
+                price,
+                -(-EACH * size // body.n_outputs) if kind == Payload.kind else LASTING,
+            )
+        )
+        parts.append(directions)
+
+    link = list(loaded_links(body))[-1]
+    index, transform = load_transform(body, link)
+    load = np.zeros((columns.n_own, transform.shape[1]))
+    load[rigid] = body.basis[10 * index : 10 * index + 10].T @ transform * load_scale(body, link)
+    add(Payload.kind, link, load, 0.0)
+    price = log(RARE * (1 + (2 * body.n_outputs if columns.has_friction else 1)))
+    if body.outputs == 'wrench':
+        add('sensor_offset', None, own[:, offset], price)
+    for number, joint in enumerate(body.output_names if columns.has_friction else ()):
+        add('effort_offset', joint, own[:, [offset.start + number]], price)
+        add(
+            'friction',
+            joint,
+            own[:, friction.start + number : friction.stop : body.n_outputs],
+            price,
+        )
+    add('', None, own[:, rigid], price + log(RARE))
+    return causes, np.hstack(parts)
+
+
+def load_scale(body: RigidBody, link: str) -> Array:
+    """(10,) what the inertial parameters of a load in the hand may be."""
+    mass = float(Payload(link).prior_scale(body)[0])
+    return mass * np.repeat([1.0, HAND_M, HAND_M**2], (1, 3, 6))
+
+
+class Usual:
+    """What causes explain in free motion over windows of one length, and which ratio to that stands
+    out.
+
+    :param length: [blocks]
+    """
+
+    def __init__(self, length: int, n_causes: int) -> None:
+        self.tail = Tail(n_causes, length * BLOCK_S)
+        self._squares: deque[Array] = deque(maxlen=USUAL)
+
+    def add(self, explained: Array) -> None:
+        """Of one window (c,) that nothing stands out of."""
+        if self.known:
+            self.tail.add(np.sqrt(explained / self.mean))
+        self._squares.append(explained)
+
+    @property
+    def known(self) -> bool:
+        """Whether there is anything to compare with."""
+        return len(self._squares) >= FEWEST
+
+    @property
+    def mean(self) -> Array:
+        """(c,) usual mean squares; noise as the model has it at least."""
+        return np.maximum(np.mean(self._squares, axis=0), 1.0)
+
+    @property
+    def median(self) -> Array:
+        """(c,) the same of the usual window, whatever a few others were."""
+        return np.maximum(np.median(self._squares, axis=0), 1.0)
+
+    def ratio(self, explained: Array) -> float:
+        """The largest over what stands out; 0 while nothing is known."""
+        if not self.known:
+            return 0.0
+        thresholds, _ = self.tail.thresholds(PER_HOUR / len(LENGTHS))
+        return float((np.sqrt(explained / self.mean) / thresholds).max())
+
+
+class Judged(NamedTuple):
+    """A hypothesis: its cause, how many of the last blocks it explains, its coefficients in units
+    of their prior, their covariance, and its evidence [nat] over what is next likely."""
+
+    cause: Cause
+    blocks: int
+    theta: Array
+    covariance: Array
+    evidence: float
+
+
+class Followed:
+    """A change that was told, with the sums of all blocks since it began: its coefficients, in
+    units of their prior."""
+
+    def __init__(self, change: Change, judged: Judged, blocks: Sequence[Block]) -> None:
+        self.change, self.cause, self.blocks = change, judged.cause, 0
+        self.theta = judged.theta
+        self._latest: deque[Array] = deque(maxlen=SETTLED)
+        size = len(self.theta)
+        self._gram, self._moment = np.zeros((size, size)), np.zeros(size)
+        for block in blocks:
+            self.add(block)
+
+    def add(self, block: Block) -> None:
+        """One more; the newest ones are left to say whether it goes on."""
+        part = self.cause.part
+        self._gram += block.gram[part, part]
+        self._moment += block.moment[part]
+        self._latest.append(
+            np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
+        )
+        self.theta, self.blocks = self._latest[0], self.blocks + 1
+
+
+class ChangeDetector:
+    """Notices changes of one robot; see the module.
+
+    :param columns: of the model that predicts. :param told: so many changes were told before.
+    """
+
+    def __init__(self, columns: CoupledColumns, told: int = 0) -> None:
+        self.causes, self._directions = causes_of(columns)
+        body = columns.body
+        self._names, self._scale = body.output_names, output_scale(body)
+        self._load_scale = float(load_scale(body, str(self.causes[0].where))[0])
+        self._joints = body.output_index if body.outputs == 'effort' else None
+        self._told_of = told
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as with another model."""
+        self._usual = [Usual(length, len(self.causes)) for length in LENGTHS]
+        self._power: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
+        self._noise_std: Array | None = None
+        """(n,) of the first model: the scale of all that is usual."""
+        self._model: Model | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Drop what is half seen, as after a jump of the clock; what is usual stays."""
+        self._blocks: deque[Block] = deque(maxlen=max(LENGTHS))
+        self._count = 0
+        self._newest: int | None = None
+        self._reference: Array | None = None
+        self._familiar = UNSEEN_S
+        self.followed: Followed | None = None
+        self.touched = False
+        self._standing, self._held, self._felt = 0, False, False
+        self._compared: Array = np.zeros(3)
+        """Weighed squares of the model from before, and as it stands, over so many blocks; none
+        while they are one."""
+        self._begin_block()
+
+    def _begin_block(self) -> None:
+        p, n = len(self._directions), len(self._names)
+        self._gram, self._moment, self._own = np.zeros((p, p)), np.zeros(p), np.zeros((6, n))
+        self._seconds, self._start = 0.0, 0
+
+    @property
+    def knows(self) -> bool:
+        """Whether it has seen enough free motion to tell anything."""
+        return self._usual[LENGTHS.index(8)].known
+
+    @property
+    def before(self) -> Array | None:
+        """(p,) coefficients of the model from before anything stood out; None while they are those
+        that it has."""
+        return self._reference if self._held else None
+
+    def see(self, prediction: Prediction, model: Model) -> Change | None:
+        """Take one predicted sample into account; what is told with it.
+
+        :param prediction: of a ``model`` without features.
+        """
+        sample, theta = prediction.sample, model.theta
+        seconds = (
+            0.0
+            if self._newest is None
+            else min(max(1e-9 * (sample.stamp - self._newest), 0.0), LONGEST_STEP_S)
+        )
+        self._newest = sample.stamp
+        speed = np.abs(sample.velocity)
+        if not prediction.ready or prediction.off or float(speed.max()) < SPEEDS[0]:
+            return None
+        strange = prediction.beyond > (BEYOND if self._familiar >= UNSEEN_S else JUST_BEYOND)
+        self._familiar = 0.0 if strange else min(self._familiar + seconds, UNSEEN_S)
+        if self._noise_std is None:
+            self._noise_std = model.noise_std
+        elif model is not self._model:  # its coefficients may be worse than those before
+            self._held, self._compared = True, np.zeros(3)
+        self._model = model
+        weight = model.noise_std / (self._noise_std * prediction.model_std)
+        if self._joints is not None:  # what holds a joint that rests tells nothing
+            weight = weight * (speed[self._joints] > SPEEDS[0])
+        if self._familiar < UNSEEN_S:
+            weight = weight / UNSEEN_FACTOR
+        if self._reference is None:
+            self._reference = theta.copy()
+        self._add(prediction, self._reference, weight)
+        self._start = self._start or sample.stamp
+        self._seconds += seconds
+        return None if self._seconds < BLOCK_S - 1e-6 else self._finish_block(sample.stamp, theta)
+
+    def _add(self, prediction: Prediction, reference: Array, weight: Array) -> None:
+        columns = prediction.columns
+        rows = columns[:, : len(self._directions)] * weight[:, None]
+        left = (prediction.sample.outputs - columns @ reference) * weight
+        self._gram += rows.T @ rows
+        self._moment += left @ rows
+        time = self._seconds / BLOCK_S
+        squares, pulls = weight * weight, weight * left
+        self._own += (
+            squares,
+            time * squares,
+            time * time * squares,
+            pulls,
+            time * pulls,
+            left * left,
+        )
+
+    def _finish_block(self, stamp: int, theta: Array) -> Change | None:
+        directions = self._directions
+        assert self._reference is not None
+        learnt = (theta - self._reference)[: len(directions)]
+        live = float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
+        block = Block(
+            self._start,
+            directions.T @ self._gram @ directions,
+            directions.T @ self._moment,
+            live,
+            self._own,
+        )
+        self._begin_block()
+        if not np.isfinite(block.own).all() or not np.isfinite(block.gram).all():
+            self.reset()  # no sensor measures that
+            return None
+        self._blocks.append(block)
+        self._count += 1
+        if self.followed is not None:
+            self.followed.add(block)
+        ratios = self._outstanding(self._left())
+        outstanding = max(ratios, default=0.0)
+        latest = max(ratios[:RELEASED], default=0.0)
+        self._felt = (self.touched and self._felt) or latest >= 1.0
+        if self.touched and self._felt and latest < CALM:  # it is over
+            self._blocks = deque(list(self._blocks)[-LENGTHS[RELEASED - 1] :], self._blocks.maxlen)
+            outstanding = 0.0
+        self._standing = self._standing + 1 if outstanding >= 1.0 else 0
+        if self._standing:
+            self._held = True
+            if self._standing >= min(SINCE):
+                return self._tell(stamp)
+            self.touched = self.followed is None
+        elif outstanding < CALM:
+            self._calm(block, theta)
+        return None
+
+    def _calm(self, block: Block, theta: Array) -> None:
+        """Nothing stands out: go on with the model as it stands, unless the one from before
+        predicts better."""
+        if self.followed is None:
+            self.touched = False
+            self._power.append(float(block.own[-1].sum()))
+        if self._held:
+            self._compare(block)
+            if self._compared[2] < LEAST_COMPARED or self._compared[1] > self._compared[0]:
+                return
+        self._held, self._compared, self._reference, self.followed = (
+            False,
+            np.zeros(3),
+            theta.copy(),
+            None,
+        )
+
+    def _compare(self, block: Block) -> None:
+        """Charge what is left of a block by the model from before, with the change that is
+        followed, and as it stands."""
+        left = float(block.own[-1].sum())
+        if self.followed is not None:
+            part, theta = self.followed.cause.part, self.followed.theta
+            left -= float(theta @ (2.0 * block.moment[part] - block.gram[part, part] @ theta))
+        self._compared = COMPARED * self._compared + (left, block.live, 1.0)
+
+    def _outstanding(self, moments: Array) -> list[float]:
+        """How far anything stands out of the last blocks, which have these h (B, K), over each of
+        the lengths."""
+        lengths = [length for length in LENGTHS if length <= len(self._blocks)]
+        starts, ratios = len(self._blocks) - np.array(lengths, dtype=int), list[float]()
+        found = self._explained(
+            _since(np.array([block.gram for block in self._blocks]), starts),
+            _since(moments, starts),
+        )
+        free = self.followed is None and not self.touched
+        for length, usual, explained in zip(lengths, self._usual, found, strict=False):
+            ratios.append(usual.ratio(explained))
+            if free and ratios[-1] < 1.0 and self._count % length == 0:
+                usual.add(explained)
+        return ratios
+
+    def _left(self) -> Array:
+        """(B, K) h of each block, without what the change that is followed explains."""
+        moments = np.array([block.moment for block in self._blocks])
+        if self.followed is not None:
+            for moment, block in zip(moments, self._blocks, strict=True):
+                if block.start >= self.followed.change.since:
+                    moment -= block.gram[:, self.followed.cause.part] @ self.followed.theta
+        return moments
+
+    def _explained(self, grams: Array, moments: Array) -> Array:
+        """(S, c) what each cause explains of windows, over the number of directions that it tells
+        of."""
+        found = np.empty((len(grams), len(self.causes)))
+        for number, cause in enumerate(self.causes):
+            along = moments[:, cause.part]
+            inverse = np.linalg.inv(_with_prior(grams[:, cause.part, cause.part]))
+            told = along.shape[1] - np.trace(inverse, axis1=1, axis2=2)
+            found[:, number] = np.einsum('sk,skj,sj->s', along, inverse, along) / np.maximum(
+                told, 1.0
+            )
+        return found
+
+    @property
+    def _noise(self) -> float:
+        """kappa: the usual mean square of what the whole rigid body explains, over the longest
+        windows known."""
+        return float(next(usual.median[-1] for usual in reversed(self._usual) if usual.known))
+
+    def _tell(self, stamp: int) -> Change | None:
+        """Which hypothesis what stands out speaks for."""
+        followed = self.followed
+        again = followed is not None and followed.blocks < JUDGED_ANEW
+        if followed is not None and (ended := self._end(followed)) is not None:
+            self.followed, self._standing, self._compared = None, 0, np.zeros(3)
+            self._blocks.clear()
+            return followed.change._replace(told=stamp, ended=ended)
+        moments = np.array([block.moment for block in self._blocks]) if again else self._left()
+        best = self._likeliest(moments)
+        if best is None or best.evidence < SURE:
+            self.touched = followed is None
+            return None
+        if again and followed is not None and followed.cause == best.cause:
+            return None
+        return self._told(stamp, best)
+
+    def _likeliest(self, moments: Array) -> Judged | None:
+        """The change that is likeliest, beside a contact and none."""
+        counts = np.array([count for count in SINCE if count <= len(self._blocks)])
+        if not len(counts):
+            return None
+        starts = len(self._blocks) - counts
+        blocks = np.array([block.gram for block in self._blocks])
+        grams, sums = _since(blocks, starts), _since(moments, starts)
+        late = starts + (counts + 1) // 2
+        late_grams, late_sums = _since(blocks, late), _since(moments, late)
+        own = np.array([block.own for block in self._blocks])
+        power = _since(own[:, -1].sum(axis=1), starts)
+        spectra = [np.linalg.eigh(grams[:, cause.part, cause.part]) for cause in self.causes]
+        along = [
+            np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
+            for (_, vectors), cause in zip(spectra, self.causes, strict=True)
+        ]
+        # what a cause leaves of the squares at its best
+        left = power - np.max(
+            [
+                (each**2 * (values + 2.0) / (values + 1.0) ** 2).sum(axis=1)
+                for (values, _), each in zip(spectra, along, strict=True)
+            ],
+            axis=0,
+        )
+        kappa = self._noise * np.maximum(left / (np.median(self._power) * counts), 1.0)
+        rival = self._touched(own, kappa, starts)
+        best: Judged | None = None
+        for (values, vectors), each, cause in zip(spectra, along, self.causes, strict=True):
+            whole = np.maximum(values, 0.0) + kappa[:, None]
+            evidence = 0.5 * (
+                (each**2 / whole).sum(axis=1) / kappa - np.log(whole / kappa[:, None]).sum(axis=1)
+            )
+            evidence = evidence - cause.price - rival
+            evidence[counts < cause.blocks] = -np.inf
+            if cause.kind == Payload.kind:
+                evidence = self._of_load(evidence, values, vectors, each, kappa)
+            theta, part = np.einsum('skj,sj->sk', vectors, each / whole), cause.part
+            later = _explains(theta, late_grams[:, part, part], late_sums[:, part])
+            evidence[~later] = -np.inf  # what is over explains nothing of the later half
+            at = int(evidence.argmax())
+            if best is None or evidence[at] > best.evidence:
+                root = vectors[at] / np.sqrt(whole[at])
+                best = Judged(
+                    cause,
+                    int(counts[at]),
+                    vectors[at] @ (each[at] / whole[at]),
+                    kappa[at] * root @ root.T,
+                    float(evidence[at]),
+                )
+        return best
+
+    def _of_load(
+        self, evidence: Array, values: Array, vectors: Array, along: Array, kappa: Array
+    ) -> Array:
+        """(S,) that of a load, which has a mass; what was put down was in the hand before."""
+        whole, of_mass = np.maximum(values, 0.0) + kappa[:, None], vectors[:, 0]
+        mass, variance = (
+            (of_mass * along / whole).sum(axis=1),
+            kappa * (of_mass**2 / whole).sum(axis=1),
+        )
+        evidence = np.where(mass < 0.0, evidence - log(RARE), evidence)
+        return np.where(mass**2 > MASS_SHOWS**2 * variance, evidence, -np.inf)
+
+    def _touched(self, own: Array, kappa: Array, starts: Indices) -> Array:
+        """(S,) log evidence of a contact that began at any block, the noise being that of each of
+        some starts, over that of none."""
+        found = np.zeros((len(CONTACT), len(starts)))
+        for row, together in enumerate(CONTACT):
+            first = np.arange(len(own), 0, -together)[::-1] - together
+            sums = _along_line(own, first, together)
+            for column, (noise, start) in enumerate(zip(kappa, starts, strict=True)):
+                evidence = self._line(sums[first >= start], noise)
+                found[row, column] = np.append(np.cumsum(evidence[::-1]), 0.0).max()
+        return np.asarray(found.max(axis=0))
+
+    def _line(self, sums: Array, noise: float) -> Array:
+        """(B,) log evidence of outputs that go along a line, over that of none; sums (B, 5, n) as
+        in a block."""
+        one, first, second, moved, turned = np.moveaxis(sums, 1, 0) / noise
+        prior = self._scale**-2
+        a, c = one + prior, second + prior
+        determinant = a * c - first * first
+        explained = (c * moved**2 - 2.0 * first * moved * turned + a * turned**2) / determinant
+        return np.asarray(0.5 * (explained - np.log(determinant / prior**2)).sum(axis=1))
+
+    def _end(self, followed: Followed) -> int | None:
+        """Since when [ns] the change that is followed is over; None while it is there."""
+        latest = list(self._blocks)[-LENGTHS[0] :]
+        gram, moment = (
+            np.sum([getattr(block, name) for block in latest], axis=0)
+            for name in ('gram', 'moment')
+        )
+        if self._usual[0].ratio(self._explained(gram[None], moment[None])[0]) >= 1.0:
+            return None
+        part, theta = followed.cause.part, followed.theta
+        gains = np.array(
+            [
+                0.5 * theta @ block.gram[part, part] @ theta - theta @ block.moment[part]
+                for block in self._blocks
+                if block.start >= followed.change.since
+            ]
+        )
+        power = np.array([block.own[-1].sum() for block in self._blocks])[-len(gains) :]
+        counts = np.arange(len(gains), 0, -1)
+        left = np.cumsum(power[::-1])[::-1] / (np.median(self._power) * counts)
+        gains = np.cumsum(gains[::-1])[::-1] / (self._noise * np.maximum(left, 1.0))
+        at = int(gains.argmax())
+        return self._blocks[len(self._blocks) - len(gains) + at].start if gains[at] > SURE else None
+
+    def _told(self, stamp: int, judged: Judged) -> Change:
+        blocks = list(self._blocks)[-judged.blocks :]
+        felt = np.sum(
+            [block.own[3] ** 2 / np.maximum(block.own[0], 1e-300) for block in blocks], axis=0
+        )
+        order = [int(index) for index in np.argsort(-felt) if felt[index] > 0.1 * felt.max()]
+        mass = std = np.nan
+        if judged.cause.kind == Payload.kind:
+            mass = float(judged.theta[0]) * self._load_scale
+            std = float(np.sqrt(judged.covariance[0, 0])) * self._load_scale
+        followed = self.followed
+        again = followed is not None and followed.blocks < JUDGED_ANEW
+        self._told_of += not again
+        change = Change(
+            self._told_of,
+            blocks[0].start,
+            stamp,
+            judged.cause.kind,
+            judged.cause.where,
+            mass,
+            std,
+            judged.evidence,
+            tuple(self._names[index] for index in order),
+        )
+        if followed is not None and not again and self._reference is not None:
+            # what was told before is part of the robot now
+            known = self._directions[:, followed.cause.part] @ followed.theta
+            self._reference[: len(known)] += known
+            blocks = []
+        self.touched, self.followed = False, Followed(change, judged, blocks)
+        self._compared = np.zeros(3)
+        return change
+
+
+def _explains(theta: Array, grams: Array, moments: Array) -> Mask:
+    """(S,) whether coefficients (S, k) explain blocks with these sums better than none."""
+    gained = theta * (2.0 * moments - np.einsum('skj,sj->sk', grams, theta))
+    return np.asarray(gained.sum(axis=1) > 0.0)
+
+
+def _with_prior(gram: Array) -> Array:
+    """A + I for (..., k, k), where I is not so small beside A that it would be lost."""
+    largest = np.diagonal(gram, axis1=-2, axis2=-1).max(axis=-1)
+    return np.asarray(gram + (1.0 + ROUNDED * largest)[..., None, None] * np.eye(gram.shape[-1]))
+
+
+def _since(values: Array, starts: Indices) -> Array:
+    """(S, ...) sums of values (B, ...) of blocks from each of some on, the latest first or last."""
+    edges = np.append(np.unique(starts), len(values))
+    parts = [values[start:end].sum(axis=0) for start, end in pairwise(edges)]
+    return (
+        np.asarray(np.cumsum(parts[::-1], axis=0)[::-1][np.searchsorted(edges, starts)])
+        if len(starts)
+        else values[:0]
+    )
+
+
+def _along_line(own: Array, first: Indices, together: int) -> Array:
+    """(M, 5, n) the first five sums (B, 6, n) of so many blocks together, from each of some on,
+    time in units of all of them; blocks before the first one count as empty."""
+    found = np.zeros((len(first), 5, own.shape[2]))
+    for offset in range(together):
+        inside = np.flatnonzero(first + offset >= 0)
+        one, along, second, moved, turned = np.moveaxis(own[first[inside] + offset, :5], 1, 0)
+        found[inside, 0] += one
+        found[inside, 1] += (offset * one + along) / together
+        found[inside, 2] += (offset**2 * one + 2 * offset * along + second) / together**2
+        found[inside, 3] += moved
+        found[inside, 4] += (offset * moved + turned) / together
+    return found

@@ -1,0 +1,80 @@
+"""The learner has changes named in the background, with what came before and after."""
+
+import pytest
+
+from semiparam_ros.diagnosis.change import name_change
+from support.changing_arm import LOADED_S, SETTINGS, free, loaded, offered
+from support.learner_stage import Stage
+from support.node_helpers import InlineBackground
+
+
+def test_a_load_is_named_soon_and_again_as_more_comes_until_it_is_put_down():
+    body, samples, mass = loaded()
+    stage = offered(body, samples[samples.time < 112.0])
+    first, *_, last = stage.changes
+    assert first.named is None
+    named = [record for record in stage.changes if record.named is not None]
+    assert len(named) >= 4
+    assert {record.effect.kind for record in named} == {'payload'}
+    masses = [record.named.parameters['mass'].value for record in named]
+    assert abs(masses[0] - mass) < 0.1 * mass, 'six seconds after it began'
+    assert abs(masses[-1] - mass) < 0.05 * mass
+    begun, ended = (stamp_s - samples.origin * 1e-9 for stamp_s in last.times_s)
+    assert abs(begun - LOADED_S[0]) < 0.2
+    assert abs(ended - LOADED_S[1]) < 0.2
+    assert last.sentence.startswith('payload at r_gripper since ')
+    assert 'over at' in last.sentence
+    assert stage.learner.changes.state == 'as it was'
+
+
+def test_a_record_is_machine_readable_and_says_what_the_errors_would_have_been():
+    body, samples, _ = loaded()
+    record = offered(body, samples[samples.time < LOADED_S[0] + 8.0]).changes[-1].as_dict()
+    assert record['named']['effect']['kind'] == 'payload'
+    assert record['named']['without']['nmse_mean'] > 2.0 * record['named']['after']['nmse_mean']
+    assert record['named']['log_evidence_gain'] > record['named']['price']
+    assert record['noticed_stamp_s'] > record['since_stamp_s']
+
+
+@pytest.mark.parametrize(
+    'settings', [{'diagnosis_auto': 'off'}, {'variant': 'NP-ML', 'features_count': 20}]
+)
+def test_nothing_is_looked_for_where_it_is_off_or_cannot_be(settings):
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], **settings)
+    assert not stage.changes
+    assert stage.learner.changes.state == 'not looked for'
+
+
+def test_answers_are_the_same_whether_changes_are_looked_for_or_not():
+    body, samples, _ = loaded()
+    samples = samples[samples.time < LOADED_S[0] + 8.0]
+    assert (
+        offered(body, samples).means == offered(body, samples, diagnosis_auto='off').means
+    ).all()
+
+
+def test_an_error_while_looking_keeps_no_sample_from_being_learnt(monkeypatch):
+    body, samples = free()
+    stage = Stage(SETTINGS, background=InlineBackground(), body=body)
+    stage.offer(samples[:300])
+    assert stage.learner.changes.detector is not None
+    monkeypatch.setattr(stage.learner.changes.detector, 'see', None)
+    learnt = stage.learner.learnt
+    stage.offer(samples[300:302])
+    assert [place for place, _ in stage.failures] == ['looking for changes']
+    assert stage.learner.learnt == learnt + 2
+
+
+def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0])
+    watch, (record, *_) = stage.learner.changes, stage.changes
+    nothing = name_change(body, free()[1], [], LOADED_S[0])
+    watch._named(record.change.number, nothing, None)
+    taken_back = stage.changes[-1]
+    assert taken_back.retracted
+    assert taken_back.sentence.startswith('the robot has not changed since ')
+    assert watch.state == 'as it was'
+    stage.offer(samples[(samples.time >= LOADED_S[0] + 4.0) & (samples.time < LOADED_S[0] + 9.0)])
+    assert stage.changes[-1].change.number > record.change.number, 'it still stands out'

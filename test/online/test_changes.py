@@ -1,0 +1,127 @@
+"""Changes are noticed, told from contacts, followed until they end, and named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.single_estimator import ModelOptions
+from semiparam_ros.diagnosis.change import gain_since, name_change
+from semiparam_ros.effects import effect_from_text
+from semiparam_ros.online.changes import ChangeDetector
+from support.changing_arm import LOADED_S, free, loaded, pushed
+
+
+def told(body, samples):
+    """What a detector beside a rigid body tells, and (N,) whether it says that the robot is
+    touched."""
+    estimator = Estimator(body, ModelOptions(variant='P', initial_samples=200))
+    detector, found, touched = ChangeDetector(estimator.columns), [], []
+    for sample in samples:
+        prediction = estimator.predict(sample)
+        part = estimator.rigid_body_part(prediction)
+        change = detector.see(*part)
+        found += [change] if change else []
+        touched.append(detector.touched)
+        estimator.observe(prediction, prediction.motion.is_news)
+    return found, np.array(touched), detector
+
+
+def test_a_load_is_noticed_within_three_seconds_and_so_is_its_end():
+    body, samples, mass = loaded()
+    (first, *_, last), _, detector = told(body, samples)
+    seconds = (np.array([first.since, first.told, last.ended, last.told]) - samples.origin) * 1e-9
+    assert first.kind == 'payload'
+    assert abs(seconds[0] - LOADED_S[0]) < 2.0
+    assert 0.0 < seconds[1] - LOADED_S[0] < 3.0
+    assert abs(seconds[2] - LOADED_S[1]) < 2.0
+    assert seconds[3] - LOADED_S[1] < 5.0
+    assert last.number == first.number
+    assert abs(first.value - mass) < 0.25 * mass, 'one second tells little more'
+    assert detector.followed is None
+
+
+def test_nothing_is_told_where_nothing_changes():
+    found, touched, detector = told(*free())
+    assert not found
+    assert detector.knows
+    assert touched.mean() < 0.05
+
+
+def test_a_push_is_a_contact_and_no_change():
+    body, samples = pushed()
+    found, touched, _ = told(body, samples)
+    pushing = (samples.time > 71.0) & (samples.time < 74.5)
+    assert not found
+    assert touched[pushing].mean() > 0.9
+    assert not touched[samples.time > 85.0].any()
+
+
+def test_a_jump_of_the_sensor_is_told_from_a_load():
+    body, samples = free()
+    jump = 0.5 * samples.outputs.std(axis=0) * np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0])
+    samples = replace(samples, outputs=samples.outputs + jump * (samples.time >= 70.0)[:, None])
+    found, _, _ = told(body, samples)
+    assert found[-1].kind == 'sensor_offset'
+    assert found[-1].ended is None
+
+
+def test_a_load_that_comes_again_is_told_again():
+    body, samples, _ = loaded()
+    again = loaded((115.0, 130.0))[1]
+    outputs = np.where((samples.time >= 110.0)[:, None], again.outputs, samples.outputs)
+    found, _, _ = told(body, replace(samples, outputs=outputs))
+    assert {change.kind for change in found} == {'payload'}
+    assert found[-1].number > found[0].number
+    assert found[-1].ended is None
+
+
+def test_a_jump_of_the_clock_drops_what_was_half_seen():
+    body, samples, _ = loaded()
+    _, _, detector = told(body, samples[samples.time < LOADED_S[0] + 3.0])
+    detector.reset()
+    assert detector.followed is None
+    assert detector.knows, 'what is usual stays'
+
+
+@pytest.mark.parametrize('seconds', [6.0, 20.0])
+def test_a_load_is_named_with_its_mass_and_its_time(seconds):
+    body, samples, mass = loaded()
+    seen = samples[(samples.time > 10.0) & (samples.time < LOADED_S[0] + seconds)]
+    found = name_change(body, seen, [], LOADED_S[0] - 0.8)
+    assert found.effect.kind == 'payload'
+    assert abs(found.effect.start_s - LOADED_S[0]) < 0.15
+    value = found.parameters['mass']
+    assert abs(value.value - mass) < max(3.0 * value.std, 0.05 * mass)
+    assert found.after['nmse_mean'] < 0.5 * found.without['nmse_mean']
+    assert abs(found.seconds - seconds) < 2.0
+
+
+def test_a_load_that_was_put_down_is_named_with_its_end():
+    body, samples, mass = loaded()
+    found = name_change(body, samples, [], LOADED_S[0], LOADED_S[1] + 0.5)
+    assert (found.effect.kind, round(found.effect.end_s)) == ('payload', LOADED_S[1])
+    assert abs(found.parameters['mass'].value - mass) < 0.05 * mass
+
+
+def test_no_effect_is_named_where_nothing_changed():
+    body, samples = free()
+    assert name_change(body, samples, [], 70.0).effect is None
+
+
+@pytest.mark.parametrize(('until', 'helps'), [(130.0, True), (LOADED_S[1], False)])
+def test_what_was_found_helps_as_long_as_it_is_there(until, helps):
+    body, samples, _ = loaded((LOADED_S[0], until))
+    found = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')
+    gain = gain_since(body, samples, LOADED_S[1], [], [found])
+    assert (gain.total > 12.0) if helps else (gain.total < -12.0)
+
+
+def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():
+    body, samples, _ = loaded()
+    declared = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')
+    found = name_change(body, samples[samples.time > 30.0], [declared], LOADED_S[1] + 0.5)
+    assert (found.effect.kind, found.effect.where) == ('payload', 'r_gripper')
+    assert found.effect.start_s == pytest.approx(LOADED_S[0], abs=0.2)
+    assert found.effect.end_s == pytest.approx(LOADED_S[1], abs=0.2)

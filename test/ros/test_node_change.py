@@ -1,0 +1,113 @@
+"""A node says that its robot picked something up, what, and since when."""
+
+import json
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+
+from semiparam_ros.core.robot.frames import load_regressor
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.settings import dump_params
+from support.node_client import Client, NodeProcess
+from support.node_helpers import BODY, JOINTS, SETTINGS, motion
+
+MASS, CENTRE = 0.4, np.array([0.02, 0.0, 0.05])
+LOADED = 1100
+pytestmark = pytest.mark.usefixtures('module_domain')
+
+
+def carrying(count, until=10**6):
+    """A motion with a load in the hand from sample number LOADED on, and not from ``until`` on."""
+    samples = Samples.from_list(motion(count))
+    inertia = MASS * (CENTRE @ CENTRE * np.eye(3) - np.outer(CENTRE, CENTRE)) + 1e-3 * np.eye(3)
+    parameters = np.array(
+        [
+            MASS,
+            *(MASS * CENTRE),
+            inertia[0, 0],
+            inertia[0, 1],
+            inertia[1, 1],
+            inertia[0, 2],
+            inertia[1, 2],
+            inertia[2, 2],
+        ]
+    )
+    on = (np.arange(count) >= LOADED) & (np.arange(count) < until)
+    load = load_regressor(BODY, samples, 'ft') @ parameters * on[:, None]
+    return [
+        sample._replace(outputs=sample.outputs + own)
+        for sample, own in zip(samples, load, strict=True)
+    ]
+
+
+def play(client, samples):
+    for sample in samples:
+        client.accelerations(sample, JOINTS)
+        client.state(sample, JOINTS)
+        client.wrench(sample)
+        time.sleep(0.002)
+    client.wait(lambda: client.stamps('residual')[-1:] == [samples[-1].stamp], 'all answers')
+
+
+def test_a_diagnosis_of_a_load_that_was_put_down_meanwhile_is_not_applied(tmp_path):
+    settings = replace(
+        SETTINGS,
+        variant='P',
+        acceleration_source='measured',
+        diagnosis_auto='off',
+        state_folder=str(tmp_path / 'states'),
+    )
+    dump_params(settings, tmp_path / 'p.yaml')
+    samples, off = carrying(LOADED + 700, LOADED + 400), LOADED + 400
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
+        client.connect()
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+        play(client, samples[:off])
+        found = client.trigger('diagnose')
+        assert found.success and 'payload at ft' in found.message, found.message
+        play(client, samples[off:])
+        refused = client.trigger('apply_diagnosis')
+        assert not refused.success
+        assert re.match(
+            r'what came since the diagnosis is better predicted without the effects that it '
+            r'found, by '
+            r'\d+ nat: the robot has changed; ~/diagnose looks again\.',
+            refused.message,
+        ), refused.message
+
+
+def test_a_load_is_told_on_a_topic_in_the_status_and_in_a_file(tmp_path):
+    settings = replace(
+        SETTINGS, variant='P', acceleration_source='measured', state_folder=str(tmp_path / 'states')
+    )
+    dump_params(settings, tmp_path / 'p.yaml')
+    samples = carrying(LOADED + 500)
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
+        client.connect()
+        client.listen(DiagnosticArray, 'change')
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+        play(client, samples)
+
+        def told():
+            return [
+                message.status[0]
+                for message in client.heard['change']
+                if message.status[0].message.startswith('payload at ft since ')
+            ]
+
+        client.wait(told, 'the change by its name')
+        status = told()[-1]
+        values = {entry.key: entry.value for entry in status.values}
+        mass, std = (float(number) for number in values['mass [kg]'].split(' +- '))
+        assert abs(mass - MASS) < max(3.0 * std, 0.05 * MASS)
+        assert values['state'] == 'changed'
+        client.wait_report('changes', lambda level, message, values: message == status.message)
+        lines = (tmp_path / 'states' / 'changes.jsonl').read_text().splitlines()
+        record = json.loads(lines[-1])
+        assert record['named']['effect']['kind'] == 'payload'
+        begun = record['named']['effect']['start_stamp_s']
+        assert abs(begun - samples[LOADED].stamp * 1e-9) < 0.2

@@ -1,0 +1,60 @@
+"""A simulated arm that changes while it works: a load from one time to another, a push, a jump of
+the sensor."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.settings import Settings
+from semiparam_ros.simulation.arm import Arm
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
+from support.learner_stage import Stage
+from support.node_helpers import InlineBackground
+
+SETTINGS = Settings(outputs='wrench', variant='P', initial_samples=200)
+SECONDS = 130.0
+LOADED_S = 70.0, 100.0
+
+
+@lru_cache(maxsize=4)
+def _recording(load: bool, seed: int):
+    effects = (EffectRequest('payload', size=2.0, start_s=0.0),) if load else ()
+    return simulate(
+        Scenario(motion='mixed', samples=round(SECONDS * 20), seed=seed, effects=effects)
+    )
+
+
+def free(seed=3):
+    """The body, and its samples as nothing happens."""
+    found = _recording(False, seed)
+    return body_of(found), samples_of(found)
+
+
+def loaded(between=LOADED_S, seed=3):
+    """The same with a load between two times [s], and its mass [kg]."""
+    (body, samples), with_it = free(seed), _recording(True, seed)
+    inside = (samples.time >= between[0]) & (samples.time < between[1])
+    outputs = np.where(inside[:, None], samples_of(with_it).outputs, samples.outputs)
+    return body, replace(samples, outputs=outputs), with_it.truth[0]['parameters']['mass']['value']
+
+
+def pushed(start=70.0, seconds=5.0, newton=15.0, seed=3):
+    """The same while a hand pushes the last link."""
+    found, (body, samples) = _recording(False, seed), free(seed)
+    arm = Arm.from_urdf(found.urdf, found.joint_names, 'wrench', found.frame_id, found.convention)
+    rise = np.clip(np.minimum(samples.time - start, start + seconds - samples.time) / 0.4, 0.0, 1.0)
+    sway = 1.0 + 0.2 * np.sin(4.4 * (samples.time - start))
+    force = newton * (rise * sway)[:, None] * np.array([0.6, -0.7, 0.39])
+    change = arm.load_of_force(arm.pose(arm.tip, samples.position), force, samples.position)
+    return body, replace(samples, outputs=samples.outputs + change)
+
+
+def offered(body, samples, **settings):
+    """A learner that has seen samples."""
+    stage = Stage(replace(SETTINGS, **settings), background=InlineBackground(), body=body)
+    stage.offer(samples)
+    assert not stage.failures
+    return stage
