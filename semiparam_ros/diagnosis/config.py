@@ -40,7 +40,7 @@ class DiagnosisConfig:
     """Recommends one of so many times the rate (chosen)."""
     rest_speed_share: float = 0.01
     """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
-    rest_s: float = 0.2
+    rest_s: float = 0.1
     """Asks of a rest that it lasts so long [s]: a joint that turns back is faster before and after (chosen)."""
 
     # --- data: splits, and whether an effect carries over ---
