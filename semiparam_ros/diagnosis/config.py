@@ -394,10 +394,6 @@ class DiagnosisConfig:
     share of that (chosen)."""
     pushed_share: float = 0.1
     """Believes a first effect rather than that the description is wrong if it leaves this share of variance at most."""
-    patch_rounds: int = 2
-    """Suspects a cause of another kind when so many rounds still leave structure (chosen)."""
-    patch_share: float = 1.0 / 3.0
-    """Suspects it when the structure is more than this share of what is left (chosen)."""
 
 
 DEFAULTS = DiagnosisConfig()
