@@ -28,6 +28,10 @@ from support.mujoco_arm import STEP_S, Robot, built
 
 STIFFNESS, DAMPING = 100.0, 20.0
 ENCODER = 2e-5
+TURN_SPEED = 0.01
+RIGID_FRICTION = 2.0 * STEP_S, 1.0
+"""Time constant and damping ratio of MuJoCo's friction constraint. Its usual 20 ms makes the dry friction of every
+joint turn over 9 ms before the joint does, which no gear does and which looks like efforts that come early."""
 
 
 @dataclass(frozen=True)
@@ -139,9 +143,9 @@ def recorded(setting: Setting, robot: Robot, take: int = 0) -> Samples:
         mujoco.mj_step1(model, data)
         mujoco.mj_fullM(model, data, inertia)
         aim = ddq + STIFFNESS * (q - data.qpos[dofs]) + DAMPING * (dq - data.qvel[dofs])
-        sliding = friction * np.tanh(data.qvel[dofs] / 0.01)
+        sliding = friction * np.tanh(dq / TURN_SPEED)
         torque = inertia[np.ix_(dofs, dofs)] @ aim + data.qfrc_bias[dofs] + sliding
-        data.qfrc_applied[dofs] = torque - dry * friction * np.maximum(np.tanh(data.qvel[dofs] / 0.01), 0.0)
+        data.qfrc_applied[dofs] = torque - dry * friction * np.maximum(np.tanh(data.qvel[dofs] / TURN_SPEED), 0.0)
         seen = data.qpos[dofs].copy(), data.qvel[dofs].copy()
         mujoco.mj_step2(model, data)
         rows.append((*seen, data.sensordata.copy() if setting.sensor else torque))
@@ -157,7 +161,7 @@ def _as_it_is(spec: mujoco.MjSpec, setting: Setting, rng: np.random.Generator) -
     for name, dry in zip(setting.joints, setting.friction, strict=True):
         joint = spec.joint(name)
         joint.frictionloss, joint.damping = dry, [dry * setting.viscous_share, 0.0, 0.0]
-        joint.armature = setting.armature
+        joint.armature, joint.solref_friction = setting.armature, RIGID_FRICTION
     for name, stiffness, home in zip(setting.joints, setting.stiffness, setting.home, strict=False):
         spec.joint(name).stiffness, spec.joint(name).springref = [stiffness, 0.0, 0.0], home
     if setting.payload_kg:

@@ -171,13 +171,14 @@ HIDDEN: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
 OTHER_MOTION = {'sines': 'points', 'points': 'circles', 'circles': 'sines', 'in turn': 'sines'}
 
 
-def simulated(robots: Path, cache: Path, wanted: re.Pattern[str]) -> Iterator[Recording]:
-    """Those of the twenty recordings whose names match."""
+def simulated(robots: Path, cache: Path, wanted: re.Pattern[str], seed: int = 0) -> Iterator[Recording]:
+    """Those of the twenty recordings whose names match. Another seed: other masses, motions and noise."""
     for number, (arm, hidden, motion, how) in enumerate(HIDDEN):
         name = f'{arm}, {hidden}'
         if not wanted.search(name):
             continue
-        setting = replace(BASES[arm], name=name, motion=motion, rate_hz=100, seed=BASES[arm].seed + 10 * number, **how)
+        setting = replace(BASES[arm], name=name, motion=motion, rate_hz=100,
+                          seed=BASES[arm].seed + 10 * number + seed, **how)
         robot = Robot((robots / setting.urdf).read_text(), setting.joints, setting.home)
         other = replace(setting, motion=OTHER_MOTION[motion], seconds=30.0, payload_kg=0.0)
         whole = _cached(cache, setting, robot)
@@ -189,7 +190,8 @@ def simulated(robots: Path, cache: Path, wanted: re.Pattern[str]) -> Iterator[Re
 
 def _cached(cache: Path, setting: Setting, robot: Robot, take: int = 0) -> Samples:
     """The recording from the folder, or simulated and put there."""
-    key = re.sub(r'\W+', '_', f'{setting.name} {setting.motion} rest {setting.rest_s:g} take {take}')
+    name = f'{setting.name} {setting.motion} rest {setting.rest_s:g} take {take} seed {setting.seed}'
+    key = re.sub(r'\W+', '_', name)
     file = cache / f'{key}.pickle'
     if not file.exists():
         made = recorded(setting, robot, take)
@@ -399,6 +401,7 @@ def main() -> None:
     parser.add_argument('--arms', choices=('measured', 'mujoco'), help='both unless given')
     parser.add_argument('--only', type=re.compile, default='', help='recordings whose names match this expression')
     parser.add_argument('--windows', type=re.compile, default='', help='windows whose names match this expression')
+    parser.add_argument('--seed', type=int, default=0, help='other simulated recordings of the same causes')
     parser.add_argument('--json', type=Path, help='file of all rows, written after each')
     parser.add_argument('--jobs', type=int, default=1)
     args = parser.parse_args()
@@ -406,7 +409,7 @@ def main() -> None:
     args.cache.mkdir(parents=True, exist_ok=True)
     recordings = [one for one in measured(args.data) if only.search(one.name)] if args.arms != 'mujoco' else []
     if args.arms != 'measured' and args.robots is not None:
-        recordings += simulated(args.robots, args.cache, only)
+        recordings += simulated(args.robots, args.cache, only, args.seed)
     tasks = [(one, window) for one in recordings for window in one.windows if chosen.search(window)]
     table, rows = Table('recording', 'window', 'found', 'visible causes', 'missed', 'values', 'error', '[s]'), []
     for known in Parallel(n_jobs=args.jobs, return_as='generator')(delayed(diagnosed)(*task) for task in tasks):

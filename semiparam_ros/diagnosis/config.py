@@ -40,8 +40,9 @@ class DiagnosisConfig:
     """Recommends one of so many times the rate (chosen)."""
     rest_speed_share: float = 0.01
     """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
-    rest_s: float = 0.2
-    """Asks of a rest that it lasts so long [s]: a joint that turns back is faster before and after (chosen)."""
+    rest_s: float = 0.1
+    """Asks of a rest that it lasts so long [s]: a joint that turns back is faster before and after. Joints that stick
+    where they turn back, for 0.07 s and more, bent friction and rotors beyond two deviations with 0.2 (measured)."""
 
     # --- data: splits, and whether an effect carries over ---
 
@@ -394,10 +395,6 @@ class DiagnosisConfig:
     share of that (chosen)."""
     pushed_share: float = 0.1
     """Believes a first effect rather than that the description is wrong if it leaves this share of variance at most."""
-    patch_rounds: int = 2
-    """Suspects a cause of another kind when so many rounds still leave structure (chosen)."""
-    patch_share: float = 1.0 / 3.0
-    """Suspects it when the structure is more than this share of what is left (chosen)."""
 
 
 DEFAULTS = DiagnosisConfig()

@@ -18,6 +18,7 @@ from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
+from semiparam_ros.diagnosis.imitations import function_explains_more
 from semiparam_ros.diagnosis.preparation import (
     SMOOTHED,
     Inputs,
@@ -71,7 +72,8 @@ class Diagnosis:
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
     recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
     what is told of the effects and declared comes from it, and the ``deviations`` are those of its values; where that
-    gives an effect values that it cannot have, it is the final model itself.
+    gives an effect values that it cannot have, it is the final model itself. ``imitated``: effects were found, and
+    taken back, for a function that knows nothing of robots explains more than they all.
     """
 
     config: DiagnosisConfig
@@ -94,6 +96,7 @@ class Diagnosis:
     elsewhere: Elsewhere | None
     names: tuple[str, ...] = ('1',)
     contacts: list[Contact] = field(default_factory=list)
+    imitated: bool = False
 
     def lasts(self, effect: Effect) -> bool:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
@@ -142,11 +145,6 @@ class Diagnosis:
     def on_all_samples(self) -> Evaluation:
         """What the model that is told and declared leaves of the samples that fitted it."""
         return evaluate_here(self.everything, self.everything.train_mask)
-
-    @property
-    def patched(self) -> bool:
-        """Whether effect was added after effect, and still much of what is left is more than noise."""
-        return patched(self.steps, self.structure, self.config)
 
     def as_dict(self) -> dict[str, object]:
         """The machine-readable report."""
@@ -208,6 +206,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     steps, setup = _searched(first if inputs.measured_accelerations else with_error_columns(first),
                              considered(body, only), suspected, progress)
     steps = _on_the_motion(steps)
+    imitated = bool(steps) and function_explains_more(first, steps[-1].after)
+    steps = [] if imitated else steps
     if other is None:
         recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
     else:
@@ -233,7 +233,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     for fit in (first, final, everything):
         fit.forget()
     return Diagnosis(
-        config=config, verdict=verdict(first, final, steps, structure, setup),
+        config=config, verdict=verdict(first, final, structure, imitated or bool(setup)), imitated=imitated,
         findings=found, steps=steps, first=first, final=final, everything=everything,
         deviations=sure, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
@@ -306,23 +306,15 @@ def _may_fit(samples: Samples, train_mask: Mask | None, judged_elsewhere: bool, 
     return np.ones(len(samples), dtype=bool) if judged_elsewhere else interleaved_split(len(samples), config)
 
 
-def verdict(first: Fit, final: Fit, steps: list[Step], structure: Structure | None, setup: list[SetupProblem]) -> str:
+def verdict(first: Fit, final: Fit, structure: Structure | None, unexplained: bool) -> str:
     """One of VERDICTS: an effect counts as found only when it explains more than what stays unexplained."""
-    if setup or patched(steps, structure, final.config):
-        return 'unexplained'
     left = 0.0
     if structure is not None and structure.significant:
         left = structure.share * float((final.squares / final.scale**2).sum())
     removed = float(((first.squares - final.squares) / final.scale**2).sum())
-    if left > removed:
+    if unexplained or left > removed:
         return 'unexplained'
-    return 'effect_found' if steps else 'nothing_missing'
-
-
-def patched(steps: list[Step], structure: Structure | None, config: DiagnosisConfig) -> bool:
-    """Whether effect was added after effect, and still much of what is left is more than noise."""
-    return len(steps) >= config.patch_rounds and structure is not None and structure.significant \
-        and structure.share > config.patch_share
+    return 'nothing_missing' if final is first else 'effect_found'
 
 
 def _changed_in_gaps(found: list[Finding], samples: Samples, margin: int, config: DiagnosisConfig) -> list[str]:

@@ -23,8 +23,9 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
+from semiparam_ros.diagnosis.search.candidates import held
 from semiparam_ros.diagnosis.search.score import block_edges, block_grams, summed
-from semiparam_ros.effects import Effect
+from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.errors import SemiparamError
 
 BUT_ACCELERATIONS = 'smoothed, accelerations recorded'
@@ -130,13 +131,13 @@ def _aligned(samples: Samples, lags: tuple[float, float]) -> Samples:
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
                 config: DiagnosisConfig = DEFAULTS) -> Inputs:
-    """The motion with which the declared model predicts unseen blocks best (of several that no block tells apart the
-    first of OPTIONS), and the factor to the working rate.
+    """The motion with which the declared model, and what every arm has, predict unseen blocks best (of several that no
+    block tells apart the first of OPTIONS), and the factor to the working rate.
 
     Raises SemiparamError when too few samples are left to work with.
     """
     factor = working_factor(samples, config)
-    possible = OPTIONS if samples.acceleration.any() else (*ESTIMATED, 'recorded')
+    possible = OPTIONS if samples.acceleration.any() else ESTIMATED
     lags = measured_lags(samples, Inputs(FROM_POSITIONS, factor, config.smoothing_ends), config)
     options = {name: Inputs(name, factor, config.smoothing_ends, lags) for name in OPTIONS if name in possible}
     common = np.all([inputs.mask(train_mask) for inputs in options.values()], axis=0)
@@ -146,12 +147,22 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     densities: dict[str, Array] = {}
     for name, inputs in options.items():
         prepared = inputs.prepare(samples)
-        fit = refit_weights(fit_model(body, prepared, effects, common, scale, config,
+        fit = refit_weights(fit_model(body, prepared, with_usual(body, prepared, effects), common, scale, config,
                                       counted_outputs(body, prepared, config)))
         densities[name] = block_grams(fit, block_edges(fit)).densities(fit.scale, np.ones(body.n_outputs))
     best = max(densities, key=lambda name: float(densities[name].sum()))
     lost = {name: summed(densities[best] - densities[name]) for name in options}
     return options[next(name for name in options if lost[name].total <= lost[name].error)]
+
+
+def with_usual(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> list[Effect]:
+    """The effects beside those of motion alone that all joints have, as friction: without them the noise of a motion
+    hardly shows in the outputs."""
+    known, nothing = held(effects), np.zeros_like(samples.outputs)
+    usual = [kind.from_values(where, kind.searches(body, samples, where, nothing)[0])
+             for kind in kinds(body.outputs).values() if kind.group and not kind.calibrations
+             for where in kind.places(body) if (kind.kind, where) not in known]
+    return [*effects, *usual]
 
 
 def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> list[str]:

@@ -58,10 +58,8 @@ def _opening(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'nothing_missing':
         return 'Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
     if diagnosis.verdict == 'unexplained' and not diagnosis.findings:
-        return 'Something is missing that none of the known effects explains.'
-    if diagnosis.patched:
-        return ('Something is missing that the effects below only resemble: one after the other was added, and still '
-                'much of what is left is more than noise. A cause of another kind may be behind them all.')
+        resembled = ' A smooth function of the motion and of time explains more of it than all that resemble it.'
+        return 'Something is missing that none of the known effects explains.' + resembled * diagnosis.imitated
     if diagnosis.verdict == 'unexplained':
         return 'Something is missing, and the effects below explain only the smaller part of it.'
     count = len(diagnosis.findings)

@@ -564,7 +564,7 @@ def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found(capsy
     recording = simulate(Scenario(motion='circle_xy', samples=SAMPLES, seed=1,
                                   effects=(EffectRequest('bump', size=2.0),)))
     diagnosis = diagnose(body_of(recording), samples_of(recording))
-    assert diagnosis.verdict == 'unexplained' and diagnosis.steps
+    assert diagnosis.verdict == 'unexplained' and diagnosis.imitated and not diagnosis.findings
     assert diagnosis.structure.formulas and diagnosis.structure.variables
     assert text_report(diagnosis)[0].startswith('Something is missing that')
     show(diagnosis, {})

@@ -16,6 +16,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.rest import counted_outputs, resting
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
+from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, with_effects, with_nuisance
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
 from semiparam_ros.diagnosis.search.plausibility import (
@@ -106,6 +107,27 @@ def test_a_joint_that_never_moves_still_counts_and_one_that_turns_back_does_not_
     position[:, 2] = 0.3
     assert counted_outputs(BODY, replace(samples, position=position))[:, 2].all()
     assert resting(samples).mean() < 0.03
+
+
+def test_a_joint_that_sticks_where_it_turns_back_rests():
+    """For a seventh of a second: static friction then changes sides while nothing moves, and seems to come early."""
+    samples = moving()
+    turns = np.flatnonzero(np.diff(np.sign(samples.velocity[:, 1])))
+    turn = int(turns[np.argmax(np.abs(samples.acceleration[turns, 1]))])
+    count = round(0.14 / np.diff(samples.time).mean())
+    position = samples.position.copy()
+    position[turn:turn + count, 1] = position[turn, 1]
+    counted = counted_outputs(BODY, replace(samples, position=position))
+    assert not counted[turn:turn + count, 1].any()
+    assert counted[:, 1].mean() > 0.97
+
+
+def test_the_motion_is_chosen_beside_friction():
+    """Friction hid that the recorded motion, without accelerations, explains less than any that has some."""
+    samples = replace(rubbing(moving(), 40.0, 20.0), acceleration=np.zeros((COUNT, 4)))
+    samples = replace(samples, velocity=samples.velocity + 0.02 * np.random.default_rng(0).standard_normal((COUNT, 4)))
+    chosen = best_inputs(BODY, samples, [], np.ones(COUNT, dtype=bool))
+    assert chosen.motion in ESTIMATED
 
 
 def test_static_friction_is_neither_fitted_nor_judged():

@@ -19,7 +19,7 @@ from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import ICUB_OWN, ICUB_SENSOR, as_recorded, smooth_motion
+from support.arms import ICUB_OWN, ICUB_SENSOR, ODD_ARM, ODD_JOINTS, as_recorded, smooth_motion
 
 ICUB = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 UR3 = ('shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', 'wrist_1_joint', 'wrist_2_joint', 'wrist_3_joint')
@@ -425,3 +425,15 @@ def test_rich_motion_leaves_nothing_to_say(shared_data):
     for outputs in ('wrench', 'effort'):
         assert unidentifiable(*simulated(outputs)) == []
     assert unidentifiable(*real_icub()) == [] and unidentifiable(*real_ur3()) == []
+
+
+@pytest.mark.parametrize(('joint', 'stiffness', 'seed'), [(1, -40.0, 0), (2, -10.0, 1), (1, 40.0, 0)])
+def test_a_balancer_is_no_wrong_sign(joint, stiffness, seed):
+    """A spring across a joint changes its effort with the angle as gravity does, and may turn that over."""
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    samples = smooth_motion(4, 1500, seed=seed, speed=0.5)
+    outputs = body.regressors(samples) @ body.base_parameters
+    outputs += 0.01 * outputs.std(axis=0) * np.random.default_rng(seed).standard_normal(outputs.shape)
+    angle = samples.position[:, joint]
+    outputs[:, joint] += stiffness * (angle - angle.mean())
+    assert setup_problems(body, replace(samples, outputs=outputs)) == []

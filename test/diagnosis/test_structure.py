@@ -1,5 +1,6 @@
 """What no kind explains: whether anything is left, what it depends on, and a formula for it."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.signal import lfilter
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
+from semiparam_ros.diagnosis.imitations import function_explains_more
 from semiparam_ros.diagnosis.residual.flexible import (
     block_sums,
     fold_labels,
@@ -18,8 +20,10 @@ from semiparam_ros.diagnosis.residual.flexible import (
 from semiparam_ros.diagnosis.residual.formula import find_formula, library
 from semiparam_ros.diagnosis.residual.noise import coloured_noise
 from semiparam_ros.diagnosis.residual.structure import remaining_structure
+from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import effect_from_text, effect_to_text
+from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.terms import parse_term
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -212,3 +216,14 @@ def test_predictions_come_from_other_blocks_and_may_be_nothing():
     held = fold_labels(1000, DEFAULTS.structure_blocks, DEFAULTS.structure_folds) == 0
     spoilt[held] = 100.0
     assert np.abs(predictions(features, spoilt)[held, 0]).max() < 5.0
+
+
+@pytest.mark.parametrize(('hidden', 'declared', 'more'), [
+    ('bump', 'sensor_crosstalk', True), ('payload', 'payload@r_hand', False), ('sensor_drift', 'sensor_drift', False)])
+def test_a_function_explains_more_than_effects_that_only_imitate_a_cause(hidden, declared, more):
+    _, first, truth = fitted(hidden, motion='circle_xy', samples=900, seed=41)
+    effect = effect_from_text(declared)
+    if truth[0]['start_s'] is not None:
+        effect = replace(effect, where=truth[0]['where'], span=Span(truth[0]['start_s']))
+    assert function_explains_more(first, declare(first, [effect])) is more
+    assert not function_explains_more(first, first)

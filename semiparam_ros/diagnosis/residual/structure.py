@@ -66,7 +66,7 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, trai
     """
     counted = np.ones(residual.shape, dtype=bool) if counted is None else counted
     residual = residual * counted
-    rows = _thinned(train_mask, config.structure_samples)
+    rows = samples_to_look_at(train_mask, config)
     if len(rows) < config.structure_least_samples:
         return Structure(share=0.0, channel_shares=np.zeros(body.n_outputs), significant=False)
     motion = Motion(body.joints, samples[rows], config)
@@ -126,10 +126,10 @@ def _stands_out(shares: Array, deviations: float) -> Mask:
     return np.asarray(shares[0] > shares[1:].mean(axis=0) + deviations * shares[1:].std(axis=0, ddof=1))
 
 
-def _thinned(train_mask: Mask, most: int) -> Stamps:
+def samples_to_look_at(train_mask: Mask, config: DiagnosisConfig) -> Stamps:
     """Numbers of the samples to look at, evenly spread."""
     rows = np.flatnonzero(train_mask)
-    return rows[::max(-(-len(rows) // most), 1)]
+    return rows[::max(-(-len(rows) // config.structure_samples), 1)]
 
 
 def _standard_errors(gains: Array) -> Array:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -23,9 +24,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns, others
-from semiparam_ros.diagnosis.search.refit import calibrated_values, declare
+from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.search.candidates import added_columns
+from semiparam_ros.diagnosis.search.refit import calibrated_values
 
 
 class ChannelGrams(NamedTuple):
@@ -60,6 +61,13 @@ class BlockGrams:
     power: Array
     counts: Array
 
+    @cached_property
+    def whole(self) -> BlockGrams:
+        """The same of one block, the whole recording."""
+        channels = [ChannelGrams(each.acting, each.gram.sum(axis=0)[None], each.moment.sum(axis=0)[None])
+                    for each in self.channels]
+        return BlockGrams(self.prior, channels, self.power.sum(axis=0)[None], self.counts.sum(axis=0)[None])
+
     def densities(self, scale: Array, correlation: Array, kept: Indices | None = None) -> Array:
         """(B,) log predictive density of each block given the others, with the columns ``kept`` alone."""
         normal, right = self._weighed(1.0 / (scale**2 * correlation), kept)
@@ -71,12 +79,11 @@ class BlockGrams:
 
     def scale_with(self, kept: Indices, scale: Array) -> Array:
         """(n,) root mean square of what the columns ``kept`` leave, fitted with the weights of a ``scale`` (n,)."""
-        normal, right = self._weighed(scale**-2.0, kept)
-        solved = np.linalg.solve(normal.sum(axis=0) + np.eye(len(kept)), right.sum(axis=0)) * self.prior[kept]
+        normal, right = self.whole._weighed(scale**-2.0, kept)
         theta = np.zeros(len(self.prior))
-        theta[kept] = solved
-        squares = [float(power) - 2.0 * own @ channel.moment.sum(axis=0) + own @ channel.gram.sum(axis=0) @ own
-                   for power, channel in zip(self.power.sum(axis=0), self.channels, strict=True)
+        theta[kept] = np.linalg.solve(normal[0] + np.eye(len(kept)), right[0]) * self.prior[kept]
+        squares = [float(power) - 2.0 * own @ channel.moment[0] + own @ channel.gram[0] @ own
+                   for power, channel in zip(self.whole.power[0], self.whole.channels, strict=True)
                    for own in [theta[channel.acting]]]
         return np.asarray(np.sqrt(np.maximum(squares, 1e-12 * self.power.sum(axis=0)) / self.counts.sum(axis=0)))
 
@@ -213,12 +220,8 @@ def worth(fit: Fit) -> list[Gain]:
     edges, repeated, gains = block_edges(fit), repetition(fit), []
     views = _views(fit)
     whole = [_densities(fit, edges, repeated, taken) for taken in views]
-    for effect, columns in zip(fit.effects, columns_of_effects(fit), strict=True):
-        if effect.is_calibration:  # linear near its value alone
-            rest = declare(with_effects(fit, others(fit, effect)), [])
-            without = [_densities(rest, edges, repeated, taken) for taken in views]
-        else:
-            without = [_densities(fit, edges, repeated, taken, columns) for taken in views]
+    for columns in columns_of_effects(fit):
+        without = [_densities(fit, edges, repeated, taken, columns) for taken in views]
         gains.append(summed(_least([one - other for one, other in zip(whole, without, strict=True)])))
     return gains
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.regression import ROUNDED, Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Span
@@ -104,7 +104,8 @@ def _explained(fit: Fit, columns: Array, edges: Indices, spans: Indices) -> tupl
     gram, right, cross, solved = (each[i] - each[j] for each in (
         np.concatenate([each, 0.0 * each[:1]]) for each in (*sums, solved.transpose(1, 0, 2))))
     inner = gram - cross.transpose(0, 2, 1) @ solved
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
+    least = ROUNDED * np.diagonal(sums[0][0]) + 1e-300  # below, a difference of sums is rounding
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), least))
     scaled = inner * unit[:, :, None] * unit[:, None, :] + START_RIDGE * np.eye(right.shape[1])
     found = np.linalg.solve(scaled, (right * unit)[:, :, None])[:, :, 0]
     return np.asarray((right * unit * found).sum(axis=1)), found * unit

@@ -171,13 +171,13 @@ def channel_scale(outputs: Array, wrench: bool) -> Array:
 
 
 def nuisances(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
-    """(N, n, c) a wrench's offset; each joint's offset, dry and viscous friction and rotor inertia."""
+    """(N, n, c) a wrench's offset; each joint's offset, dry and viscous friction, rotor inertia and spring."""
     identity = np.eye(body.n_outputs)
     if body.outputs == 'wrench':
         return np.broadcast_to(identity, (len(samples), *identity.shape))
     moved = samples.velocity[:, body.output_index]
     parts = (np.ones_like(moved), moved, np.tanh(moved / _turn(moved, config)),
-             samples.acceleration[:, body.output_index])
+             samples.acceleration[:, body.output_index], samples.position[:, body.output_index])
     return np.concatenate([part[:, :, None] * identity for part in parts], axis=2)
 
 
