@@ -323,19 +323,29 @@ class Lives(RuleBasedStateMachine):
         assert learner.switcher.successor is None
         assert same_model(learner.built, learner.settings)
         known = known_of(learner.estimator) if learner.switcher.renewed else None  # of a window chosen at some time
-        fresh = new_estimator(learner.built, self.body, known, learner.history.origin)
-        for sample, learning in self.given:
-            observe(fresh, fresh.predict(sample), learning)
+        fresh = self.given_again(known)
         assert fresh.ready == learner.estimator.ready
         if not fresh.ready or self.kept:
             return  # the provisional model has also learnt from windows that gave no hyperparameters
         if known and any(learning == Learning.AFTER_CHANGE for _, learning in self.given):
             return  # a later window's model learns nothing from before a change
+        mine, its = (each.model.hyperparameters for each in (learner.estimator, fresh))
+        if fresh.input_scaling is not None and mine != its:
+            # columns of a batch and of one sample after the other differ by rounding, and flat maxima by more
+            np.testing.assert_allclose([mine.sigma, *mine.output_scale], [its.sigma, *its.output_scale], rtol=5e-3)
+            fresh = self.given_again(known_of(learner.estimator))
         for sample in self.motion[::80]:
             sample = self.now(sample)
             expected, found = fresh.predict(sample), learner.estimator.predict(sample)
             np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-6, atol=1e-6)
             np.testing.assert_allclose(found.std, expected.std, rtol=1e-6, atol=1e-6)
+
+    def given_again(self, known):
+        """A fresh estimator that learns all that was given."""
+        fresh = new_estimator(self.learner.built, self.body, known, self.learner.history.origin)
+        for sample, learning in self.given:
+            observe(fresh, fresh.predict(sample), learning)
+        return fresh
 
     def teardown(self):
         if self.learner is not None:
