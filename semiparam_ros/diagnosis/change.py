@@ -38,9 +38,6 @@ from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.drive import EffortOffset
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 
-NEAR_S = 2.0
-"""[s] A change is looked for so long before and after the time that is known."""
-
 
 class Rival(NamedTuple):
     """Another effect in place of the likeliest: by how much [nat] that one is better."""
@@ -131,7 +128,7 @@ def name_change(
 
     Raises SemiparamError when too few samples are left to work with.
     """
-    fit, inputs, changed = _declared(body, samples, effects, since_s, inputs, config)
+    fit, inputs, changed = _first_fit(body, samples, effects, since_s, inputs, config)
     tried = _ranked(fit, fit.effects[: len(effects)], since_s, ended_s)
     best = tried[0] if tried and tried[0].gain.exceeds(tried[0].price, config.sure) else None
     after, parameters = fit, dict[str, Quantity]()
@@ -225,7 +222,7 @@ def gain_since(
     )
 
 
-def _declared(
+def _first_fit(
     body: RigidBody,
     samples: Samples,
     effects: Sequence[Effect],
@@ -288,10 +285,11 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> T
     if effect.is_load and ended_s is None:
         spans.append(Span(end_s=since_s))  # what was in the hand before, and the model has learnt
     best: Tried | None = None
+    near = fit.config.change_near_s
     for span in spans:
         acting = replace(effect, span=span)
         for name, time_s in span.values.items():
-            acting = with_best_edge(fit, acting, name, (time_s - NEAR_S, time_s + NEAR_S))
+            acting = with_best_edge(fit, acting, name, (time_s - near, time_s + near))
         after = refit_weights(with_effects(fit, [*fit.effects, acting]))
         if effect.is_load and not all_plausible(fit, after):
             continue
@@ -304,7 +302,8 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> T
 def _over(fit: Fit, effect: Effect, since_s: float) -> Tried:
     """An effect that the model holds, with its end near a time."""
     rest = with_effects(fit, [known for known in fit.effects if known is not effect])
-    ended = with_best_edge(rest, effect, 'end_s', (since_s - NEAR_S, since_s + NEAR_S))
+    near = fit.config.change_near_s
+    ended = with_best_edge(rest, effect, 'end_s', (since_s - near, since_s + near))
     after = refit_weights(
         with_effects(fit, [ended if known is effect else known for known in fit.effects])
     )

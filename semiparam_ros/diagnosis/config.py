@@ -385,8 +385,10 @@ class DiagnosisConfig:
     most_contact_share: float = 0.2
     """Names no contacts when they would be more than this share of the recording (chosen)."""
 
-    # --- findings ---
+    # --- changes while the robot works ---
 
+    change_near_s: float = 2.0
+    """Searches the time of a change so near to when it was noticed (chosen)."""
 
     # --- verdict ---
 
