@@ -153,7 +153,7 @@ def tracking(found: Document) -> Table:
     for arm in dict.fromkeys(run['arm'] for run in found['runs']):
         runs = [run for run in found['runs'] if run['arm'] == arm]
         errors = ([run[name] for run in runs] for name in ('none', 'description', 'learnt'))
-        spans = [f'{min(values):.0f} to {max(values):.0f}' for values in errors]
+        spans = [f'{min(values):.3g} to {max(values):.3g}' for values in errors]
         ratio = [f'{run["learnt"] / run["description"]:.2f}' for run in runs]
         rows.append((arm, *spans, ', '.join(ratio)))
     return Table(('Arm', 'No feedforward', 'Description', 'Learnt', 'Learnt over description'),
