@@ -206,7 +206,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     steps, setup = _searched(first if inputs.measured_accelerations else with_error_columns(first),
                              considered(body, only), suspected, progress)
     steps = _on_the_motion(steps)
-    imitated = bool(steps) and function_explains_more(first, steps[-1].after)
+    imitated = bool(steps) and not only and function_explains_more(first, steps[-1].after)
     steps = [] if imitated else steps
     if other is None:
         recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None

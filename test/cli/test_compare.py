@@ -96,7 +96,8 @@ def test_it_is_the_estimator_of_evaluate(compare, folder):
     """With one subset, the same samples in the same order: the same figures."""
     document, _ = compare('--variant', 'SPK-ML', '--subsets', '1', '--seeds', '1')
     # compare keeps to the paper's models, which have no wandering offset.
-    dump_params(replace(load_params(folder / 'arm.yaml'), forgetting=1.0, priors='paper'), folder / 'paper.yaml')
+    dump_params(replace(load_params(folder / 'arm.yaml'), forgetting=1.0, priors='paper',
+                        features_frequencies='independent'), folder / 'paper.yaml')
     for mode, option in (('learning', []), ('frozen', ['--frozen'])):
         path = folder / 'evaluate.json'
         assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--params',
