@@ -134,7 +134,7 @@ def test_gradient_and_hessian_are_those_of_the_value():
         inside = np.einsum('ki,iab->kab', step.reshape(-1, 10), consistency.SYMMETRIC)
         return problem.value(roots @ (np.eye(4) + inside) @ np.swapaxes(roots, 1, 2))
 
-    gradient, curvature = problem.derivatives(roots)
+    gradient, curvature = problem.derivatives(roots @ np.swapaxes(roots, 1, 2), roots)
     hessian = curvature.T @ curvature
     size, units = 1e-4, np.eye(20)
     slope = np.array([value(size * one) - value(-size * one) for one in units]) / (2.0 * size)

@@ -146,7 +146,7 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
     value = problem.value(pseudo, share)
     for _ in range(MOST_STEPS):
         roots = np.asarray(np.linalg.cholesky(pseudo), dtype=np.float64)
-        gradient, curvature = problem.derivatives(roots, share)
+        gradient, curvature = problem.derivatives(pseudo, roots, share)
         step = -cho_solve((np.linalg.qr(curvature, mode='r'), False), gradient)
         promised = -float(gradient @ step)
         if promised < DECREMENT * max(1.0, value):
@@ -197,12 +197,11 @@ class _Problem:
         return float(0.5 * share * error @ error + entropic
                      + (left - np.log(left) - 1.0).sum())
 
-    def derivatives(self, roots: Array, share: float = 1.0) -> tuple[Array, Array]:
+    def derivatives(self, pseudo: Array, roots: Array, share: float = 1.0) -> tuple[Array, Array]:
         """(10 n,) gradient and (m, 10 n) a root of the Hessian at P = L L' in the coordinates of
         L^-1 P L^-T in ``SYMMETRIC``, in which that of -log det P is the identity, however thin a
         body is."""
         sizes = roots[:, None] @ SYMMETRIC @ np.swapaxes(roots, 1, 2)[:, None]
-        pseudo = roots @ np.swapaxes(roots, 1, 2)
         columns = np.hstack(list(self._columns @ np.swapaxes(inertial_parameters(sizes), 1, 2)))
         slope = np.einsum('kab,kiba->ki', self._inverse, sizes)
         slope -= np.trace(SYMMETRIC, axis1=1, axis2=2)
