@@ -118,6 +118,16 @@ def test_whatever_is_estimated_the_answer_is_a_body_and_no_other_near_it_is_bett
         assert minimised(near) >= minimised(found) - 1e-7 * max(1.0, minimised(found))
 
 
+@pytest.mark.filterwarnings('error')
+def test_an_absurd_estimate_presses_a_body_against_its_reach_to_the_last_digit():
+    """Rounding left no room there, and its inverse was infinite."""
+    rng = np.random.default_rng(37)
+    for size in (1e6, 1e8, 1e10, 1e12):
+        mean, root = size * rng.standard_normal(10), np.diag(10.0 ** rng.uniform(0.0, 6.0, 10))
+        found = consistent_bodies(mean, root, [Body(ball(1.0, 0.1), np.eye(10), 1.0)])
+        assert np.isfinite(found).all()
+
+
 def test_gradient_and_hessian_are_those_of_the_value():
     rng = np.random.default_rng(3)
     bodies = [
