@@ -28,6 +28,7 @@ from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluate_here
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, working_factor
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
+from semiparam_ros.diagnosis.search.moves import Move
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.score import Gain, gain, repetition, summed
 from semiparam_ros.diagnosis.search.spans import with_best_edge
@@ -96,20 +97,6 @@ class NamedChange:
         }
 
 
-class Tried(NamedTuple):
-    """An effect, the model with it, what it gains and what it costs."""
-
-    effect: Effect
-    after: Fit
-    gain: Gain
-    price: float
-
-    @property
-    def net(self) -> float:
-        """[nat] what it gains beyond its price."""
-        return self.gain.total - self.price
-
-
 def name_change(
     body: RigidBody,
     samples: Samples,
@@ -130,7 +117,7 @@ def name_change(
     """
     fit, inputs, changed = _first_fit(body, samples, effects, since_s, inputs, config)
     tried = _ranked(fit, fit.effects[: len(effects)], since_s, ended_s)
-    best = tried[0] if tried and tried[0].gain.exceeds(tried[0].price, config.sure) else None
+    best = tried[0] if tried and tried[0].good else None
     after, parameters = fit, dict[str, Quantity]()
     if best is not None:
         after, parameters = best.after, _parameters(best, inputs, samples)
@@ -139,11 +126,11 @@ def name_change(
     require_enough(config, used & rest)
     step = float(np.median(np.diff(fit.samples.time)))
     return NamedChange(
-        effect=None if best is None else best.effect,
+        effect=None if best is None else best.added[0],
         gain=tried[0].gain if tried else Gain(0.0, 0.0),
         price=tried[0].price if tried else 0.0,
         rivals=tuple(
-            Rival(other.effect.kind, other.effect.where, best.net - other.net)
+            Rival(other.added[0].kind, other.added[0].where, best.net - other.net)
             for other in tried[1:4]
         )
         if best
@@ -159,7 +146,7 @@ def name_change(
 
 def _ranked(
     fit: Fit, known: Sequence[Effect], since_s: float, ended_s: float | None
-) -> list[Tried]:
+) -> list[Move]:
     """Every effect that may have begun, the likeliest first; before them all one that is known and
     is over, unless another explains much more."""
     found = [
@@ -278,13 +265,13 @@ def _candidates(fit: Fit) -> list[Effect]:
     return found
 
 
-def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> Tried | None:
+def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> Move | None:
     """The effect with its best times near those given, in the model; None where it has values that
     it cannot have."""
     spans = [Span(start_s=since_s, end_s=ended_s)]
     if effect.is_load and ended_s is None:
         spans.append(Span(end_s=since_s))  # what was in the hand before, and the model has learnt
-    best: Tried | None = None
+    best: Move | None = None
     near = fit.config.change_near_s
     for span in spans:
         acting = replace(effect, span=span)
@@ -294,12 +281,12 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> T
         if effect.is_load and not all_plausible(fit, after):
             continue
         times = acting.span.values.values()
-        trial = Tried(acting, after, gain(fit, after, times), _price(acting, fit))
+        trial = Move((acting,), after, gain(fit, after, times), _price(acting, fit))
         best = trial if best is None or trial.net > best.net else best
     return best
 
 
-def _over(fit: Fit, effect: Effect, since_s: float) -> Tried:
+def _over(fit: Fit, effect: Effect, since_s: float) -> Move:
     """An effect that the model holds, with its end near a time."""
     rest = with_effects(fit, [known for known in fit.effects if known is not effect])
     near = fit.config.change_near_s
@@ -307,9 +294,8 @@ def _over(fit: Fit, effect: Effect, since_s: float) -> Tried:
     after = refit_weights(
         with_effects(fit, [ended if known is effect else known for known in fit.effects])
     )
-    return Tried(
-        ended, after, gain(fit, after, ended.span.values.values()), math.log(fit.config.start_grid)
-    )
+    gained = gain(fit, after, ended.span.values.values())
+    return Move((ended,), after, gained, math.log(fit.config.start_grid))
 
 
 def _price(effect: Effect, fit: Fit) -> float:
@@ -321,9 +307,9 @@ def _price(effect: Effect, fit: Fit) -> float:
     return times + math.log(fit.config.odds * max(len(effect.places(fit.body)), 1))
 
 
-def _parameters(best: Tried, inputs: Inputs, samples: Samples) -> dict[str, Quantity]:
+def _parameters(best: Move, inputs: Inputs, samples: Samples) -> dict[str, Quantity]:
     """The values of the effect, with their standard deviations."""
-    effect, fit = best.effect, best.after
+    (effect,), fit = best.added, best.after
     number = fit.effects.index(effect)
     block = fit.assembly.blocks[str(number)]
     std = deviations(fit, [number], inputs.disturbed(samples)).coefficients[block]
