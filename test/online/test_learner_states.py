@@ -205,6 +205,10 @@ class Lives(RuleBasedStateMachine):
     def tunes(self, forgetting, horizon, noise):
         self.change(forgetting=forgetting, horizon_length=horizon, noise=noise)
 
+    @rule(auto=st.sampled_from(('off', 'report')))
+    def looks_for_changes(self, auto):
+        self.change(diagnosis_auto=auto)
+
     @rule(priors=st.sampled_from(PRIORS), joint_friction=st.booleans())
     def holds_beforehand(self, priors, joint_friction):
         self.change(priors=priors, joint_friction=joint_friction)

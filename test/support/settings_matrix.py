@@ -76,6 +76,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'least_gain': (0.0, 0.05),
     'gate': (True, False),
     'tare': (True, False),
+    'auto': ('report', 'off'),
     'tools': (True, False),
     'horizon': (25, 1, 200),
     'motion': ('filtered', 'measured', 'missing'),
@@ -219,6 +220,7 @@ def settings_of(row: Row, count: int) -> Settings:
         'features.length_scales': row['length_scales'], 'features.count': row['features'],
         'features.frequencies': row['frequencies'],
         'learn.every': row['learn_every'], 'learn.least_gain': row['least_gain'], 'initial.samples': WINDOW,
+        'diagnosis.auto': row['auto'],
         'gate.enabled': row['gate'], 'tools': [TOOL] if row['tools'] else [], 'horizon.length': row['horizon'],
         'retained.samples': max(count // 10, 20)})
 
