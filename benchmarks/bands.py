@@ -28,8 +28,8 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import numpy as np
 
 from semiparam_ros.bags.loading import LoadedBag, load_samples
+from semiparam_ros.core.prediction import Prediction, log_density
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.single_estimator import Prediction, log_density
 from semiparam_ros.core.types import Array
 from semiparam_ros.core.variants import AVERAGED, CHOICES, MEMBERS, VARIANTS
 from semiparam_ros.effects import kinds
@@ -109,7 +109,7 @@ def _nmse(errors: Array, measured: Array) -> float:
 
 
 def _model_log_density(prediction: Prediction) -> float:
-    return log_density(prediction.sample.outputs - prediction.model_mean, prediction.prior.covariance)
+    return log_density(prediction.sample.outputs - prediction.model_mean, prediction.model_covariance)
 
 
 def run(pair: Pair, variant: str, features: int) -> list[dict[str, Any]]:
@@ -122,7 +122,7 @@ def run(pair: Pair, variant: str, features: int) -> list[dict[str, Any]]:
         phases[phase] = [prediction for part in parts for prediction in follow(deepcopy(learner), part, learn)]
     each = {variant: phases}
     for index, member in enumerate(MEMBERS if variant == AVERAGED else ()):
-        each[f'{member} of {variant}'] = {phase: [one.members[index] for one in predictions]
+        each[f'{member} of {variant}'] = {phase: [one.by_member(index) for one in predictions]
                                           for phase, predictions in phases.items()}
     return [{'recording': pair.name, 'variant': name, 'features': features,
              **{phase: figures(predictions) for phase, predictions in mine.items()}} for name, mine in each.items()]

@@ -28,9 +28,9 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import numpy as np
 
 from contact_gate import Recording, recorded, simulated
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 from semiparam_ros.experiments.evaluation import OfflineLearner
 

@@ -22,9 +22,9 @@ from semiparam_ros.errors import SemiparamError
 if TYPE_CHECKING:
     from semiparam_ros.bags.loading import load_samples
     from semiparam_ros.core.estimator import Estimator
+    from semiparam_ros.core.model import ModelOptions
     from semiparam_ros.core.robot.rigid_body import RigidBody
     from semiparam_ros.core.samples import Sample, Samples
-    from semiparam_ros.core.single_estimator import ModelOptions
     from semiparam_ros.diagnosis.config import DiagnosisConfig
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.effects.base import Effect
@@ -57,7 +57,7 @@ _MODULES = {
     'DiagnosisConfig': 'semiparam_ros.diagnosis.config',
     'Effect': 'semiparam_ros.effects.base',
     'Estimator': 'semiparam_ros.core.estimator',
-    'ModelOptions': 'semiparam_ros.core.single_estimator',
+    'ModelOptions': 'semiparam_ros.core.model',
     'RigidBody': 'semiparam_ros.core.robot.rigid_body',
     'Sample': 'semiparam_ros.core.samples',
     'Samples': 'semiparam_ros.core.samples',

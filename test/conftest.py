@@ -42,7 +42,7 @@ def searched_once():
 
     That another search gives the same is tested where it says so.
     """
-    with patch('semiparam_ros.core.single_estimator.estimate', Estimates()):
+    with patch('semiparam_ros.core.model.estimate', Estimates()):
         yield
 
 

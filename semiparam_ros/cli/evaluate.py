@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from semiparam_ros.bags.loading import LoadedBag
+    from semiparam_ros.core.prediction import Prediction
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
-    from semiparam_ros.core.single_estimator import Prediction
     from semiparam_ros.core.types import Array
     from semiparam_ros.experiments.evaluation import Scores
     from semiparam_ros.online.change_watch import ChangeRecord

@@ -15,9 +15,9 @@ from scipy.linalg.blas import dgemv, dger, drot, dsymv, dsyr, dtrsv
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.hyperparameters.marginal_likelihood import Point, Window, evidence
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.core.types import Array
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.stats import norm
 
 from semiparam_ros.bags.loading import LoadedBag
-from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
+from semiparam_ros.core.model import AUTO
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.single_estimator import AUTO, EstimatorState
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.core.variants import AVERAGED, VARIANTS
 from semiparam_ros.errors import SemiparamError

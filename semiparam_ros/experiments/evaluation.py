@@ -13,9 +13,9 @@ import numpy as np
 from semiparam_ros.bags.loading import LoadedBag
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors, force_and_torque
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch

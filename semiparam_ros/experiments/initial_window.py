@@ -10,9 +10,9 @@ import numpy as np
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.hyperparameters.validation import Grid
+from semiparam_ros.core.model import AUTO
 from semiparam_ros.core.random_features import input_scaling, spectrum
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.single_estimator import AUTO
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body, declared_effects, hyperparameter_values, model_options
 

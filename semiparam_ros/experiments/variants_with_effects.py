@@ -15,8 +15,8 @@ from typing import Literal, TypedDict
 
 import numpy as np
 
+from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.single_estimator import SingleEstimator
 from semiparam_ros.core.variants import variant_named
 from semiparam_ros.diagnosis.diagnose import Diagnosis, Recorded
 from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluation_of
@@ -88,7 +88,7 @@ def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Seq
     options = model_options(settings)
     window = min(options.initial_samples, int(recorded.fitting.sum()))
     first, judged = recorded.samples, recorded.judged
-    estimator = SingleEstimator(body, replace(options, initial_samples=window), effects, first.origin)
+    estimator = Estimator(body, replace(options, initial_samples=window, alone=True), effects, first.origin)
     for sample, learn in zip(recorded.samples, recorded.fitting, strict=True):
         estimator.step(sample, bool(learn))
     if not estimator.ready:  # the robot stood still in some of them

@@ -16,8 +16,8 @@ import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place

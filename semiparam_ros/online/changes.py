@@ -46,10 +46,11 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.model import Model
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.frames import load_transform, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, output_scale
-from semiparam_ros.core.single_estimator import Model, Prediction
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.contact_gate import (

@@ -32,11 +32,11 @@ import numpy as np
 
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.compiled import NUMBER, VECTOR, compiled
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.contact_place import ContactPlace
 from semiparam_ros.core.robot.external_wrench import FORCE_N
 from semiparam_ros.core.robot.frames import force_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.settings.parameter_table import Table

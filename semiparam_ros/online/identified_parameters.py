@@ -11,11 +11,11 @@ import numpy as np
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.input_range import widen
+from semiparam_ros.core.model import Model
 from semiparam_ros.core.robot.frames import load_transform, loaded_links
 from semiparam_ros.core.robot.joint_friction import NAMES, UNITS
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import Model
 from semiparam_ros.core.types import Array
 
 TINY = 1e-300

@@ -17,12 +17,12 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.finite import are_finite
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.compensation import Compensation, bodies_and_bias
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker

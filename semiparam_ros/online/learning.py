@@ -9,7 +9,7 @@ from enum import IntEnum
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
-from semiparam_ros.core.single_estimator import Prediction
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.online.contact_gate import ContactGate
 
 
@@ -28,7 +28,7 @@ def learning_of(learn: bool, gate: ContactGate) -> Learning:
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:
-    """See :meth:`Estimator.observe <semiparam_ros.core.single_estimator.SingleEstimator.observe>`."""
+    """See :meth:`Estimator.observe <semiparam_ros.core.estimator.Estimator.observe>`."""
     if learning == Learning.AFTER_CHANGE:
         estimator.follow_change()
     return estimator.observe(prediction, learning > 0, finish)

@@ -16,7 +16,7 @@ import numpy as np
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.compiled import MATRIX, STRIDED, VECTOR, compiled
 from semiparam_ros.core.estimator import Estimator
-from semiparam_ros.core.single_estimator import Prediction
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.types import Array, Mask
 
 SPREADS = 6.0

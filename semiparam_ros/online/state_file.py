@@ -17,12 +17,12 @@ import numpy as np
 
 from semiparam_ros.atomic_write import remove_leftovers, replacing
 from semiparam_ros.core.columns import Memories, Memory
-from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.motion import Motion
+from semiparam_ros.core.online_model import ModelState
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import EstimatorState, MemberState
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.contact_gate import ContactGate
@@ -40,8 +40,8 @@ ADOPTED = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors'
            'horizon.length')
 """Parameters that the file brings along."""
 
-MEMBER_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
-"""Groups of arrays of each variant averaged with the first one."""
+MODEL_ARRAYS = ('recursion', 'horizon', 'calibration', 'wandering')
+"""Groups of arrays of each model."""
 
 FIXED = ('outputs', 'temperatures', 'features.count', 'features.seed', 'features.frequencies',
          'features.length_scales', 'initial.samples')
@@ -160,18 +160,17 @@ def snapshot(state: SavedState) -> Snapshot:
     memory: dict[str, Array] = {}
     gate: dict[str, Array] = {}
     renewal: dict[str, Array] = {}
-    meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'window_left': learnt.window_left,
-            'passed_over': learnt.passed_over,
+    first, *others = learnt.models
+    meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'window_left': first.window_left,
+            'passed_over': first.passed_over,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate),
             'renewal': _as_json(state.renewal, renewal)}
-    others = [_member_arrays(other) for other in learnt.others]
-    if learnt.average is not None:
+    if others:
         meta['others'] = [{'hyperparameters': asdict(other.hyperparameters), 'window_left': other.window_left,
-                           'passed_over': other.passed_over} for other in learnt.others]
+                           'passed_over': other.passed_over} for other in others]
     groups: dict[str, Mapping[str, Array | Stamps | Mask | Codes]] = {
-        'average': learnt.average or {}, **{f'other{index}': arrays for index, arrays in enumerate(others)},
-        'recursion': learnt.recursion, 'horizon': learnt.horizon,
-        'calibration': learnt.calibration, 'wandering': learnt.wandering,
+        'average': learnt.average, **{f'other{index}': _model_arrays(other) for index, other in enumerate(others)},
+        **{group: getattr(first, group) for group in MODEL_ARRAYS},
         'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window,
         'motion': _stacked(learnt.motion), 'kept': learnt.kept, 'carried': learnt.carried}
     arrays: Arrays = {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
@@ -402,17 +401,15 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
     estimator = new_estimator(settings, body, known)
     if arrays['inputs_learnt'].shape not in (estimator.inputs_learnt.shape, (2, 3 * body.n_joints)):
         raise ValueError(f"'inputs_learnt' has shape {arrays['inputs_learnt'].shape}")
-    estimator.restore(EstimatorState(_group(arrays, 'recursion'), _group(arrays, 'horizon'),
-                                     _group(arrays, 'calibration'), _group(arrays, 'wandering'),
-                                     _count(meta['window_left']), _counts(meta['passed_over']),
-                                     _group(arrays, 'window'), meta['origin'], meta['newest'],
+    models = [_model(arrays, meta, estimator.model.hyperparameters)]
+    for index, other in enumerate(meta.get('others', [])):
+        its = _group(arrays, f'other{index}')
+        models.append(_model(its, other, _hyperparameters(other['hyperparameters'], _group(its, 'recursion'))))
+    estimator.restore(EstimatorState(tuple(models), _group(arrays, 'window'), meta['origin'], meta['newest'],
                                      cast('Memories', _from_json(meta['memory'], _group(arrays, 'memory'))),
                                      arrays['inputs_learnt'], _temperature(arrays),
                                      _unstacked(_group(arrays, 'motion'), body),
-                                     _group(arrays, 'kept'), _group(arrays, 'carried'),
-                                     tuple(_member(_group(arrays, f'other{index}'), other)
-                                           for index, other in enumerate(meta.get('others', []))),
-                                     _group(arrays, 'average') if 'others' in meta else None))
+                                     _group(arrays, 'kept'), _group(arrays, 'carried'), _group(arrays, 'average')))
     return estimator
 
 
@@ -440,15 +437,14 @@ def _hyperparameters(values: Mapping[str, Any], recursion: Mapping[str, Array]) 
     return Hyperparameters(**{**values, **tuples})
 
 
-def _member_arrays(member: MemberState) -> Arrays:
-    return {f'{group}.{name}': values for group in MEMBER_ARRAYS for name, values in getattr(member, group).items()}
+def _model_arrays(model: ModelState) -> Arrays:
+    return {f'{group}.{name}': values for group in MODEL_ARRAYS for name, values in getattr(model, group).items()}
 
 
-def _member(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> MemberState:
-    groups = {group: _group(arrays, group) for group in MEMBER_ARRAYS}
-    hyperparameters = _hyperparameters(meta['hyperparameters'], groups['recursion'])
-    return MemberState(hyperparameters, window_left=_count(meta['window_left']),
-                       passed_over=_counts(meta['passed_over']), **groups)
+def _model(arrays: Mapping[str, Array], meta: Mapping[str, Any], hyperparameters: Hyperparameters) -> ModelState:
+    groups = {group: _group(arrays, group) for group in MODEL_ARRAYS}
+    return ModelState(hyperparameters, window_left=_count(meta['window_left']),
+                      passed_over=_counts(meta['passed_over']), **groups)
 
 
 def _counts(values: Sequence[int]) -> tuple[int, int]:

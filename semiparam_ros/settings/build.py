@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, cast
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.settings import robot_description as description
 from semiparam_ros.settings.parameter_table import Table, Value
 

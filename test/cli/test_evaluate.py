@@ -12,8 +12,8 @@ from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.evaluate import print_scores
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.experiments.evaluation import Scores, by_phase, normalised_errors, update_times
 from semiparam_ros.settings import Settings, dump_params, load_params
 from support import node_helpers

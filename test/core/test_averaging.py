@@ -7,17 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from semiparam_ros.core.estimator import (
-    DEGREES,
-    ELSEWHERE,
-    EVIDENCE_MEMORY,
-    LEAST_LOG_WEIGHT,
-    Estimator,
-    MemberWeights,
-)
+from semiparam_ros.core.ensemble import DEGREES, ELSEWHERE, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT, MemberWeights
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import ModelOptions, SingleEstimator
 from semiparam_ros.core.variants import AVERAGED
 from semiparam_ros.effects import effect_from_text, effect_to_text
 from semiparam_ros.errors import SemiparamError
@@ -35,9 +29,9 @@ def recording(unmodelled):
     return replace(motion, outputs=outputs + 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape))
 
 
-def begun(variant, samples, effects=(), build=Estimator, **chosen):
+def begun(variant, samples, effects=(), **chosen):
     options = ModelOptions(variant=variant, features_count=30, initial_samples=WINDOW, horizon=4, **chosen)
-    model = build(ARM, options, [effect_from_text(text) for text in effects])
+    model = Estimator(ARM, options, [effect_from_text(text) for text in effects])
     return model, [model.step(sample) for sample in samples]
 
 
@@ -90,7 +84,7 @@ def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_b
     errors = []
     for index, member in enumerate(model.members):
         effects = [effect_to_text(effect) for effect in model.columns.effects if member.has_effects]
-        _, alone = begun(member.variant, samples, effects, SingleEstimator)
+        _, alone = begun(member.variant, samples, effects, alone=True)
         errors.append(error(alone))
         for one, other in zip(alone[WINDOW:], predictions[WINDOW:], strict=True):
             np.testing.assert_array_equal(one.mean, other.members[index].mean)
@@ -98,7 +92,7 @@ def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_b
     ratio = error(predictions) / samples.outputs.var(axis=0)
     best = 1.06 if model.columns.effects else 1.02  # 200 samples decide between few
     assert ratio.mean() < best * (errors / samples.outputs.var(axis=0)).mean(axis=1).min()
-    gathering = 2 if model.columns.effects else 0
+    gathering = 2 if model.columns.effects else 1
     assert len(predictions[WINDOW - 1].members) == gathering and len(predictions[WINDOW].members) == len(model.members)
 
 
@@ -107,7 +101,7 @@ def test_before_the_window_is_over_the_rigid_body_without_effects_stands_beside_
     if not model.columns.effects:
         assert model.effects_probability is None
         return
-    plain = SingleEstimator(ARM, model.options)
+    plain = Estimator(ARM, replace(model.options, alone=True))
     for sample, prediction in zip(samples[:WINDOW - 1], predictions, strict=False):
         np.testing.assert_array_equal(plain.step(sample).model_mean, prediction.members[1].model_mean)
     *having, without = model.weights.values()
@@ -175,8 +169,8 @@ def test_a_desired_state_is_between_the_models_and_as_uncertain_as_on_a_block_th
     predicted, desired = model.predict(sample), model.predict_desired(*sample[1:4])
     means = np.array([member.model_mean for member in predicted.members])
     assert (desired.shown >= means.min(axis=0) - 1e-9).all() and (desired.shown <= means.max(axis=0) + 1e-9).all()
-    noise = np.array([each.model.noise_std for each in (model, *model._others)])
-    expected = ELSEWHERE * model._carried.expected(noise)
+    noise = np.array([each.model.noise_std for each in model.ensemble.models])
+    expected = ELSEWHERE * model.ensemble.carried.expected(noise)
     assert (np.sqrt(np.diag(desired.covariance)) >= expected.min(axis=0)).all()
     np.testing.assert_array_equal(desired.shown, desired.needed)
     assert model.predict_desired(*(30.0 * values for values in sample[1:4])).distance > 3.0 > desired.distance

@@ -11,12 +11,12 @@ import pytest
 from semiparam_ros.core import (
     band_calibration,
     compiled,
-    estimator,
+    ensemble,
     horizon_error,
     input_range,
+    online_model,
     opinion_pool,
     recursion,
-    single_estimator,
     square_root_filter,
     wandering_offset,
 )
@@ -57,29 +57,29 @@ def test_what_follows_the_errors(follower):
 
 
 def test_an_estimator_follows_what_is_learnt_as_its_parts_do(monkeypatch):
-    fast, readable = (single_estimator.SingleEstimator.__new__(single_estimator.SingleEstimator) for _ in range(2))
+    fast, readable = (online_model.OnlineModel.__new__(online_model.OnlineModel) for _ in range(2))
     for each in (fast, readable):
         each.calibration, each.wandering = band_calibration.BandCalibration(N), wandering_offset.WanderingOffset(N)
-        each._window_left = 3
+        each.window_left = 3
     rng = np.random.default_rng(7)
     for index in range(200):
         outputs, mean, std = rng.standard_normal(N), 0.3 * rng.standard_normal(N), rng.uniform(0.5, 2.0, N)
         said = outputs, SimpleNamespace(mean=mean, std=std), index % 7 > 0
         fast._follow(*said)
         with monkeypatch.context() as without:
-            for module in (single_estimator, band_calibration, wandering_offset):
+            for module in (online_model, band_calibration, wandering_offset):
                 without.setattr(module, 'AVAILABLE', False)
             readable._follow(*said)
     for follower in ('calibration', 'wandering'):
         for name, values in getattr(fast, follower).state().items():
             np.testing.assert_allclose(values, getattr(readable, follower).state()[name], **TOLERANCE)
-    assert fast._window_left == readable._window_left == 0
+    assert fast.window_left == readable.window_left == 0
 
 
 @pytest.mark.parametrize('members', [1, 2, 6])
 def test_an_average(monkeypatch, members):
     rng = np.random.default_rng(9)
-    fast, readable = (estimator.MemberWeights(members, N) for _ in range(2))
+    fast, readable = (ensemble.MemberWeights(members, N) for _ in range(2))
     for _ in range(50):
         means, model_means = rng.standard_normal((2, members, N))
         std, roots = rng.uniform(0.5, 2.0, (members, N)), rng.standard_normal((members, N, N))
@@ -229,7 +229,7 @@ def test_a_sample_learnt_in_one_call_is_one_learnt_in_several(monkeypatch):
     for sample in motion(120):
         found = at_once.step(sample)
         with monkeypatch.context() as without:
-            without.setattr(estimator, 'AVAILABLE', False)
+            without.setattr(online_model, 'AVAILABLE', False)
             expected = apart.step(sample)
         np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-11, atol=1e-11)
         np.testing.assert_allclose(found.std, expected.std, rtol=1e-11)

@@ -12,10 +12,11 @@ import pytest
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
 from semiparam_ros.core.initial_window import gathered_from
+from semiparam_ros.core.model import ModelOptions, information_gain
 from semiparam_ros.core.motion import STILL_SAMPLES, at_start
+from semiparam_ros.core.prediction import log_density
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.single_estimator import ModelOptions, SingleEstimator, information_gain, log_density
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
@@ -76,7 +77,7 @@ def trained_copy(trained):
 def hold_weights(model):
     """Of averaged variants, which follow what is measured also where nothing is learnt."""
     if model.weights:
-        model._weights.learn = lambda *_: None
+        model.ensemble.weights.learn = lambda *_: None
 
 
 # ---- every variant
@@ -113,7 +114,7 @@ def test_predictive_deviations_are_those_of_the_errors(trained, recording):
 def test_the_density_is_that_of_a_gaussian_in_newtons(trained):
     prediction = trained[1][-1]
     scale = prediction.std / prediction.model_std
-    covariance = np.diag(scale) @ prediction.prior.covariance @ np.diag(scale)
+    covariance = np.diag(scale) @ prediction.model_covariance @ np.diag(scale)
     error = prediction.sample.outputs - prediction.mean
     expected = -0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(2 * np.pi * covariance)[1])
     assert prediction.log_density == pytest.approx(expected, rel=1e-9)
@@ -160,7 +161,7 @@ def test_without_learning_the_answers_stay_but_horizons_go_on(trained, recording
     np.testing.assert_allclose(late[-1].horizon.eps, error / power, rtol=1e-3 if model.weights else 1e-9)
 
 
-@patch('semiparam_ros.core.single_estimator.estimate', estimate)  # another search, see conftest
+@patch('semiparam_ros.core.model.estimate', estimate)  # another search, see conftest
 def test_it_is_deterministic(trained, arm, recording):
     model, predictions = trained
     again = run(estimator(arm, model.options.variant), recording)
@@ -488,12 +489,13 @@ def test_an_effect_that_the_window_cannot_tell_or_does_not_see_explodes_in_no_va
 @pytest.mark.parametrize('variant', ['SP-ML', 'NP-ML', 'SP2-ML'])
 def test_hyperparameters_handed_on_give_the_same_model_with_effects(arm, pushed, variant):
     effects = [effect_from_text('external_force@r_hand')]
-    reference = SingleEstimator(arm, ModelOptions(variant=variant, features_count=60, initial_samples=WINDOW), effects)
+    options = ModelOptions(variant=variant, features_count=60, initial_samples=WINDOW, alone=True)
+    reference = Estimator(arm, options, effects)
     run(reference, pushed[:WINDOW])
     mean, scale = reference.input_scaling
     options = replace(reference.options, hyperparameters=reference.model.hyperparameters, input_mean=tuple(mean),
                       input_scale=tuple(scale))
-    given = SingleEstimator(arm, options, effects)
+    given = Estimator(arm, options, effects)
     run(given, pushed[:WINDOW])
     for sample in pushed[WINDOW:WINDOW + 5]:
         np.testing.assert_allclose(given.step(sample).mean, reference.step(sample).mean, rtol=0, atol=1e-9)
@@ -567,7 +569,8 @@ def test_each_third_sample_is_learnt_and_all_are_followed(arm, recording, varian
     for name, values in model.model.recursion.state().items():
         np.testing.assert_array_equal(values, by_hand.model.recursion.state()[name], err_msg=name)
     assert model.passed_over == 40 and by_hand.passed_over == 0
-    assert np.abs(model.wandering.offset - by_hand.wandering.offset).max() > 0.0, 'the offset follows every sample'
+    offset, expected = (each.ensemble.first.wandering.offset for each in (model, by_hand))
+    assert np.abs(offset - expected).max() > 0.0, 'the offset follows every sample'
 
 
 def test_what_tells_too_little_is_not_learnt(arm, recording):
@@ -576,7 +579,8 @@ def test_what_tells_too_little_is_not_learnt(arm, recording):
     for sample in recording:
         prediction = model.predict(sample)
         noise, ready, passed_over = model.model.noise_std, model.ready, model.passed_over
-        gain, ratio = information_gain(prediction.prior, noise), prediction.prior.covariance / np.outer(noise, noise)
+        gain = information_gain(prediction.members[0].prior, noise)
+        ratio = prediction.model_covariance / np.outer(noise, noise)
         assert gain >= 0.5 * np.linalg.slogdet(ratio)[1] - 1e-9
         if ready:
             learnt.append(gain >= least)
@@ -597,7 +601,8 @@ def test_log_density_is_that_of_scipy():
 def test_the_horizon_holds_the_wandering_offset_of_each_model(trained, recording):
     """The index of origin t is that of a copy made at t which predicts on without learning."""
     model = trained_copy(trained)
-    model.wandering.learn(np.array([3.0, -2.0, 1.0, 0.1, 0.2, -0.3]), np.ones(6))  # something that ebbs away
+    ebbing = np.array([3.0, -2.0, 1.0, 0.1, 0.2, -0.3])
+    model.ensemble.first.wandering.learn(ebbing, np.ones(6))
     run(model, recording[:30])
     twin, follows = copy.deepcopy(model), recording[30:30 + model.options.horizon]
     hold_weights(twin)
@@ -605,6 +610,6 @@ def test_the_horizon_holds_the_wandering_offset_of_each_model(trained, recording
     error = sum((each.sample.outputs - each.mean) ** 2 for each in run(twin, follows, learn=False))
     power = sum(sample.outputs**2 for sample in follows)
     found = [each.horizon for each in run(model, follows)][-1]
-    assert found.origin == origin and np.abs(model.wandering.offset).max() > 1e-4
+    assert found.origin == origin and np.abs(model.ensemble.first.wandering.offset).max() > 1e-4
     # How sure each member of an average is of a sample is what it says when that comes, having learnt those before.
     np.testing.assert_allclose(found.eps, error / power, rtol=1e-3 if model.weights else 1e-9)

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.joint_friction import KINDS, TOP_SPEED, TURN_SPEEDS, friction_columns, friction_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, inertial_scale
-from semiparam_ros.core.single_estimator import ModelOptions
 from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
 
 ARM = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')

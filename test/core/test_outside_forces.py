@@ -66,8 +66,7 @@ class Leaves:
     def __init__(self, position, std):
         self.sample = Sample(0, position, 0 * position, 0 * position, np.zeros(len(std)))
         self.std = self.model_std = std
-        self.prior = self
-        self.covariance = np.diag(std**2)
+        self.model_covariance = np.diag(std**2)
 
 
 @pytest.mark.parametrize('seed', range(3))

@@ -8,9 +8,9 @@ import pytest
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.diagnosis.data.recordings import during
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.text_report import text_report

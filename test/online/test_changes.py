@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.estimator import Estimator
-from semiparam_ros.core.single_estimator import ModelOptions
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.changes import ChangeDetector

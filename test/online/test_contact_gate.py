@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from semiparam_ros.core.motion import at_start
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.settings import Settings
 

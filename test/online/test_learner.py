@@ -176,7 +176,7 @@ def test_hyperparameters_are_estimated_once_for_each_model():
     assert len(stage.background.jobs) == 1
     stage.background.run()
     assert stage.learner.estimator.options.hyperparameters is not None, 'the known ones were handed over'
-    assert stage.learner.estimator.horizon.length == 7
+    assert stage.learner.estimator.ensemble.first.horizon.length == 7
 
 
 def test_the_last_wish_wins_when_switches_follow_each_other():
@@ -364,7 +364,7 @@ def test_a_broken_model_is_replaced_by_the_last_checkpoint():
 def test_a_sample_that_cannot_be_learnt_ends_nothing(monkeypatch):
     samples, stage = motion(200), Stage(background=InlineBackground())
     stage.offer(samples[:100])
-    monkeypatch.setattr(stage.learner.estimator.horizon, 'moved_on', lambda *_: 1 / 0)
+    monkeypatch.setattr(stage.learner.estimator.ensemble.first.horizon, 'moved_on', lambda *_: 1 / 0)
     stage.offer(samples[100:])
     assert len(stage.answers) == 200 and stage.learner.built.variant == 'P'
     assert stage.failures[0][0] == 'learning'

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.estimator import Estimator
-from semiparam_ros.core.single_estimator import ModelOptions
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.settings.build import build_rigid_body
 from support.declared_effects import panda, ur3
 from support.learner_stage import Stage

@@ -99,7 +99,7 @@ SCRATCH = {
     '_left', '_right',  # changes that wait no longer
     '_rows', '_origins',  # of horizons that are over
     'revision',  # another one with every change, so that predictions made before are refused
-    'options', 'hyperparameters',  # estimated the first time, given the second
+    'options', '_options', 'hyperparameters',  # estimated the first time, given the second
 }
 
 

@@ -9,10 +9,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot import feedforward
 from semiparam_ros.core.robot.feedforward import joint_torques
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.single_estimator import ModelOptions, SingleEstimator
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
@@ -106,7 +107,7 @@ def wanted(effect):
 
 def learnt(body, effects, count=40):
     """A model that learnt a motion whose stamps begin at some time of this year."""
-    estimator = SingleEstimator(body, ModelOptions(variant='P', initial_samples=1000), effects)
+    estimator = Estimator(body, ModelOptions(variant='P', initial_samples=1000, alone=True), effects)
     for sample in list(MOTION)[:count]:
         inputs = [values[:body.n_joints] for values in sample[1:4]]
         outputs = body.regressor(*inputs) @ body.base_parameters

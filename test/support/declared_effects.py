@@ -28,9 +28,9 @@ from scipy.signal import lfilter
 
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.single_estimator import ModelOptions
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.errors import SemiparamError

@@ -9,7 +9,7 @@ from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estim
 
 
 class Estimates:
-    """Stands in for ``semiparam_ros.core.single_estimator.estimate``, and remembers what it gave for the same window.
+    """Stands in for ``semiparam_ros.core.model.estimate``, and remembers what it gave for the same window.
 
     :param options: of every search, such as fewer starts where it does not matter how good its end is.
     """

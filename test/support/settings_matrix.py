@@ -34,11 +34,12 @@ from covertable import make
 
 from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.model import PRIORS
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.random_features import FREQUENCIES
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.single_estimator import PRIORS, Prediction
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import Effect
@@ -430,7 +431,7 @@ def _offer_with_tares(stage: Live, samples: list[Sample], tares: list[int]) -> N
 ESTIMATES = Estimates(starts=1)
 
 
-@patch('semiparam_ros.core.single_estimator.estimate', ESTIMATES)
+@patch('semiparam_ros.core.model.estimate', ESTIMATES)
 @patch('semiparam_ros.online.renewal.SHARE', 2.0)
 def check(row: Row, count: int) -> dict[str, object]:
     """Run one row; AssertionError says what does not hold. Returns figures.

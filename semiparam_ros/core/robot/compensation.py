@@ -16,8 +16,8 @@ from math import exp
 import numpy as np
 
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.frames import load_transform
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 
 LONGEST_STEP_S = 0.1

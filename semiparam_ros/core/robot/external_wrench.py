@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.frames import frame_index, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.types import Array
 
 FORCE_N, LEVER_M = 100.0, 0.1
@@ -77,7 +77,7 @@ class ExternalWrench:
 
         :param widening: (n,) how much wider than the model's own its bands are in free motion.
         """
-        noise = prediction.prior.covariance * np.outer(widening, widening)
+        noise = prediction.model_covariance * np.outer(widening, widening)
         if self._at_sensor:
             return External(-self._body.sign * residual, noise)
         maps = self.outputs_of(prediction.sample.position)

@@ -21,9 +21,10 @@ import pinocchio as pin
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.finite import require_finite
+from semiparam_ros.core.model import PROVISIONAL_GAMMA
+from semiparam_ros.core.prediction import DesiredOutputs
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools
-from semiparam_ros.core.single_estimator import PROVISIONAL_GAMMA, DesiredOutputs
 from semiparam_ros.core.types import Array
 
 RANGE_MARGIN = 0.05

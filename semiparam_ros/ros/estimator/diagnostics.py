@@ -325,8 +325,9 @@ def model_report(learner: Learner, tally: Tally) -> Report:
     if tally.errors is not None:
         values |= {f'horizon error {name}': f'{error:.3g}' for name, error in
                    zip(learner.body.output_names, tally.errors.eps, strict=True)}
-    if learner.estimator.wandering is not None:
-        pace = learner.estimator.wandering.pace()
+    wandering = learner.estimator.ensemble.first.wandering
+    if wandering is not None:
+        pace = wandering.pace()
         values |= {f'pace {name} [1/sample]': f'{value:.2g}' for name, value in
                    zip(learner.body.output_names, pace.tolist(), strict=True)}
     values |= {f'weight {name}': f'{weights.mean():.3f}' for name, weights in learner.estimator.weights.items()}

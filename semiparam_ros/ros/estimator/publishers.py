@@ -14,8 +14,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from semiparam_ros.core.horizon_error import HorizonErrors
+from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.single_estimator import Prediction
 from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.core.types import Array
 from semiparam_ros.online.identified_parameters import Payload

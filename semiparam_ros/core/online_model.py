@@ -1,0 +1,222 @@
+"""A model that is learnt sample by sample, with what follows its errors: offset, bands, and index over the horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.band_calibration import BandCalibration, calibrate
+from semiparam_ros.core.carry_over import Coefficients
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex, advance
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.initial_window import Remembered
+from semiparam_ros.core.model import AUTO, Model, ModelOptions, information_gain
+from semiparam_ros.core.prediction import DesiredOutputs, MemberPrediction, Observed
+from semiparam_ros.core.recursion import Prior, learn
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.core.types import Array, Indices, Stamps
+from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
+
+OFF_SHARE = 0.1
+"""Where nothing moves and all outputs are below this share of what is predicted, the motors are off behind brakes."""
+
+COMPARED_EVERY_NS, LONGEST_COMPARED_NS = NANOSECONDS // 100, NANOSECONDS // 10
+"""A model is compared with the one from before the last change no more often, and a pause counts for no more."""
+
+
+class ModelState(NamedTuple):
+    """What a model has learnt, with its hyperparameters."""
+
+    hyperparameters: Hyperparameters
+    recursion: Mapping[str, Array | Indices]
+    horizon: Mapping[str, Array | Stamps]
+    calibration: dict[str, Array]
+    wandering: dict[str, Array]  # empty where the forgetting is a number
+    window_left: int  # samples
+    passed_over: tuple[int, int]  # samples passed over since the last one learnt, and altogether
+
+
+class OnlineModel:
+    """A model, the offset that wanders beside it, the width of its bands, and its index over the horizon.
+
+    :param columns: of C that it has. :param ready: whether its hyperparameters are those of an initial window.
+    :param window: how many samples of that window come again first.
+    """
+
+    def __init__(self, model: Model, columns: CoupledColumns, options: ModelOptions, ready: bool,
+                 window: int = 0) -> None:
+        recursion = model.recursion
+        self.model, self.columns, self.ready, self._options = model, columns, ready, options
+        self.calibration = BandCalibration(recursion.n_outputs)
+        self.wandering = WanderingOffset(recursion.n_outputs) if options.forgetting == AUTO else None
+        self.horizon = HorizonIndex(options.horizon, recursion.n_outputs, recursion.n_features, recursion.n_columns,
+                                    None if self.wandering is None else DECAY)
+        self.window_left = window
+        self._since_learnt = 0
+        self.passed_over = 0
+        """Samples that were to be learnt but were not, by ``learn_every`` and ``learn_least_gain``."""
+
+    def predict(self, observed: Observed, columns: Array) -> MemberPrediction:
+        """Predict a sample, whose columns (n, p) are those of this model; nothing changes."""
+        prior = self.model.predict(observed.x, columns)
+        motion, off = observed.motion, False
+        if self.ready and motion.still > 1:
+            off = bool(np.abs(observed.sample.outputs).max() < OFF_SHARE * np.abs(prior.mean).max())
+            motion = motion._replace(is_news=motion.is_news and not off)
+        return MemberPrediction(self._mean(prior), self.calibration.factor * prior.std, prior, columns, motion, off)
+
+    def _mean(self, prior: Prior) -> Array:
+        return prior.mean if self.wandering is None else prior.mean + self.wandering.offset
+
+    def predict_desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
+        """Outputs at x (m,), from the columns (n, p) of what the sensor shows and of what the arm needs.
+
+        Without the wandering offset, which is that of the last moments' motion.
+        """
+        model = self.model
+        prior = model.predict(x, shown)
+        of_sensor = (shown - needed)[:, model.covered] @ model.theta
+        ratio = float((prior.std / model.noise_std).max()) ** 2 - 1.0
+        return DesiredOutputs(prior.mean, prior.mean - of_sensor, prior.covariance, ratio)
+
+    def coefficients(self) -> Coefficients:
+        """Coefficients of the model as it stands."""
+        alpha = self.model.recursion.weights() if self.model.features else \
+            np.zeros((self.model.recursion.n_outputs, 0))
+        return Coefficients(self.model.theta.copy(), alpha)
+
+    def take_in(self, sample: Sample, prediction: MemberPrediction, learn: bool,
+                errors: Array | None = None) -> HorizonErrors | None:
+        """Charge a predicted sample to the horizon index, and learn it where it is due; the horizon it completed.
+
+        :param errors: see :meth:`HorizonIndex.advance`.
+        """
+        prior, recursion = prediction.prior, self.model.recursion
+        outputs = np.ascontiguousarray(sample.outputs, dtype=float)
+        due = learn and self._is_due(prior)
+        if AVAILABLE and due and prediction.motion.is_news and self.wandering is not None:
+            self.window_left -= min(self.window_left, 1)
+            self.horizon.make_room()
+            eps = np.empty((2, len(outputs)))
+            recursion.has_learnt(_learn_and_follow(
+                *recursion.learning(prior), *self.horizon.advancing, outputs, prior.mean, prior.std,
+                self.wandering.table, self.calibration.table, self.horizon.nothing if errors is None else errors, eps))
+            return self.horizon.moved_on(sample.stamp, eps)
+        innovations = recursion.learn(prior, outputs) if due else None
+        if not due:
+            recursion.revise()  # what effects remember has changed, and so have the pending horizons
+        if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
+            self._follow(outputs, prior, learn)
+        parts = None if self.wandering is None else self.wandering.parts
+        return self.horizon.advance(sample.stamp, prior, outputs, recursion.theta, innovations, parts, errors)
+
+    def _is_due(self, prior: Prior) -> bool:
+        """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.
+
+        Never by its outputs: to learn the surprising ones alone would bias the model.
+        """
+        options = self._options
+        if not self.ready or self.window_left:
+            return True
+        self._since_learnt += 1
+        if self._since_learnt < options.learn_every or (
+                options.learn_least_gain and information_gain(prior, self.model.noise_std)
+                < options.learn_least_gain):
+            self.passed_over += 1
+            return False
+        self._since_learnt = 0
+        return True
+
+    def _follow(self, outputs: Array, prior: Prior, learn: bool) -> None:
+        """Let wandering offset and bands follow what ``prior`` left of a sample (n,), in N and N m."""
+        self.window_left -= min(self.window_left, learn)
+        if AVAILABLE and learn and self.wandering is not None:
+            _follow(outputs, prior.mean, prior.std, self.wandering.table, self.calibration.table)
+            return
+        residual = outputs - prior.mean
+        innovation = residual if self.wandering is None else residual - self.wandering.offset
+        if self.wandering is not None and learn:
+            self.wandering.learn(residual, self.calibration.factor * prior.std)
+        elif self.wandering is not None:
+            self.wandering.rest()
+        if learn or not self.window_left:
+            self.calibration.learn(innovation, prior.std)
+
+    def learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
+        """Learn a sample of the window; mean and standard deviation (n,) that were predicted for it, in N and N m."""
+        inputs, outputs, columns = remembered
+        prior = self.model.predict(inputs, columns)
+        mean, std = self._mean(prior), self.calibration.factor * prior.std
+        self._follow(outputs, prior, learn=True)
+        self.model.recursion.learn(prior, outputs)
+        return mean, std
+
+    def compare(self, sample: Sample, prediction: MemberPrediction) -> bool:
+        """Go on from what was known before the last change of the robot, if that predicts the last seconds better;
+        whether it does."""
+        recursion = self.model.recursion
+        if recursion.before is None or not prediction.motion.is_news:
+            return False
+        since = sample.stamp - recursion.compared_at
+        if 0 <= since < COMPARED_EVERY_NS:
+            return False
+        recursion.compared_at = sample.stamp
+        prior = prediction.prior
+        then = self.model.predict_by(recursion.before, prior.features[0], prediction.columns).mean
+        seconds = min(max(since, 0), LONGEST_COMPARED_NS) / NANOSECONDS
+        return recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then)
+
+    def state(self) -> ModelState:
+        """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
+        wandering = {} if self.wandering is None else self.wandering.state()
+        return ModelState(self.model.hyperparameters, self.model.recursion.state(), self.horizon.state(),
+                          self.calibration.state(), wandering, self.window_left,
+                          (self._since_learnt, self.passed_over))
+
+    def restore(self, state: ModelState) -> None:
+        """Return to a saved :meth:`state` of a model with the same hyperparameters.
+
+        Raises SemiparamError when it is that of another one.
+        """
+        self.model.recursion.restore(state.recursion)
+        self.horizon.restore(state.horizon)
+        self.calibration.restore(state.calibration)
+        if self.wandering is not None:
+            self.wandering.restore(state.wandering)
+        self.window_left = state.window_left
+        self._since_learnt, self.passed_over = state.passed_over
+
+
+@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, calls=(follow, calibrate))
+def _follow(outputs: Array, mean: Array, std: Array, wandering: Array, calibration: Array) -> None:
+    """See :meth:`OnlineModel._follow`, of a sample that is learnt."""
+    residual, width, innovation = np.empty_like(mean), np.empty_like(mean), np.empty_like(mean)
+    for k in range(len(mean)):
+        residual[k], width[k] = outputs[k] - mean[k], calibration[-1, k] * std[k]
+        innovation[k] = residual[k] - wandering[-1, k]
+    follow(residual, width, wandering)
+    calibrate(innovation, std, calibration)
+
+
+@compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
+          INTEGER, MATRIX, INTEGER, INTEGER, MATRIX, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX,
+          returns=INTEGER, calls=(learn, follow, calibrate, advance))
+def _learn_and_follow(
+        features: Array, s: float, columns: Array, regressed: Array, scale: Array, sigma: float, information: Array,
+        theta: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
+        placed: int, rows: Array, start: int, filled: int, decay: Array, outputs: Array, mean: Array, std: Array,
+        wandering: Array, calibration: Array, errors: Array, eps: Array) -> int:
+    """See :meth:`OnlineModel.take_in`, of a sample that is learnt and followed; what :func:`learn` gives."""
+    innovations = np.empty_like(regressed)
+    placed = learn(features, s, columns, regressed, scale, sigma, information, theta, left_changes, right_changes,
+                   waiting, inflation, places, placed, outputs, innovations)
+    _follow(outputs, mean, std, wandering, calibration)
+    paces = len(decay)
+    advance(rows, start, filled, decay, features, s, columns, regressed, outputs, theta, innovations,
+            wandering[2 * paces:3 * paces], errors, eps)
+    return placed
