@@ -30,7 +30,7 @@ PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_i
 LONGEST = 35
 """Words of a sentence."""
 """Pages of reference, whose commands take minutes or name files of yours: they are parsed."""
-UNTESTED = 34
+UNTESTED = 33
 """Blocks that need what no test has. A new one is a decision: count it here."""
 
 
