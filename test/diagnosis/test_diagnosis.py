@@ -539,8 +539,7 @@ def measured(measured_icub, tmp_path_factory):
 @pytest.mark.slow
 def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found(capsys):
     """A force that acts in a small part of the workspace looks a little like many kinds, and like none."""
-    recording = simulate(Scenario(motion='circle_xy', samples=SAMPLES, seed=1,
-                                  effects=(EffectRequest('bump', size=2.0),)))
+    recording = simulate(Scenario(motion='circle_xy', samples=1000, seed=1, effects=(EffectRequest('bump', size=2.0),)))
     diagnosis = diagnose(body_of(recording), samples_of(recording))
     assert diagnosis.verdict == 'unexplained' and diagnosis.imitated and not diagnosis.findings
     assert diagnosis.structure.formulas and diagnosis.structure.variables

@@ -193,8 +193,8 @@ def test_mistakes_in_the_real_efforts_of_a_ur3(mistake, expected, shared_data):
     assert expected in found(body, mistake(samples))
 
 
-@pytest.mark.parametrize('name', ['id1.bag', 'id2.bag'])
-@pytest.mark.parametrize(('one', 'other'), [(0, 1), (1, 2), (2, 3), (3, 5), (4, 5)])
+@pytest.mark.parametrize(('name', 'one', 'other'), [('id1.bag', 2, 3), ('id1.bag', 0, 1), ('id2.bag', 1, 2),
+                                                    ('id2.bag', 4, 5)])
 @pytest.mark.parametrize(('roles', 'what'), [
     (('outputs',), 'effort_order'), (('position',), 'position_order'),
     (('velocity', 'acceleration'), 'velocity_order')])
@@ -224,7 +224,7 @@ def test_three_velocities_in_a_circle_are_one_mistake():
     assert all(name in problem.sentence for name in ICUB[:3])
 
 
-@pytest.mark.parametrize('joint', [0, 1, 4, 5])
+@pytest.mark.parametrize('joint', [1, 5])
 @pytest.mark.parametrize(('roles', 'what'), [
     (('position',), 'position_sign'), (('velocity', 'acceleration'), 'velocity_sign'), (('outputs',), 'effort_sign')])
 def test_the_one_sign_that_is_wrong_is_named(joint, roles, what, shared_data):

@@ -55,7 +55,7 @@ def noise(samples, seed=0, n=6):
 # ---- is anything left?
 
 
-@pytest.mark.parametrize('seed', range(8))
+@pytest.mark.parametrize('seed', range(0, 8, 2))
 def test_nothing_is_found_where_nothing_is_missing(seed):
     """The first few of the hundred and more on which the thresholds stand."""
     found = structure_of(motion=MOTIONS[seed % 4], outputs=('wrench', 'effort')[seed // 4], seed=500 + seed)

@@ -58,8 +58,10 @@ def test_saved_and_loaded_is_not_interrupted_bit_for_bit(tmp_path, settings, cou
     before.offer(samples[:count])
     state_file.save(tmp_path / 's.npz', before.learner.state())
     saved = state_file.load(tmp_path / 's.npz', replace(settings, variant='NP-ML', effects=()), body)
-    after = stage_of(settings)
+    assert saved.settings == settings, 'variant and effects come with the file'
+    after = stage_of(replace(settings, variant='P', effects=()), motion(80, seed=1, body=body))
     after.learner.restore(saved)
+    del after.answers[:], after.errors[:]
     assert same(saved.estimator, before.learner.estimator)
     del before.answers[:], before.errors[:]
     for stage in (before, after):
