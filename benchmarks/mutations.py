@@ -3,9 +3,8 @@
     python benchmarks/mutations.py --count 48 --seed 1 --json output/mutations.json
 
 Draws small faults (a comparison turned or made strict, + for -, another number, a condition negated, a statement left
-out) in the files of some packages of ``semiparam_ros``, as many from each, puts one at a time into a copy of the
-checkout, and runs the tests of that package there until one fails, for at most --processor-s. A fault that no test
-notices has survived.
+out) in packages of ``semiparam_ros``, as many from each, puts one at a time into a copy of the checkout, and runs the
+tests of that package there until one fails, for at most --processor-s. A fault that no test notices has survived.
 """
 
 import argparse
@@ -31,13 +30,10 @@ def faults(path: Path) -> list[tuple[int, int, int, str]]:
     """(line, start, end, what stands there instead) of every fault within the functions of a file, in one line each."""
     text = path.read_text(encoding='utf-8')
     lines = text.encode().split(b'\n')
-    found = []
-    for function in ast.walk(ast.parse(text)):
-        if isinstance(function, ast.FunctionDef):
-            for node in (node for statement in function.body for node in ast.walk(statement)):
-                if getattr(node, 'lineno', 0) == getattr(node, 'end_lineno', -1):
-                    found += [(node.lineno, *fault) for fault in faults_of(node, lines[node.lineno - 1])]
-    return sorted(set(found))
+    nodes = (node for function in ast.walk(ast.parse(text)) if isinstance(function, ast.FunctionDef)
+             for statement in function.body for node in ast.walk(statement)
+             if getattr(node, 'lineno', 0) == getattr(node, 'end_lineno', -1))
+    return sorted({(node.lineno, *fault) for node in nodes for fault in faults_of(node, lines[node.lineno - 1])})
 
 
 def faults_of(node: ast.AST, line: bytes) -> list[tuple[int, int, str]]:
@@ -50,10 +46,9 @@ def faults_of(node: ast.AST, line: bytes) -> list[tuple[int, int, str]]:
         else:
             (left, right), operator = node.values[:2], node.op
         if type(operator) in OTHER:
-            start, end = left.end_col_offset, right.col_offset
-            between = line[start:end].decode()
-            opened, closed = between.count('('), between.count(')')
-            return [(start, end, f'{")" * closed} {OTHER[type(operator)]} {"(" * opened}')]
+            between = line[left.end_col_offset:right.col_offset].decode()
+            other = f'{")" * between.count(")")} {OTHER[type(operator)]} {"(" * between.count("(")}'
+            return [(left.end_col_offset, right.col_offset, other)]
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         other = node.value + 1 if isinstance(node.value, int) else 2.0 * node.value or 1.0
         return [(node.col_offset, node.end_col_offset, repr(other))]
@@ -76,10 +71,9 @@ def draw(packages: list[str], count: int, seed: int) -> list[tuple[Path, tuple[i
 
 def tests_of(copy: Path, module: Path) -> list[str]:
     """The files of its package's tests; first those that name the module, then the small ones."""
-    name = module.stem if module.stem != '__init__' else module.parent.name
     files = (copy / 'test' / module.parts[1]).glob('test_*.py')
-    return [str(file) for file in sorted(files, key=lambda file: (
-        f'{name} ' not in file.read_text(encoding='utf-8'), file.stat().st_size))]
+    return sorted(map(str, files), key=lambda file: (
+        f'{module.stem} ' not in Path(file).read_text(encoding='utf-8'), Path(file).stat().st_size))
 
 
 def outcome(copy: Path, module: Path, fault: tuple[int, int, int, str], processor_s: int) -> dict[str, object]:
@@ -94,12 +88,11 @@ def outcome(copy: Path, module: Path, fault: tuple[int, int, int, str], processo
         [sys.executable, '-m', 'pytest', '-x', '-q', '--hypothesis-seed=0', *tests_of(copy, module)], cwd=copy,
         env=os.environ | {'PYTHONPATH': str(copy)}, capture_output=True, text=True, check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (processor_s, processor_s)))
-    failed = [row for row in ended.stdout.splitlines() if row.startswith(('FAILED', 'ERROR'))]
-    noticed = (failed or [ended.stdout[-160:]])[0][:160] if ended.returncode > 0 else ''
+    failed = [row[:160] for row in ended.stdout.splitlines() if row.startswith(('FAILED', 'ERROR'))]
+    failed += [ended.stdout[-160:]] if ended.returncode > 0 else ['']
     (copy / module).write_bytes(original)
     return {'file': str(module), 'line': line, 'before': before.decode().strip(),
-            'after': lines[line - 1].decode().strip(), 'noticed': noticed,
-            'in_time': ended.returncode >= 0}
+            'after': lines[line - 1].decode().strip(), 'noticed': failed[0], 'in_time': ended.returncode >= 0}
 
 
 def main() -> None:
@@ -113,8 +106,7 @@ def main() -> None:
     found = []
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / 'copy'
-        if (REPOSITORY.parent / 'shared').exists():
-            (Path(folder) / 'shared').symlink_to((REPOSITORY.parent / 'shared').resolve())
+        (Path(folder) / 'shared').symlink_to((REPOSITORY.parent / 'shared').resolve())
         shutil.copytree(REPOSITORY, copy, ignore=shutil.ignore_patterns('.git', '.venv', 'output', '.hypothesis'))
         for module, fault in draw(options.packages, options.count, options.seed):
             found.append(outcome(copy, module, fault, options.processor_s))

@@ -160,11 +160,14 @@ def measured_icub(shared_data, repository, tmp_path_factory) -> Path:
     return folder
 
 
-LONGEST = ('test_docs.py', 'test_diagnosis.py', 'test_outside_faults.py', 'test_node.py', 'test_node_fuzz.py',
-           'test_outside_client.py', 'test_compare.py', 'test_other_simulator.py', 'test_matrix.py',
-           'test_structure.py', 'test_node_switching.py', 'test_checkpoints.py', 'test_replay.py', 'test_learner.py',
-           'test_estimator.py')
-"""Files of half a minute and more."""
+LONGEST = ('test_docs.py', 'test_replay.py', 'test_outside_faults.py', 'test_diagnosis.py', 'test_node.py',
+           'test_stop_signals.py', 'test_node_fuzz.py', 'test_setup_checks.py', 'test_other_simulator.py',
+           'test_record.py', 'test_matrix.py', 'test_checkpoints.py', 'test_rounds.py', 'test_packaging.py',
+           'test_outside_client.py', 'test_examples.py', 'test_compare.py', 'test_demo.py', 'test_node_change.py',
+           'test_node_diagnosis.py', 'test_node_switching.py', 'test_learner.py', 'test_estimator.py',
+           'test_structure.py', 'test_carries_over.py', 'test_rest_and_stops.py', 'test_identified.py',
+           'test_state_file.py', 'test_diagnosis_page.py')
+"""Files of a quarter of a minute and more, by what they took."""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

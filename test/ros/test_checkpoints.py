@@ -12,8 +12,9 @@ from support.node_helpers import SETTINGS, InlineBackground, motion
 
 
 @pytest.mark.slow
-def test_a_learner_killed_at_any_moment_leaves_a_good_checkpoint():
-    assert checkpoint_kills.main(['--kills', '4', '--features', '100', '--seed', '3']) == 0
+def test_a_learner_killed_at_any_moment_leaves_a_good_checkpoint(tmp_path, long):
+    features, period, kills = (500, 0.5, 100) if long else (100, 0.1, 3)
+    assert checkpoint_kills.kill(checkpoint_kills.Options(tmp_path, features, period), kills)
 
 
 def test_a_node_goes_on_from_its_checkpoint(tmp_path, ros_domain):

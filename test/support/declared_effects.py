@@ -27,6 +27,7 @@ from semiparam_ros.settings import Settings, load_params
 from semiparam_ros.settings.build import build_rigid_body
 from semiparam_ros.simulation.scenario import Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support.arms import ICUB_JOINTS, ICUB_SENSOR, icub_table
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 MEASURED = REPOSITORY.parent / 'shared' / 'data'
@@ -110,14 +111,9 @@ def panda() -> Recording:
 
 def icub(name: str) -> Recording:
     """The measured iCub: degrees, 29 Hz, the reaction at the sensor."""
-    rows = np.loadtxt(MEASURED / f'icub_arm/icubdyn_{name}.dat')
-    motion = np.deg2rad(rows[:, :12])
-    body = RigidBody.from_urdf((MEASURED / 'icub_arm/iCubGenova01.urdf').read_text(),
-                               ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow'), 'wrench',
-                               'r_arm_ft_sensor', 'reaction')
-    stamps = (np.arange(len(rows)) * 34_500_000).astype(np.int64)
-    return Recording(body, thinned(Samples(stamps, motion[:, :4], motion[:, 4:8], motion[:, 8:12], rows[:, 12:18], 0),
-                                   1))
+    urdf = (MEASURED / 'icub_arm/iCubGenova01.urdf').read_text()
+    body = RigidBody.from_urdf(urdf, ICUB_JOINTS, 'wrench', ICUB_SENSOR, 'reaction')
+    return Recording(body, thinned(icub_table(MEASURED / f'icub_arm/icubdyn_{name}.dat'), 1))
 
 
 def thinned(samples: Samples, every: int) -> Samples:
