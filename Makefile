@@ -12,7 +12,7 @@ SUITS := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:
 CANDIDATES := python3 python3.12 python3.13 python3.11 python3.10
 PYTHON ?= $(firstword $(foreach name,$(CANDIDATES),$(shell $(name) -c '$(SUITS)' >/dev/null 2>&1 && echo $(name))))
 
-.PHONY: setup test suite matrix coverage oldest lint docs demo clean
+.PHONY: setup test suite test-long coverage oldest lint docs demo clean
 
 setup: $(STAMP)
 
@@ -40,9 +40,10 @@ suite: setup
 	$(BIN)/python -c 'import semiparam_ros.diagnosis.diagnose, semiparam_ros.ros.estimator.node'
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(PYTEST)
 
-# Every pair of settings with 20000 samples each, where `make test` takes a few hundred: about 40 minutes of one core.
-matrix: setup
-	$(BIN)/python test/support/settings_matrix.py
+# Each test in its long form, hours of two cores: ten minutes of bad messages, every pair of settings with 20000 samples,
+# hundreds of random lives. PYTEST='-s test/ros/test_node_fuzz.py' takes one file, and shows what it counted.
+test-long: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --long $(PYTEST)
 
 # The whole suite again, with the lines and branches that it reaches, those in other processes among them.
 coverage: setup

@@ -32,8 +32,25 @@ estimator:
 
 # A busy machine is no failure: the search is bounded by the number of examples, not by the clock.
 hypothesis.settings.register_profile('steady', deadline=None)
-hypothesis.settings.register_profile('full', deadline=None, max_examples=2000)
-hypothesis.settings.load_profile('steady')
+hypothesis.settings.register_profile('long', deadline=None, max_examples=2000)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption('--long', action='store_true',
+                     help='every test in its long form, as `make test-long` does: hours. What it found is printed (-s)')
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    hypothesis.settings.load_profile('long' if config.getoption('--long') else 'steady')
+    if config.getoption('--long'):
+        config.option.timeout = config.option.timeout or 20_000.0
+
+
+@pytest.fixture(scope='session')
+def long(request: pytest.FixtureRequest) -> bool:
+    """Whether the long form is asked for."""
+    return bool(request.config.getoption('--long'))
 
 
 @pytest.fixture(scope='session', autouse=True)
@@ -143,16 +160,21 @@ def measured_icub(shared_data, repository, tmp_path_factory) -> Path:
     return folder
 
 
-LONGEST = ('test_docs.py', 'test_diagnosis.py', 'test_outside_faults.py', 'test_node.py', 'test_node_fuzz.py',
-           'test_outside_client.py', 'test_compare.py', 'test_other_simulator.py', 'test_matrix.py',
-           'test_structure.py', 'test_node_switching.py', 'test_checkpoints.py', 'test_replay.py', 'test_learner.py',
-           'test_estimator.py')
-"""Files of half a minute and more."""
+LONGEST = ('test_docs.py', 'test_replay.py', 'test_outside_faults.py', 'test_diagnosis.py', 'test_node.py',
+           'test_stop_signals.py', 'test_node_fuzz.py', 'test_setup_checks.py', 'test_other_simulator.py',
+           'test_record.py', 'test_matrix.py', 'test_checkpoints.py', 'test_rounds.py', 'test_packaging.py',
+           'test_outside_client.py', 'test_examples.py', 'test_compare.py', 'test_demo.py', 'test_node_change.py',
+           'test_node_diagnosis.py', 'test_node_switching.py', 'test_learner.py', 'test_estimator.py',
+           'test_structure.py', 'test_carries_over.py', 'test_rest_and_stops.py', 'test_identified.py',
+           'test_state_file.py', 'test_diagnosis_page.py')
+"""Files of a quarter of a minute and more, by what they took."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """These files and those with slow tests first: begun last, one of them would keep one worker busy while the others
     have nothing."""
+    if not config.getoption('--long'):
+        items[:] = [item for item in items if not item.get_closest_marker('long')]
     slow = {item.path for item in items if item.get_closest_marker('slow')}
     first = {name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: (first.get(item.path.name, len(LONGEST)), item.path not in slow))

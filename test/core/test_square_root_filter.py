@@ -79,16 +79,6 @@ def test_impossible_places_are_refused(places):
         array.restore({**array.state(), 'places': np.array(places)})
 
 
-def test_without_estimates_it_is_the_root_alone():
-    array, covariance = SquareRootFilter(D, 1.0), np.eye(D)
-    for phi in rows()[0]:
-        projection = array.project(phi)
-        np.testing.assert_allclose(projection.reach, covariance @ phi, atol=1e-12)
-        assert projection.regressed.shape == (0,)
-        array.learn(projection, SIGMA)
-        covariance -= np.outer(covariance @ phi, covariance @ phi) / (SIGMA**2 + phi @ covariance @ phi)
-
-
 def test_an_observation_that_surprises_nobody_moves_no_estimate():
     features, measured = rows()
     array = SquareRootFilter(D, 1.0, Q)

@@ -31,7 +31,7 @@ from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
 from semiparam_ros.diagnosis.search.spans import best_edge, best_span
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
-from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
+from semiparam_ros.effects import Effect, effect_from_text, kinds
 from semiparam_ros.effects.base import CHANNELS, Span
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, deviations_off, samples_of
@@ -62,7 +62,7 @@ def found_in(simulated, **options):
 # --- hidden causes: named, placed, measured ---
 
 
-@pytest.mark.parametrize(('seed', 'encoder_noise'), [(901, 1.0), (905, 1.0), (901, 2.0)])
+@pytest.mark.parametrize(('seed', 'encoder_noise'), [(905, 1.0), (901, 2.0)])
 def test_noise_in_the_inputs_is_no_delay(seed, encoder_noise):
     """Interpolating a little to the past averages the noise of accelerations: a delay of 1 % of a step fits better."""
     clean = simulate(Scenario(outputs='effort', seed=seed, encoder_noise=encoder_noise))
@@ -139,8 +139,7 @@ def test_a_cable_that_drags_towards_its_anchor_stands_alone():
     np.testing.assert_allclose(along / nearness, truth['parameters']['anchor']['value'], atol=0.05)  # [m]
 
 
-@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
-@pytest.mark.parametrize('force', [[0.6, -0.3, 0.3], [6.0, 3.0, -5.0]])
+@pytest.mark.parametrize(('outputs', 'force'), [('wrench', [0.6, -0.3, 0.3]), ('effort', [6.0, 3.0, -5.0])])
 def test_a_push_beside_every_link_is_found_and_is_no_wrong_description(outputs, force):
     """Between the links' origins, and so strong that the arm's own weight hardly shows."""
     recording = simulate(Scenario(samples=SAMPLES, outputs=outputs, seed=2))
@@ -171,12 +170,11 @@ def test_a_wrong_description_is_not_taken_for_an_effect(force):
     assert not found.steps
 
 
-@pytest.mark.parametrize('seed', [1, 2])
-def test_the_zeros_of_several_joints_are_found_together(seed):
+def test_the_zeros_of_several_joints_are_found_together():
     """Their sum resembles crosstalk and springs more than any one of them."""
     joints = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw')
     turned = tuple(EffectRequest('joint_offset', size=1.5, where=joint) for joint in joints)
-    recording = simulate(Scenario(samples=SAMPLES, seed=seed, effects=turned))
+    recording = simulate(Scenario(samples=SAMPLES, seed=1, effects=turned))
     found = found_in(recording)
     assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [
         ('joint_offset', joint) for joint in joints]
@@ -219,21 +217,15 @@ def nothing():
     return found_in(simulate(Scenario(samples=SAMPLES, seed=1)))
 
 
-@pytest.fixture(scope='module')
-def nothing_either():
-    return found_in(simulate(Scenario(samples=SAMPLES, seed=2)))
-
-
 def truth_of(simulated):
     return {name: entry['value'] for name, entry in simulated.truth[0]['parameters'].items()}
 
 
-def test_nothing_missing_is_said_when_nothing_is(nothing, nothing_either):
-    for diagnosis in (nothing, nothing_either):
-        assert diagnosis.verdict == 'nothing_missing'
-        assert diagnosis.findings == diagnosis.steps == []
-        assert diagnosis.as_dict()['before'] == diagnosis.as_dict()['after']
-        assert 0.8 < np.sqrt(np.mean((diagnosis.after.rmse / diagnosis.noise_floor_rmse) ** 2)) < 1.15
+def test_nothing_missing_is_said_when_nothing_is(nothing):
+    assert nothing.verdict == 'nothing_missing'
+    assert nothing.findings == nothing.steps == []
+    assert nothing.as_dict()['before'] == nothing.as_dict()['after']
+    assert 0.8 < np.sqrt(np.mean((nothing.after.rmse / nothing.noise_floor_rmse) ** 2)) < 1.15
 
 
 def test_a_payload_is_named_with_its_start_and_mass(payload):
@@ -335,6 +327,7 @@ def test_a_node_is_told_the_stamp_of_the_start_and_understands_it_again(payload)
     assert 1e9 * effects[0].span.start_stamp_s == pytest.approx(stamp, abs=1000)
     again = found_in(PAYLOAD(), effects=effects)
     assert again.verdict == 'nothing_missing'
+    assert again.before.nmse.mean() == pytest.approx(payload.after.nmse.mean(), rel=0.05)
     assert worker.declared(again) == worker.declared(payload)  # so that nothing is to be applied
 
 
@@ -371,24 +364,14 @@ def test_friction_is_named_with_its_joint_and_coefficient(friction):
     assert first.parameters['viscous'].value == pytest.approx(truth_of(FRICTION())['viscous'], rel=0.05)
 
 
-def test_the_held_out_error_falls_to_the_noise(payload, joint_offset, friction):
+def test_the_held_out_error_falls_to_the_noise_by_the_true_effect_alone(payload, joint_offset, friction):
     for diagnosis in (payload, joint_offset, friction):
+        assert len(diagnosis.findings) == 1, [finding.effect.kind for finding in diagnosis.findings]
         before, after = diagnosis.before.nmse.mean(), diagnosis.after.nmse.mean()
         assert diagnosis.before.interval()[0] > diagnosis.after.interval()[1]
         assert diagnosis.after.interval()[0] <= after <= diagnosis.after.interval()[1] < before
         floor = relative_floor(diagnosis).mean()
         assert before - after > 0.85 * (before - floor)
-
-
-def test_few_effects_are_added_beside_the_true_one(payload, joint_offset, friction):
-    for diagnosis in (payload, joint_offset, friction):
-        assert len(diagnosis.findings) == 1, [finding.effect.kind for finding in diagnosis.findings]
-
-
-def test_what_is_declared_is_not_missing_any_more(payload):
-    again = found_in(PAYLOAD(), effects=payload.everything.effects)
-    assert again.verdict == 'nothing_missing'
-    assert again.before.nmse.mean() == pytest.approx(payload.after.nmse.mean(), rel=0.05)
 
 
 class Magnet(Effect):
@@ -520,11 +503,6 @@ def test_an_unknown_kind_is_refused_by_name():
         diagnose(BODY, RECORDED, only=('poltergeist',))
 
 
-def test_a_kind_of_the_other_outputs_is_refused_by_name():
-    with pytest.raises(SemiparamError, match="'viscous_friction' does not act on wrench"):
-        diagnose(BODY, RECORDED, only=('viscous_friction',))
-
-
 def test_a_joint_that_stood_still_is_named_and_blamed_for_nothing():
     held = {name: getattr(MOTION, name).copy() for name in ('position', 'velocity', 'acceleration')}
     for name, values in held.items():
@@ -561,8 +539,7 @@ def measured(measured_icub, tmp_path_factory):
 @pytest.mark.slow
 def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found(capsys):
     """A force that acts in a small part of the workspace looks a little like many kinds, and like none."""
-    recording = simulate(Scenario(motion='circle_xy', samples=SAMPLES, seed=1,
-                                  effects=(EffectRequest('bump', size=2.0),)))
+    recording = simulate(Scenario(motion='circle_xy', samples=1000, seed=1, effects=(EffectRequest('bump', size=2.0),)))
     diagnosis = diagnose(body_of(recording), samples_of(recording))
     assert diagnosis.verdict == 'unexplained' and diagnosis.imitated and not diagnosis.findings
     assert diagnosis.structure.formulas and diagnosis.structure.variables
@@ -572,13 +549,12 @@ def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found(capsy
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('kind', 'seed'), [('gravity_tilt', 3), ('effort_offset', 6)])
-def test_an_effect_of_half_a_percent_of_the_error_is_found(kind, seed):
+def test_an_effect_of_half_a_percent_of_the_error_is_found():
     """The evidence for it is overwhelming, and it helps on every block."""
-    found = found_in(simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=seed,
-                                       effects=(EffectRequest(kind, size=0.5),))))
+    found = found_in(simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=3,
+                                       effects=(EffectRequest('gravity_tilt', size=0.5),))))
     first = found.findings[0]
-    assert kind in {first.effect.kind, *(rival.kind for rival in first.rivals)}
+    assert 'gravity_tilt' in {first.effect.kind, *(rival.kind for rival in first.rivals)}
     assert 0.9 < found.after.nmse.mean() / found.before.nmse.mean() < 1.0
 
 
@@ -771,10 +747,3 @@ def test_what_belongs_to_one_recording_is_not_carried_to_another():
     always, _ = CoupledColumns(BODY, [load.with_values(start_s=-1.0)]).batch(RECORDED)
     kept = np.delete(theta, np.arange(blocks['0'].start, blocks['0'].stop))
     np.testing.assert_allclose(judged.residual, RECORDED.outputs - always @ kept, atol=1e-9)
-
-
-def test_found_effects_are_written_in_the_form_that_parameters_hold(payload, friction):
-    from semiparam_ros.effects import effect_from_text
-
-    for effect in (*payload.final.effects, *friction.final.effects):
-        assert effect_from_text(effect_to_text(effect)) == effect

@@ -348,7 +348,7 @@ def test_a_measured_franka_is_explained_as_well_as_by_a_plain_model(shared_data)
     assert found.after.nmse.mean() < 1.05 * plain.nmse(first.samples, judged).mean()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_zeros_tilt_and_crosstalk_gain_nothing_beyond_what_is_found_on_a_measured_icub(measured_icub):
     """Both recordings in one diagnosis, every third sample of them."""
     settings = load_params(measured_icub / 'icub.yaml')

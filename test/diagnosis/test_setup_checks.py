@@ -19,11 +19,19 @@ from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import ICUB_OWN, ICUB_SENSOR, ODD_ARM, ODD_JOINTS, as_recorded, smooth_motion
+from support.arms import (
+    ICUB_JOINTS,
+    ICUB_OWN,
+    ICUB_SENSOR,
+    ODD_ARM,
+    ODD_JOINTS,
+    as_recorded,
+    icub_table,
+    smooth_motion,
+)
 
-ICUB = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 UR3 = ('shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', 'wrist_1_joint', 'wrist_2_joint', 'wrist_3_joint')
-DEGREES = 180.0 / np.pi
+ICUB, DEGREES = ICUB_JOINTS, 180.0 / np.pi
 ROLES = ('position', 'velocity', 'acceleration')
 
 
@@ -39,12 +47,8 @@ def simulated(outputs='wrench', kind=None, motion='fourier', seed=0, samples=100
 
 @cache
 def real_icub():
-    rows = np.loadtxt(SHARED_DATA / 'icub_arm' / 'icubdyn_train.dat')
-    angles = np.radians(rows[:, :12])
-    samples = Samples((np.arange(len(rows)) * 34_500_000).astype(np.int64), angles[:, :4], angles[:, 4:8],
-                      angles[:, 8:], rows[:, 12:], 0)
-    return RigidBody.from_urdf(described('icub_arm/iCubGenova01.urdf'), ICUB, 'wrench', 'r_arm_ft_sensor',
-                               'reaction'), samples
+    return RigidBody.from_urdf(described('icub_arm/iCubGenova01.urdf'), ICUB_JOINTS, 'wrench', ICUB_SENSOR,
+                               'reaction'), icub_table(SHARED_DATA / 'icub_arm' / 'icubdyn_train.dat')
 
 
 @cache
@@ -84,12 +88,6 @@ def scaled(samples, factor, *roles, joint=slice(None)):
 
 
 def swapped(samples, one, other, *roles):
-    order = np.arange(samples.position.shape[1])
-    order[[one, other]] = other, one
-    return replace(samples, **{role: getattr(samples, role)[:, order] for role in roles})
-
-
-def swapped_columns(samples, one, other, *roles):
     order = np.arange(getattr(samples, roles[0]).shape[1])
     order[[one, other]] = other, one
     return replace(samples, **{role: getattr(samples, role)[:, order] for role in roles})
@@ -128,7 +126,7 @@ WRENCH_MISTAKES = {
     'force and torque exchanged': (lambda s: replace(s, outputs=np.roll(s.outputs, 3, axis=1)),
                                    ('force_torque', 'r_arm_ft_sensor')),
     **{f'{name} mirrored': (lambda s, j=joint: scaled(s, -1.0, *ROLES, joint=j), ('joint_direction', name))
-       for joint, name in enumerate(ICUB)},
+       for joint, name in enumerate(ICUB_JOINTS)},
     **{f'{one} and {other} swapped': (lambda s, i=one, j=other: swapped(s, i, j, *ROLES), ('joint_order', ICUB[one]))
        for one, other in itertools.combinations(range(4), 2)},
 }
@@ -193,8 +191,8 @@ def test_mistakes_in_the_real_efforts_of_a_ur3(mistake, expected, shared_data):
     assert expected in found(body, mistake(samples))
 
 
-@pytest.mark.parametrize('name', ['id1.bag', 'id2.bag'])
-@pytest.mark.parametrize(('one', 'other'), [(0, 1), (1, 2), (2, 3), (3, 5), (4, 5)])
+@pytest.mark.parametrize(('name', 'one', 'other'), [('id1.bag', 2, 3), ('id1.bag', 0, 1), ('id2.bag', 1, 2),
+                                                    ('id2.bag', 4, 5)])
 @pytest.mark.parametrize(('roles', 'what'), [
     (('outputs',), 'effort_order'), (('position',), 'position_order'),
     (('velocity', 'acceleration'), 'velocity_order')])
@@ -202,7 +200,7 @@ def test_efforts_positions_or_velocities_of_two_joints_swapped_are_told_as_that(
                                                                                 shared_data):
     """Elbow and first wrist joint of id1 move alike, with a correlation of 0.89."""
     body, samples = real_ur3(name)
-    problem, = setup_problems(body, swapped_columns(samples, one, other, *roles))
+    problem, = setup_problems(body, swapped(samples, one, other, *roles))
     assert (problem.what, problem.where) == (what, UR3[one])
     assert UR3[other] in problem.sentence
 
@@ -211,7 +209,7 @@ def test_efforts_positions_or_velocities_of_two_joints_swapped_are_told_as_that(
 def test_any_two_channels_of_a_wrench_swapped_are_told_as_that(one, other, shared_data):
     body, samples = real_icub()
     channels = body.output_names.index(one), body.output_names.index(other)
-    problem, = setup_problems(body, swapped_columns(samples, *channels, 'outputs'))
+    problem, = setup_problems(body, swapped(samples, *channels, 'outputs'))
     assert (problem.what, problem.where) == ('wrench_order', one)
     assert other in problem.sentence
 
@@ -224,7 +222,7 @@ def test_three_velocities_in_a_circle_are_one_mistake():
     assert all(name in problem.sentence for name in ICUB[:3])
 
 
-@pytest.mark.parametrize('joint', [0, 1, 4, 5])
+@pytest.mark.parametrize('joint', [1, 5])
 @pytest.mark.parametrize(('roles', 'what'), [
     (('position',), 'position_sign'), (('velocity', 'acceleration'), 'velocity_sign'), (('outputs',), 'effort_sign')])
 def test_the_one_sign_that_is_wrong_is_named(joint, roles, what, shared_data):
@@ -299,7 +297,7 @@ def test_stamps_that_repeat_or_jump_do_no_harm():
 @pytest.mark.parametrize('seed', [0, 1])
 def test_fast_motion_at_a_low_rate_is_no_other_robot(outputs, seed):
     """Accelerations that nobody measured make most of the outputs here."""
-    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
     samples = as_recorded(body, smooth_motion(4, 1000, speed=3.0, seed=seed))
     assert setup_problems(body, samples) == []
     opposite = setup_problems(body, replace(samples, outputs=-samples.outputs))

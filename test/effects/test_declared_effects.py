@@ -1,8 +1,9 @@
-"""A declared effect never makes a variant clearly worse; the whole is `python test/support/declared_effects.py`."""
+"""A declared effect never makes a variant clearly worse."""
 
 import pytest
 
 from semiparam_ros.core.robot.size import plausible, size_beyond, size_of
+from semiparam_ros.core.variants import VARIANTS
 from support import declared_effects
 from support.arms import icub
 from support.effect_cases import BODIES
@@ -31,6 +32,18 @@ def test_a_late_effect_does_not_take_drift_for_its_own(monkeypatch):
     *_, late = declared_effects.declared('drifting', ('external_force',))
     assert late.start_s is not None and late.where == 'r_hand'
     assert declared_effects.harm(declared_effects.outcome(('drifting', 'SP-ML', late)), plain) < 1.05
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('variant', VARIANTS)
+@pytest.mark.parametrize('name', [*declared_effects.RECORDINGS, *declared_effects.MEASURED_RECORDINGS])
+def test_no_effect_does_harm_to_any_variant(name, variant, request):
+    if name in declared_effects.MEASURED_RECORDINGS:
+        request.getfixturevalue('shared_data')
+    plain = declared_effects.outcome((name, variant, None))
+    found = [declared_effects.outcome((name, variant, effect)) for effect in declared_effects.declared(name)]
+    harmful = [each for each in found if declared_effects.harm(each, plain) > declared_effects.MOST_HARM]
+    assert not harmful, (plain, harmful)
 
 
 def test_what_is_plausible_follows_the_robots_size():

@@ -5,7 +5,6 @@ must be the difference that the hidden cause makes there.
 """
 
 import importlib
-import json
 import math
 import re
 import sys
@@ -48,8 +47,9 @@ def test_every_kind_at_every_place(outputs, effect):
 
 def check_effect(body: RigidBody, effect: Effect) -> None:
     """Whatever every effect must satisfy; those of other packages too."""
-    for check in (check_text_form, check_sentences, check_coefficients, check_live_equals_offline, check_start,
-                  check_neutral_calibration, check_candidate_columns, check_carried_shapes_have_units):
+    for check in (check_text_form, check_sentences, check_coefficients, check_live_equals_offline,
+                  check_late_and_uneven, check_start, check_neutral_calibration, check_candidate_columns,
+                  check_carried_shapes_have_units):
         check(body, effect)
 
 
@@ -155,33 +155,22 @@ def test_both_outputs_have_the_kinds_that_the_design_lists():
         'common_gain', 'sensor_nonlinearity', 'temperature_friction'}
 
 
-@pytest.mark.parametrize(('outputs', 'effect'), [case for case in CASES if case[1].where], ids=[
-    name for name, case in zip(NAMES, CASES, strict=True) if case[1].where])
-def test_an_unknown_place_is_refused_by_name(outputs, effect):
-    astray = replace(effect, where='r_tentacle')
-    with pytest.raises(SemiparamError, match=r"'r_tentacle'.* expected .* with one of"):
-        CoupledColumns(BODIES[outputs], [disturbed(astray)])
-
-
-BARE = [(outputs, kind(where)) for outputs, body in BODIES.items() for kind in kinds(outputs).values()
-        for where in kind.permitted(body)]
-
-
-@pytest.mark.parametrize(('outputs', 'effect'), BARE, ids=[f'{outputs}-{effect.kind}@{effect.where}'
-                                                           for outputs, effect in BARE])
 @pytest.mark.parametrize('start', [{}, {'start_s': START_S}, {'start_stamp_s': START_S},
                                    {'start_s': START_S, 'end_s': 2 * START_S}, {'end_stamp_s': START_S}],
                          ids=['always', 's', 'stamp', 'between', 'end'])
-def test_every_kind_is_declared_without_values_where_it_is_permitted_and_starts_if_it_can(outputs, effect, start):
-    declared = effect.with_values(**start)
-    if start and effect.is_calibration:  # it has no columns that could begin
-        with pytest.raises(SemiparamError, match=f"effect '{effect.kind}' has a start or an end; expected none"):
-            CoupledColumns(BODIES[outputs], [declared])
-        return
-    assembly = CoupledColumns(BODIES[outputs], [declared])
-    columns, _ = assembly.batch(MOTION[:5])
-    assert columns.shape[2] == assembly.n_columns == assembly.n_own + len(effect.coefficients(BODIES[outputs]))
-    assert np.isfinite(columns).all()
+@pytest.mark.parametrize(('outputs', 'kind'), [(outputs, kind) for outputs in BODIES for kind in kinds(outputs)])
+def test_every_kind_is_declared_without_values_where_it_is_permitted_and_starts_if_it_can(outputs, kind, start):
+    body = BODIES[outputs]
+    for where in kinds()[kind].permitted(body):
+        declared = kinds()[kind](where).with_values(**start)
+        if start and declared.is_calibration:  # it has no columns that could begin
+            with pytest.raises(SemiparamError, match=f"effect '{kind}' has a start or an end; expected none"):
+                CoupledColumns(body, [declared])
+            continue
+        assembly = CoupledColumns(body, [declared])
+        columns, _ = assembly.batch(MOTION[:5])
+        assert columns.shape[2] == assembly.n_columns == assembly.n_own + len(declared.coefficients(body))
+        assert np.isfinite(columns).all()
 
 
 @pytest.mark.parametrize('outputs', BODIES)
@@ -349,10 +338,9 @@ def late_and_uneven() -> Samples:
                    still * MOTION.acceleration[at], MOTION.outputs[at], ORIGIN, temperature=MOTION.temperature[at])
 
 
-@pytest.mark.parametrize(('outputs', 'effect'), CASES, ids=NAMES)
-def test_a_day_later_at_1_khz_columns_are_finite_and_one_at_a_time_they_are_the_same(outputs, effect):
-    """Also at rest, after a pause, and where two samples have one stamp."""
-    samples, assembly = late_and_uneven(), CoupledColumns(BODIES[outputs], [disturbed(effect)])
+def check_late_and_uneven(body: RigidBody, effect: Effect) -> None:
+    """A day later at 1 kHz columns are finite, and one at a time the same; also at rest and after a pause."""
+    samples, assembly = late_and_uneven(), CoupledColumns(body, [disturbed(effect)])
     expected, _ = assembly.batch(samples)
     assert np.isfinite(expected).all()
     memory, rows = None, []
@@ -460,12 +448,6 @@ def test_text_as_a_person_writes_it(text):
     effect = effect_from_text(text)
     assert effect_from_text(effect_to_text(effect)) == effect
     assert effect.kind == text.strip().partition('@')[0].partition('{')[0]
-
-
-def test_values_survive_the_text_form_to_the_last_digit():
-    values = {'offset': 0.1 + 0.2, 'start_s': 1e-17 / 3.0}
-    effect = kinds()['joint_offset'].from_values('r_elbow', values)
-    assert effect_from_text(effect_to_text(effect)).values == values
 
 
 OWN_KIND = '''
@@ -740,12 +722,6 @@ def rigid_body_of(body: RigidBody, samples) -> tuple[float, ...]:
     theta, *_ = np.linalg.lstsq(columns, samples.outputs.ravel(), rcond=1e-13)
     assert share(samples.outputs.ravel() - columns @ theta, samples.outputs) < EXACT * SIZE
     return tuple(theta[:body.n_parameters].tolist())
-
-
-def test_text_forms_are_json_of_numbers():
-    text = effect_to_text(kinds()['thermal_drift'](None, {'time_constant_s': 12.5}))
-    assert text == 'thermal_drift{"time_constant_s": 12.5}'
-    assert json.loads(text.removeprefix('thermal_drift')) == {'time_constant_s': 12.5}
 
 
 # --- docs/reference/effects.md ---

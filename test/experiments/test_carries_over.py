@@ -32,7 +32,7 @@ def ur3(shared_data, tmp_path_factory):
     return found
 
 
-@pytest.mark.parametrize('back', [False, True])
+@pytest.mark.parametrize('back', [False, pytest.param(True, marks=pytest.mark.long)])
 def test_efforts_on_another_motion_are_predicted_as_by_the_plain_model(carries_over, ur3, back):
     first, second = ur3[::-1] if back else ur3
     settings = Settings(outputs='effort', robot_description=first.robot_description)

@@ -1,6 +1,7 @@
 """Exported arms whose inertias are known: simulated by MuJoCo, which shares no code with us."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +21,10 @@ from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR
 
 mujoco = pytest.importorskip('mujoco', reason='MuJoCo is not installed')
 
-from support.mujoco_arm import Robot, recording  # noqa: E402
+from support import mujoco_arm  # noqa: E402
+from support.mujoco_arm import Robot  # noqa: E402
+
+recording = cache(mujoco_arm.recording)
 
 HOME = (-0.6, 0.7, 0.4, 1.0)
 URDF = ICUB_OWN.read_text()

@@ -1,6 +1,6 @@
 """A learner driven through random lives: whatever happens in whatever order, samples are answered once and in order.
 
-    pytest test/online/test_learner_states.py --hypothesis-profile full
+    pytest --long test/online/test_learner_states.py
 
 runs four hundred lives instead of twenty.
 """
@@ -381,8 +381,7 @@ for kind in (Lives, EffortLives):
     kind.TestCase.settings = LIVES
     for name, value in PATCHES.items():
         kind.TestCase.runTest = patch(f'semiparam_ros.{name}', value)(kind.TestCase.runTest)
-TestLives = pytest.mark.timeout(3600)(Lives.TestCase)  # the full form takes minutes
-TestEffortLives = pytest.mark.timeout(3600)(EffortLives.TestCase)
+TestLives, TestEffortLives = Lives.TestCase, EffortLives.TestCase
 
 
 def with_a_window():

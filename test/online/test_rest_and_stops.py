@@ -17,7 +17,8 @@ from support.node_helpers import PERIOD_NS, SETTINGS, InlineBackground, motion
 REST_S = 20.0
 
 
-@pytest.mark.parametrize(('recorded', 'count'), [(panda, 1100), (lambda: ur3('id1'), 1500)], ids=['Franka', 'UR3'])
+@pytest.mark.parametrize(('recorded', 'count'), [pytest.param(panda, 1100, marks=pytest.mark.long, id='Franka'),
+                                                 pytest.param(lambda: ur3('id1'), 1500, id='UR3')])
 def test_twenty_seconds_of_rest_before_a_measured_motion_change_nothing(recorded, count, shared_data):
     """The first moving sample held, with its noise. The error is that of the later moving samples, for three draws of
     features."""

@@ -1,7 +1,6 @@
 """The comparison page in a real browser: no error in its console, nothing fetched, light and dark."""
 
 import functools
-import re
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from semiparam_ros.experiments.comparison import (
 )
 from semiparam_ros.report.comparison_page import page
 from semiparam_ros.settings import Settings
+from support.browser import check_that_it_stands_alone, is_dark
 
 SEEDS = (3, 4)
 
@@ -75,25 +75,11 @@ def test_an_error_in_the_console_would_be_noticed(browse):
 
 @pytest.mark.parametrize(('flags', 'dark'), [([], False), (['--force-dark-mode'], True)])
 def test_the_page_is_light_or_dark_as_the_reader_is(browse, tmp_path, flags, dark):
-    image = pytest.importorskip('matplotlib.image')
-    browse(wrench_page(), *flags, f'--screenshot={tmp_path / "shot.png"}')
-    pixels = image.imread(tmp_path / 'shot.png')[..., :3]
-    assert (float(np.median(pixels)) < 0.3) == dark
-    assert pixels.std() > 0.05  # something is written on it
+    assert is_dark(browse, wrench_page(), tmp_path / 'shot.png', *flags) == dark
 
 
-def test_nothing_is_fetched():
-    addresses = re.findall(r'(?:src|href)="([^"]*)"', wrench_page()) + re.findall(r'url\(([^)]*)\)', wrench_page())
-    assert all(address.startswith(('#', 'data:')) for address in addresses), addresses
-    assert '<script' not in wrench_page()
-
-
-def test_references_inside_pictures_are_met_on_the_page_and_unique():
-    defined = re.findall(r'\bid="([^"]*)"', wrench_page())
-    used = re.findall(r'(?:href="|url\()#([^")]*)', wrench_page())
-    assert len(defined) == len(set(defined))
-    assert used
-    assert set(used) <= set(defined)
+def test_it_stands_alone():
+    check_that_it_stands_alone(wrench_page())
 
 
 def test_names_are_text_not_markup():

@@ -12,8 +12,9 @@ from support.node_helpers import SETTINGS, InlineBackground, motion
 
 
 @pytest.mark.slow
-def test_a_learner_killed_at_any_moment_leaves_a_good_checkpoint():
-    assert checkpoint_kills.main(['--kills', '4', '--features', '100', '--seed', '3']) == 0
+def test_a_learner_killed_at_any_moment_leaves_a_good_checkpoint(tmp_path, long):
+    features, period, kills = (500, 0.5, 100) if long else (100, 0.1, 3)
+    assert checkpoint_kills.kill(checkpoint_kills.Options(tmp_path, features, period), kills)
 
 
 def test_a_node_goes_on_from_its_checkpoint(tmp_path, ros_domain):
@@ -86,9 +87,9 @@ def test_a_second_node_of_the_same_name_says_so_and_does_not_write(tmp_path, ros
 
 
 @pytest.mark.slow
-def test_restarts_with_random_configurations_lose_no_state_of_another(tmp_path, ros_domain):
+def test_restarts_with_random_configurations_lose_no_state_of_another(tmp_path, ros_domain, long):
     restarts = node_restarts.Restarts(tmp_path, 1)
     restarts.number = 2  # the fifth has another node of its name beside it
-    for _ in range(4):
+    for _ in range(100 if long else 3):
         restarts.start()
-    assert restarts.tell() and restarts.done['another node of the same name beside it'] == 1
+    assert restarts.tell() and restarts.done['another node of the same name beside it'] >= 1

@@ -1,21 +1,17 @@
 """The live node in a process of its own, over real DDS on this machine."""
 
-import os
 import re
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import ParameterType
-from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -26,8 +22,7 @@ from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.parameter_table import PARAMETERS
-from support.node_client import BEST_EFFORT, Client, NodeProcess, stamp_of, values_of
-from support.node_faults import Fuzzer, counts_in, with_gaps
+from support.node_client import BEST_EFFORT, Client, NodeProcess
 from support.node_helpers import BODY, JOINTS, PERIOD_NS, SETTINGS, URDF, faster, motion, write_bag
 
 LIVE = replace(SETTINGS, acceleration_source='measured')
@@ -76,17 +71,6 @@ def fresh(count, seed=0):
     shift = Clock.now - samples[0].stamp
     Clock.now += count * 20_000_000 + 10**9
     return [sample._replace(stamp=sample.stamp + shift) for sample in samples]
-
-
-def expected(samples, takeovers, settings=LIVE):
-    """Predictions of the commands' learner, with so many samples from each window to its takeover."""
-    learner = OfflineLearner(settings, [], lambda: None, takeovers)
-    return np.array([learner.step(sample, True).mean for sample in samples])
-
-
-def rejections(client):
-    """How many messages the node has refused so far, for each reason."""
-    return counts_in(client.report('inputs')[2])
 
 
 def replay(bag, *options):
@@ -204,22 +188,6 @@ def test_refused_values_leave_everything_as_it_was_and_say_why(client):
     assert client.set(effects=[])[0].successful, 'an empty list of no type'
 
 
-def test_bad_input_is_refused_counted_and_leaves_the_model_untouched(client):
-    samples, before = with_gaps(fresh(400)), rejections(client)
-    Clock.now = samples[-1].stamp + 10**9
-    fuzzer = Fuzzer(client, JOINTS, samples[0].stamp, seed=1)
-    for sample in samples:
-        fuzzer.throw(sample, bad=2)
-        time.sleep(0.001)
-    client.wait(lambda: len(client.heard['predicted_wrench']) >= 400, 'every good sample is answered')
-    np.testing.assert_allclose(client.values('predicted_wrench'), expected(samples, client.take_over()), rtol=0,
-                               atol=1e-9)
-    wanted = {reason: count + before[reason] for reason, count in fuzzer.rejections().items()}
-    _, _, values = client.wait_report('inputs', lambda level, message, values: all(
-        counts_in(values)[reason] >= count for reason, count in wanted.items()))
-    assert {reason: counts_in(values)[reason] for reason in wanted} == wanted
-
-
 def test_pause_tare_save_and_load(client):
     samples = fresh(300)
     assert 'no prediction of the last second' in client.trigger('tare').message
@@ -250,42 +218,6 @@ def test_pause_tare_save_and_load(client):
     assert client.trigger('load_state').message.endswith('states/none.npz; save_state writes it.')
     refused = client.set(state_file='/none/here.npz')[0]
     assert not refused.successful and 'expected a plain name' in refused.reason
-
-
-def test_a_clock_that_jumps_back_keeps_the_model(client):
-    samples = fresh(220)
-    client.play(client.play_window(samples, JOINTS, 60), JOINTS)
-    client.play(samples[:100], JOINTS)
-    assert client.stamps('residual') == [sample.stamp for sample in [*samples, *samples[:100]]]
-    residuals = np.array(client.values('residual'))
-    assert np.abs(residuals[-90:]).mean() < 1.1 * np.abs(residuals[120:220]).mean(), 'the model was kept'
-    client.wait_report('learning', lambda level, message, values: 'the clock jumped' in values['last news'])
-
-
-def test_a_simulated_clock_that_jumps_back_keeps_the_model(client):
-    samples = fresh(130)
-    client.play(samples, JOINTS)
-    takeovers = client.take_over()
-    clock = client.node.create_publisher(ClockMessage, '/clock', 10)
-    assert client.set(use_sim_time=True)[0].successful
-
-    def followed(second):
-        clock.publish(ClockMessage(clock=Time(sec=second)))
-        return client.heard['/diagnostics'][-1].header.stamp.sec == second
-
-    for second in (50, 20):
-        client.wait(partial(followed, second), 'reports by the simulated clock')
-    client.wait_report('learning', lambda level, message, values: 'the clock jumped' in values['last news'])
-    client.play(samples, JOINTS)
-    assert client.stamps('residual') == [sample.stamp for sample in [*samples, *samples]]
-    assert client.set(use_sim_time=False)[0].successful
-    found = np.array(client.values('predicted_wrench'))
-    np.testing.assert_allclose(found[:130], expected(samples, takeovers), rtol=0, atol=1e-9)
-    estimator = build_estimator(LIVE)
-    for sample in samples:
-        estimator.step(sample)
-    estimator.clear_pending()
-    np.testing.assert_allclose(found[130:], [estimator.step(sample).mean for sample in samples], rtol=0, atol=1e-9)
 
 
 def test_contact_is_flagged_and_diagnostics_tell_the_state(client):
@@ -417,29 +349,10 @@ def test_efforts_best_effort_publishers_and_a_late_description(quiet):
     assert node.stop(signal.SIGTERM) == 0 and 'Traceback' not in node.output
 
 
-def test_two_arms_in_two_namespaces_learn_from_one_replay(quiet, tmp_path):
-    bag = write_bag(tmp_path / 'a.mcap', motion(150))
-    topics = ('joint_states', 'joint_accelerations', 'wrench')
-    for side in ('left', 'right'):
-        quiet(replace(LIVE, initial_samples=60, features_seed=len(side)), '-r', f'__ns:=/{side}',
-              *(part for topic in topics for part in ('-r', f'{topic}:=/{topic}')))
-    with Client('estimator', '/left') as left, Client('estimator', '/right') as right:
-        left.connect()
-        right.connect()
-        played = replay(bag, '--follow', '/left/estimator/residual', '/right/estimator/residual')
-        assert played.returncode == 0, played.stderr
-        for client, seed in ((left, 4), (right, 5)):
-            client.wait(lambda client=client: len(client.heard['predicted_wrench']) == 150, 'all answers')
-            wanted = expected(load_samples(bag, LIVE).samples, client.take_over(), replace(LIVE, features_seed=seed))
-            np.testing.assert_allclose(client.values('predicted_wrench'), wanted, rtol=0, atol=1e-9)
-
-
 @pytest.mark.parametrize(('text', 'sentence'), [
     ('estimator: {ros__parameters: {sensor_frame: ft, features.cuont: 3}}', "nearest is 'features.count'"),
-    ('estimator: {ros__parameters: {sensor_frame: ft, variant: SPK}}', "variant is 'SPK'; expected one of"),
     ('estimator: {ros__parameters: {outputs: wrench}}', 'sensor_frame is empty'),
     ('estimator: {ros__parameters: {sensor_frame: ft, robot_description_file: /none.urdf}}', 'cannot read /none.urdf'),
-    ('estimator: {ros__parameters: {sensor_frame: [1.0, 2]}}', 'mixes types'),
     ('estimator: [', 'not valid YAML in line 1'),
 ])
 def test_a_start_that_cannot_succeed_ends_with_one_sentence(tmp_path, text, sentence):
@@ -449,10 +362,3 @@ def test_a_start_that_cannot_succeed_ends_with_one_sentence(tmp_path, text, sent
     assert result.returncode == 2
     assert sentence in result.stderr and 'Traceback' not in result.stderr
     assert result.stderr.count('\n') == 1
-
-
-def test_helpers_read_what_they_write():
-    message = JointState(position=[1.0])
-    message.header.stamp.sec = 3
-    assert stamp_of(message) == 3 * 10**9 and values_of(message) == [1.0]
-    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'

@@ -1,4 +1,4 @@
-"""Every fault of outside_faults.py in its short form."""
+"""Every fault of outside_faults.py."""
 
 import pytest
 
@@ -6,10 +6,9 @@ from support import outside_faults
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize('fault', outside_faults.FAULTS, ids=lambda fault: fault.__name__)
-def test_the_node_bears_faults_from_outside(ros_domain, tmp_path, fault):
+def test_the_node_bears_faults_from_outside(ros_domain, tmp_path, fault, long):
     try:
-        fault(tmp_path, full=False)
+        print(fault(tmp_path, full=long))
     except outside_faults.NotPossible as reason:
         pytest.skip(str(reason))

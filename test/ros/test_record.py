@@ -92,13 +92,12 @@ def test_it_ends_when_nothing_comes_any_more(tmp_path):
     assert topics_of(out)['/wrench'] == 20 and topics_of(out)['/diagnostics'] > 2
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_and_the_file_is_whole(tmp_path, number):
+def test_a_signal_ends_it_and_the_file_is_whole(tmp_path):
     out = tmp_path / 'out.mcap'
     with recorder(out) as (_, wrench, record):
         for _ in range(50):
             wrench.publish(message_class(WRENCH)())
-        record.interrupt(number)
+        record.interrupt(signal.SIGTERM)
         assert record.wait() == 0, record.output
     assert topics_of(out) == {'/wrench': 50}
     assert record.said('recorded 50 messages') and not list(tmp_path.glob('*.partial'))

@@ -250,14 +250,13 @@ def test_services_and_parameters_steer_a_playback(tmp_path):
     assert looped == [stamp(k, 100) for k in [*range(500, 1000), 0, 1]]
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_with_an_account(tmp_path, number):
+def test_a_signal_ends_it_with_an_account(tmp_path):
     bag = write_robot(tmp_path / 'a.mcap', 1000, rate_hz=10)
     with Peer() as peer:
         peer.listen('/wrench', WRENCH)
         with Tool(tmp_path, 'replay', bag, '--wait-for-subscribers') as tool:
             peer.wait_for(lambda: len(peer.heard['/wrench']) >= 3)
-            tool.interrupt(number)
+            tool.interrupt(signal.SIGTERM)
             assert tool.wait() == 0
     assert tool.said('stopped after') and 'Traceback' not in tool.output
 

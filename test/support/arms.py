@@ -54,6 +54,13 @@ def icub(**options: object) -> RigidBody:
     return RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'wrench', ICUB_SENSOR, **options)  # type: ignore
 
 
+def icub_table(path: Path) -> Samples:
+    """A measured table of the iCub arm: angles, their rates and accelerations in degrees, the reaction; 29 Hz."""
+    rows = np.loadtxt(path)
+    motion = np.split(np.radians(rows[:, :12]), 3, axis=1)
+    return Samples((np.arange(len(rows)) * 34_500_000).astype(np.int64), *motion, rows[:, 12:], 0)
+
+
 def smooth_motion(n_joints: int, count: int, rate: float = 20.0, seed: int = 0, speed: float = 1.0) -> Samples:
     """Sums of sines with exact derivatives; the outputs (N, 1) are zero, for the test to fill."""
     rng = np.random.default_rng(seed)

@@ -1,9 +1,11 @@
-"""A page in a real browser, and what its console says."""
+"""A page in a real browser, what its console says, and whether it needs nothing else."""
 
 import os
+import re
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
@@ -30,3 +32,23 @@ def browse(tmp_path):
                               capture_output=True, text=True, timeout=120, check=True)
         return done.stdout, [line for line in done.stderr.splitlines() if 'CONSOLE' in line]
     return run
+
+
+def is_dark(browse, text, shot, *flags):
+    """Whether a page that has something on it is dark."""
+    from matplotlib import image
+
+    browse(text, *flags, f'--screenshot={shot}')
+    pixels = image.imread(shot)[..., :3]
+    assert pixels.std() > 0.05
+    return float(np.median(pixels)) < 0.3
+
+
+def check_that_it_stands_alone(text):
+    """Nothing is fetched or run, and each reference within the page is met by one place in it."""
+    addresses = re.findall(r'(?:src|href)="([^"]*)"', text) + re.findall(r'url\(([^)]*)\)', text)
+    assert all(address.startswith(('#', 'data:')) for address in addresses), addresses
+    assert '<script' not in text
+    defined = re.findall(r'\bid="([^"]*)"', text)
+    assert len(defined) == len(set(defined))
+    assert set() < set(re.findall(r'(?:href="|url\()#([^")]*)', text)) <= set(defined)

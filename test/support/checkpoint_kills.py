@@ -1,23 +1,20 @@
 """Kills a learner that saves checkpoints, again and again at random times, and looks at what is left.
 
-    python test/support/checkpoint_kills.py --kills 100 --features 500 --seed 1
-
 Each process goes on from the newest checkpoint of the one before. What must hold after every kill: the newest
 checkpoint can be loaded, and is no older than the last one that the process reported as written. And at the end: what
 the last process says is what a learner says that was never killed, bit for bit.
 """
 
-import argparse
 import os
 import pickle
 import random
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 os.environ.setdefault('OMP_NUM_THREADS', '1')  # read when numpy is loaded
 
@@ -32,6 +29,15 @@ from support.node_helpers import BODY, SETTINGS, InlineBackground, motion
 
 NAME, MOST_SAMPLES = 'estimator', 4000
 EFFECTS = ('time_delay{"delay_s": 0.005}',)
+
+
+class Options(NamedTuple):
+    """Where, how large a model, and how often it is saved [s]; ``pause_s``: between two samples."""
+
+    folder: Path
+    features: int
+    period: float
+    pause_s: float = 0.002
 
 
 def settings_of(options):
@@ -59,7 +65,7 @@ def learn(options):
             due += settings.checkpoint_period
             tell('begun', count)
             checkpoints.save_in_thread(learner.state(), lambda error, count=count: tell(error or 'written', count))
-        time.sleep(options.pause)
+        time.sleep(options.pause_s)
     checkpoints.wait()
     checkpoints.save(learner.state())
     tell('written', len(samples))
@@ -103,39 +109,19 @@ def kill_once(options, chance):
 
 
 def start(options):
-    command = [sys.executable, __file__, '--learn', '--folder', options.folder, '--features', options.features,
-               '--period', options.period, '--pause', options.pause]
-    return subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen([sys.executable, __file__, *map(str, options)], stdout=subprocess.PIPE, text=True)
 
 
-def main(arguments=None):
-    """0 when all holds; prints the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--kills', type=int, default=100)
-    parser.add_argument('--features', type=int, default=500)
-    parser.add_argument('--period', type=float, default=0.1)
-    parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--folder', type=Path)
-    parser.add_argument('--pause', type=float, default=0.002, help=argparse.SUPPRESS)
-    parser.add_argument('--learn', action='store_true', help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
-    if options.learn:
-        learn(options)
-        return 0
-    with tempfile.TemporaryDirectory() as folder:
-        options.folder = options.folder or Path(folder)
-        return 0 if kill(options) else 1
-
-
-def kill(options):
-    settings, chance = settings_of(options), random.Random(options.seed)
-    samples = motion(min(400 + 100 * options.kills, MOST_SAMPLES))
+def kill(options, kills, seed=3):
+    """Whether all holds after so many kills; prints the figures."""
+    settings, chance = settings_of(options), random.Random(seed)
+    samples = motion(min(400 + 100 * kills, MOST_SAMPLES))
     (options.folder / 'states').mkdir()
     (options.folder / 'samples').write_bytes(pickle.dumps(samples))
     checkpoints = Checkpoints(options.folder / 'states', NAME)
     unloadable = older = interrupted = left = 0
     lost = []
-    for _ in range(options.kills):
+    for _ in range(kills):
         told, killed = kill_once(options, chance)
         errors = [what for what, _, _ in told if what not in ('ready', 'begun', 'written', 'finished')]
         assert not errors, errors
@@ -151,8 +137,7 @@ def kill(options):
         if have >= len(samples) - 200:  # the motion is over: from the start again
             for path in (checkpoints.path, checkpoints.previous):
                 path.unlink(missing_ok=True)
-    options.pause = 0.0
-    with start(options) as process:
+    with start(options._replace(pause_s=0.0)) as process:
         list(lines_until(process, lambda what: False))
     finished = checkpoints.newest(settings, BODY)
     whole = new_learner(settings)
@@ -162,7 +147,7 @@ def kill(options):
     equal = np.array_equal(expected.mean, found.mean) and np.array_equal(expected.std, found.std)
     size = checkpoints.path.stat().st_size
     hidden = [name for name in os.listdir(options.folder / 'states') if name.startswith('.')]
-    print(f'{options.kills} kills, {interrupted} of them while a checkpoint of {size / 1e6:.1f} MB was being written, '
+    print(f'{kills} kills, {interrupted} of them while a checkpoint of {size / 1e6:.1f} MB was being written, '
           f'{left} left a temporary file, {len(hidden)} of which are there at the end')
     print(f'checkpoints that cannot be loaded: {unloadable}; older than the last one written: {older}')
     print(f'lost at a period of {options.period:g} s: {np.mean(lost):.3f} s on average, {max(lost):.3f} s at most')
@@ -171,4 +156,4 @@ def kill(options):
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    learn(Options(Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4])))

@@ -1,27 +1,16 @@
 """Every variant with every kind of effect declared, beside the same variant without it, on recordings.
 
-    python test/support/declared_effects.py            all kinds, variants and recordings: four hours of one core
-    python test/support/declared_effects.py --kinds payload --variants SP-ML --recordings icub_xy
-
 A declared effect may be of no use, and the initial window may not excite it; it must never do harm. Each model learns
 the recording as the node does, sample by sample, and is judged by what it predicts after its initial window.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
-
-os.environ.setdefault('OMP_NUM_THREADS', '1')
-os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np
 from scipy.signal import lfilter
@@ -31,7 +20,6 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
@@ -39,6 +27,7 @@ from semiparam_ros.settings import Settings, load_params
 from semiparam_ros.settings.build import build_rigid_body
 from semiparam_ros.simulation.scenario import Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support.arms import ICUB_JOINTS, ICUB_SENSOR, icub_table
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 MEASURED = REPOSITORY.parent / 'shared' / 'data'
@@ -122,14 +111,9 @@ def panda() -> Recording:
 
 def icub(name: str) -> Recording:
     """The measured iCub: degrees, 29 Hz, the reaction at the sensor."""
-    rows = np.loadtxt(MEASURED / f'icub_arm/icubdyn_{name}.dat')
-    motion = np.deg2rad(rows[:, :12])
-    body = RigidBody.from_urdf((MEASURED / 'icub_arm/iCubGenova01.urdf').read_text(),
-                               ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow'), 'wrench',
-                               'r_arm_ft_sensor', 'reaction')
-    stamps = (np.arange(len(rows)) * 34_500_000).astype(np.int64)
-    return Recording(body, thinned(Samples(stamps, motion[:, :4], motion[:, 4:8], motion[:, 8:12], rows[:, 12:18], 0),
-                                   1))
+    urdf = (MEASURED / 'icub_arm/iCubGenova01.urdf').read_text()
+    body = RigidBody.from_urdf(urdf, ICUB_JOINTS, 'wrench', ICUB_SENSOR, 'reaction')
+    return Recording(body, thinned(icub_table(MEASURED / f'icub_arm/icubdyn_{name}.dat'), 1))
 
 
 def thinned(samples: Samples, every: int) -> Samples:
@@ -202,40 +186,3 @@ def harm(found: dict[str, object], plain: dict[str, object]) -> float:
         return float('inf')
     ratio = (float(str(found['error'])) + FLOOR) / (float(str(plain['error'])) + FLOOR)
     return ratio if np.isfinite(ratio) else float('inf')
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
-    everything = RECORDINGS | (MEASURED_RECORDINGS if MEASURED.is_dir() else {})
-    parser.add_argument('--recordings', nargs='+', default=list(everything), choices=everything)
-    parser.add_argument('--variants', nargs='+', default=list(VARIANTS), choices=VARIANTS)
-    parser.add_argument('--kinds', nargs='+', default=[])
-    parser.add_argument('--late', action='store_true', help='effects that begin late alone: most harm is theirs')
-    parser.add_argument('--jobs', type=int, default=os.cpu_count())
-    parser.add_argument('--json', type=Path, metavar='FILE')
-    args = parser.parse_args()
-    cases = [(name, variant, effect) for name in args.recordings for variant in args.variants
-             for effect in (None, *declared(name, tuple(args.kinds)))
-             if effect is None or effect.start_s is not None or not args.late]
-    plain: dict[object, dict[str, object]] = {}
-    results: list[dict[str, object]] = []
-    with ProcessPoolExecutor(args.jobs) as pool:
-        for found in pool.map(outcome, cases):
-            key = found['recording'], found['variant']
-            if not found['effect']:
-                plain[key] = found
-                continue
-            results.append({**found, 'harm': harm(found, plain[key])})
-            if results[-1]['harm'] > MOST_HARM:  # type: ignore[operator]
-                print(json.dumps(results[-1] | {'plain': plain[key].get('error')}), flush=True)
-    worst = max((float(str(found['harm'])) for found in results), default=1.0)
-    harmful = sum(float(str(found['harm'])) > MOST_HARM for found in results)
-    summary = {'cases': len(results), 'harmful': harmful, 'worst': worst}
-    print(json.dumps(summary))
-    if args.json:
-        args.json.write_text(json.dumps({**summary, 'results': results}, indent=1) + '\n', encoding='utf-8')
-    return bool(harmful)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

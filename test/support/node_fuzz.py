@@ -1,34 +1,25 @@
 """A node under fire for minutes, beside a node that gets only the good samples.
 
-    python test/support/node_fuzz.py --seconds 600 --rate 200 --seed 1
-
 Every kind of bad message, robot descriptions that are none, parameter changes that must be refused and services called
 in bad moments reach one node; both get the same good samples. At the end stand the counts, the memory, and how far the
-two nodes differ in what they said and in what they learnt. Exit code 0: it lives, it refused all of it, they agree.
+two nodes differ in what they said and in what they learnt.
 
-With --settings random changes of every live parameter, valid or not, and the services that change the model are thrown
+For random changes of every live parameter, valid or not, and the services that change the model are thrown
 too, at one node, for nothing is left to compare with: see node_settings.py.
 """
 
-import argparse
 import json
-import os
 import random
-import sys
-import tempfile
 import time
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from std_msgs.msg import String
 
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.parameter_table import PARAMETERS
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
-
 from support import node_settings
 from support.invalid_requests import InvalidRequests
 from support.node_client import RECENT, Client, Gaps, NodeProcess, resident_mb, stamp_of, values_of
@@ -120,6 +111,16 @@ class Pair:
         self.opened.close()
 
 
+class Options(NamedTuple):
+    """How long [s], at what rate [Hz] good samples come, the choice of the others, and the size of the model."""
+
+    seconds: float
+    features: int
+    window: int
+    rate: float = 200.0
+    seed: int = 2
+
+
 def settings_of(options):
     return replace(SETTINGS, robot_description='', acceleration_source='measured', features_count=options.features,
                    initial_samples=options.window, horizon_length=25)
@@ -185,27 +186,3 @@ def tell(found):
             and found['gap_s'] < node_settings.MOST_SILENT_S and found['parameters equal']
             and all(counted == wanted for counted, wanted in found['counted'].values())
             and max(*found['worst'].values(), found['apart']) == 0.0 and memory[-1][0] < early[0] + 10.0)
-
-
-def main(argv=None):
-    """0 when the node lives, has refused everything, and equals the other; 1 otherwise."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--seconds', type=float, default=600.0)
-    parser.add_argument('--rate', type=float, default=200.0, help='good samples a second')
-    parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--settings', action='store_true', help='change the settings too; one node')
-    parser.add_argument('--features', type=int, default=500, help='features.count')
-    parser.add_argument('--window', type=int, default=1000, help='initial.samples')
-    options = parser.parse_args(argv)
-    os.environ.setdefault('ROS_DOMAIN_ID', '59')
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    for name in ('MALLOC_MMAP_THRESHOLD_', 'MALLOC_TRIM_THRESHOLD_'):
-        os.environ.setdefault(name, '65536')  # glibc keeps more otherwise, which would look like memory in use
-    with tempfile.TemporaryDirectory() as folder:
-        if options.settings:
-            return int(not node_settings.tell(node_settings.fuzz(Path(folder), options, settings_of(options))))
-        return int(not tell(fuzz(Path(folder), options)))
-
-
-if __name__ == '__main__':
-    sys.exit(main())

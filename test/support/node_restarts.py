@@ -1,27 +1,18 @@
 """A node started again and again, with random configurations, over one folder of states.
 
-    python test/support/node_restarts.py --starts 100 --seed 1
-
 Each start draws its number and seed of features, its window and its variant, and whether it goes on from a checkpoint.
 It learns, saves by itself and when asked, exports, and ends by SIGINT, SIGTERM or SIGKILL; in every fifth another node
 of its name runs beside it for a while. After each start every state of another configuration that was there before is
-there still, under whatever name. Exit code 0: none was lost, and nothing went wrong inside a node.
+there still, under whatever name.
 """
 
-import argparse
 import json
-import os
 import random
 import signal
-import sys
-import tempfile
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
 
 from semiparam_ros.online.state_file import FIXED
 from semiparam_ros.settings import dump_params
@@ -124,22 +115,3 @@ class Restarts:
         for sentence in self.lost:
             print(f'WRONG: {sentence}')
         return not (self.lost or self.done['internal errors'] or files['unreadable'])
-
-
-def main(argv=None):
-    """0 when nothing was lost; 1 otherwise."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--starts', type=int, default=100)
-    parser.add_argument('--seed', type=int, default=1)
-    options = parser.parse_args(argv)
-    os.environ.setdefault('ROS_DOMAIN_ID', '57')
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with tempfile.TemporaryDirectory() as folder:
-        restarts = Restarts(Path(folder), options.seed)
-        for _ in range(options.starts):
-            restarts.start()
-        return int(not restarts.tell())
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,13 +1,9 @@
 """Faults from outside that a live node meets: its disk, its worker processes, its clock and its publishers.
 
-    python test/support/outside_faults.py            # in full, several minutes; prints the counts of docs/robustness.md
-    python test/support/outside_faults.py --only clock
-
 Each function is one fault: it starts a node in a process of its own, brings the fault about, checks that every good
 sample is answered once and in order and that the node recovers, and returns counts. ``full``: longer, more often.
 """
 
-import argparse
 import contextlib
 import os
 import random
@@ -15,8 +11,6 @@ import resource
 import signal
 import struct
 import subprocess
-import sys
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -29,9 +23,6 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from semiparam_ros.settings import dump_params
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
-
 from support.node_client import TYPES, Client, NodeProcess, Robot, messages, resident_mb, set_stamp
 from support.node_helpers import JOINTS, SETTINGS, motion
 
@@ -287,6 +278,7 @@ def _clock_jumps(folder, settings, times):
             message = Time()
             set_stamp(message, robot.samples[robot.played].stamp)
             clock.publish(Clock(clock=message))
+        client.wait_report('learning', lambda level, message, values: 'the clock jumped' in values['last news'])
         robot.move(part)
         residual = np.abs(client.values('residual'))
         assert residual[-part:].mean() < 3.0 * residual[180:200].mean(), 'the model was kept'
@@ -449,27 +441,3 @@ def _at(count, rate):
 FAULTS = (full_disk, read_only_folder, killed_while_estimating, out_of_memory_while_estimating, killed_while_building,
           killed_while_diagnosing, clock_jumps, one_stamp_of_next_year, two_publishers, other_joint_names,
           ten_kilohertz)
-
-
-def main(argv=None):
-    """0 when the node bears every fault."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--only', default='', help='part of the name of a fault')
-    parser.add_argument('--short', action='store_true', help='as in the tests')
-    options = parser.parse_args(argv)
-    os.environ.setdefault('ROS_DOMAIN_ID', '58')
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    for fault in FAULTS:
-        if options.only in fault.__name__:
-            with tempfile.TemporaryDirectory() as folder:
-                try:
-                    found = fault(Path(folder), not options.short)
-                except NotPossible as reason:
-                    found = {'not possible': reason}
-            counts = '; '.join(f'{name} {value}' for name, value in found.items())
-            print(f'| {fault.__doc__.splitlines()[0]} | {counts} |', flush=True)
-    return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,26 +1,12 @@
 """Every live parameter at both ends of its range, one after the other, while samples come at a rate.
 
-    python test/support/parameter_ends.py --rate 200 --history 10000
-
-A node learns ``--history`` samples first, which a changed model has to learn again. Each change must be accepted, or
+A node learns a history first, which a changed model has to learn again. Each change must be accepted, or
 refused in one sentence where it depends on others; every sample is answered, a parameter is read in between, and the
-change is undone. At the end stand, for each value, how late the answers came in periods of the rate. Exit code 0: all
-were answered and undone, and but for the longest horizon half of the answers came within two periods.
+change is undone.
 """
 
-import argparse
-import os
-import sys
-import tempfile
 import time
 from dataclasses import replace
-from pathlib import Path
-
-import numpy as np
-from rich.console import Console
-from rich.table import Table
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
 
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import kinds
@@ -135,33 +121,3 @@ def run(folder, rate, history, each, features):
         memory = resident_mb(node.process.pid)
         code = node.stop()
     return found.rows, found.wrong, internal + node.output.count('Traceback'), code, memory
-
-
-def main(argv=None):
-    """0 when all were answered and undone, in time; 1 otherwise."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--rate', type=float, default=200.0, help='samples a second (default 200)')
-    parser.add_argument('--history', type=int, default=10_000, help='samples learnt before (default 10000)')
-    parser.add_argument('--each', type=int, default=100, help='samples with each value (default 100)')
-    parser.add_argument('--features', type=int, default=200, help='features.count (default 200)')
-    options = parser.parse_args(argv)
-    os.environ.setdefault('ROS_DOMAIN_ID', '58')
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with tempfile.TemporaryDirectory() as folder:
-        rows, wrong, internal, code, memory = run(Path(folder), options.rate, options.history, options.each,
-                                                  options.features)
-    wrong += [f'{name} {value!r:.60}: half of the answers came later' for name, value, _, late in rows
-              if np.median(late) * options.rate > PERIODS and (name, value) != TOO_LONG]
-    table = Table('parameter', 'value', 'accepted', 'median', '99 %', 'latest [periods]')
-    for name, value, accepted, late in rows:
-        quantiles = np.quantile(late, (0.5, 0.99, 1.0)) * options.rate
-        table.add_row(name, f'{value!r:.40}', f'{accepted:.200}', *(f'{each:.2f}' for each in quantiles))
-    Console(width=120).print(table)
-    for sentence in wrong:
-        print(f'WRONG: {sentence}')
-    print(f'{len(rows)} values; internal errors: {internal}; exit code after SIGINT: {code}; memory {memory:.0f} MB')
-    return int(bool(wrong or internal or code))
-
-
-if __name__ == '__main__':
-    sys.exit(main())

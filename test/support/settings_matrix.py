@@ -1,8 +1,5 @@
 """Every pair of settings, run through the real path: messages, samples, learner, state file.
 
-    python test/support/settings_matrix.py                      every row with 20000 samples
-    python test/support/settings_matrix.py --samples 300 17 42  two rows, as in `make test`
-
 All-pairs testing: covertable chooses rows such that any two values of two different factors meet in one of them, and
 any three of the groups in ``TRIPLES``.
 
@@ -12,22 +9,13 @@ half-way and loaded into another one. All three must say the same of every sampl
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
-import os
-import sys
 import tempfile
-import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
-
-os.environ.setdefault('OMP_NUM_THREADS', '1')
-os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np
 from covertable import make
@@ -45,15 +33,12 @@ from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import Effect
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import state_file
-from semiparam_ros.online.change_watch import ChangeRecord
-from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.learner import Answer
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for a start by its path
-
 from support.estimates import Estimates
+from support.learner_stage import Stage
 from support.node_helpers import JOINTS, URDF, DelayedBackground, InlineBackground
 
 OUTPUTS = 'wrench', 'effort'
@@ -315,15 +300,13 @@ class Record:
         self.final = {**estimator.model.recursion.state(), 'bias': tare.bias}
 
 
-class Live:
+class Live(Stage):
     """The node's learner, its background at once or late."""
 
     def __init__(self, row: Row, settings: Settings) -> None:
-        self.record = Record()
-        self._delayed = row['background'] == 'delayed'
-        self.background = DelayedBackground() if self._delayed else InlineBackground()
-        self.external = ExternalWrench(body_of_settings(settings), 'ft')
-        self.learner = Learner(settings, body_of_settings(settings), self.background, self)
+        self.record, body = Record(), body_of_settings(settings)
+        self.external = ExternalWrench(body, 'ft')
+        super().__init__(settings, DelayedBackground() if row['background'] == 'delayed' else InlineBackground(), body)
         self._offered = 0
 
     def answered(self, answer: Answer) -> None:
@@ -334,21 +317,6 @@ class Live:
 
     def horizon_completed(self, errors: HorizonErrors) -> None:
         self.record.horizon(errors)
-
-    def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
-        raise AssertionError(f'there is no shadow {variant}')
-
-    def told(self, sentence: str) -> None:
-        self.record.news.append(sentence)
-
-    def model_switched(self, success: bool, sentence: str) -> None:
-        raise AssertionError(sentence)
-
-    def settings_reverted(self, settings: Settings) -> None:
-        raise AssertionError('no setting was changed')
-
-    def change_told(self, record: ChangeRecord) -> None:
-        self.record.news.append(record.sentence)
 
     def failed(self, place: str, error: BaseException) -> None:
         raise AssertionError(f'{place}: {type(error).__name__}: {error}') from error
@@ -361,8 +329,15 @@ class Live:
                 self.run_background()
 
     def run_background(self) -> None:
-        if self._delayed:
+        if isinstance(self.background, DelayedBackground):
             self.background.run()
+
+    def finish(self) -> Record:
+        """What was said, when nothing else was."""
+        assert not self.reverted and not self.horizons, self.news
+        self.record.news = self.news
+        self.record.finish(self.learner.estimator, self.learner.tare)
+        return self.record
 
 
 def outside(external: ExternalWrench, prediction: Prediction, residual: np.ndarray,
@@ -413,8 +388,7 @@ def live(row: Row, settings: Settings, samples: list[Sample], tares: list[int],
     for stage in (first, second):
         _offer_with_tares(stage, samples[half:], [index - half for index in tares])
         stage.run_background()
-        stage.record.finish(stage.learner.estimator, stage.learner.tare)
-    return first.record, second.record, first.learner.takeovers
+    return first.finish(), second.finish(), first.learner.takeovers
 
 
 def _offer_with_tares(stage: Live, samples: list[Sample], tares: list[int]) -> None:
@@ -433,13 +407,12 @@ ESTIMATES = Estimates(starts=1)
 
 @patch('semiparam_ros.core.model.estimate', ESTIMATES)
 @patch('semiparam_ros.online.renewal.SHARE', 2.0)
-def check(row: Row, count: int) -> dict[str, object]:
-    """Run one row; AssertionError says what does not hold. Returns figures.
+def check(row: Row, count: int) -> None:
+    """Run one row; AssertionError says what does not hold.
 
     Windows are so short here that usual motion leaves them. When live the models that follow would take over is
     the background's affair, so there are none; test/online/test_renewal.py compares them.
     """
-    started = time.perf_counter()
     ESTIMATES.known.clear()
     settings, outputs = settings_of(row, count), str(row['outputs'])
     motion = raw_motion(outputs, str(row['still']), count)
@@ -464,8 +437,6 @@ def check(row: Row, count: int) -> dict[str, object]:
         assert any(answer[2] for answer in expected.answers), 'no contact was seen'
     assert_same('live and offline', whole, expected, since=0)
     assert_same('loaded and uninterrupted', resumed, whole, since=len(recorded) // 2)
-    return {'samples': 2 * len(recorded) + len(recorded) - len(recorded) // 2,
-            'seconds': time.perf_counter() - started}
 
 
 def assert_same_samples(one: list[Sample], other: list[Sample]) -> None:
@@ -494,38 +465,3 @@ def assert_same(what: str, one: Record, other: Record, since: int) -> None:
         assert np.array_equal(values, other.final[name]), f"{what}: the final '{name}' differs"
 
 
-# The full form
-
-def outcome(number: int, count: int) -> dict[str, object]:
-    """Figures of one row, or what does not hold."""
-    try:
-        return {'row': number, **check(rows()[number], count)}
-    except Exception as error:
-        return {'row': number, 'settings': rows()[number], 'error': f'{type(error).__name__}: {error}'[:2000]}
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
-    parser.add_argument('rows', nargs='*', type=int, help='numbers of rows (default: all)')
-    parser.add_argument('--samples', type=int, default=20_000)
-    parser.add_argument('--jobs', type=int, default=os.cpu_count())
-    parser.add_argument('--json', type=Path, metavar='FILE')
-    args = parser.parse_args()
-    numbers, started, found = args.rows or range(len(rows())), time.monotonic(), []
-    with ProcessPoolExecutor(args.jobs) as pool:
-        for result in pool.map(outcome, numbers, itertools.repeat(args.samples)):
-            found.append(result)
-            print(result.get('error', 'ok')[:400], result['row'], flush=True)
-    failed = [result for result in found if 'error' in result]
-    summary = {'rows': len(found), 'failed': len(failed),
-               'pairs': len(set().union(*(pairs_of(rows()[number]) for number in numbers))),
-               'samples': sum(int(result.get('samples', 0)) for result in found),
-               'duration_s': round(time.monotonic() - started), 'jobs': args.jobs}
-    print(json.dumps(summary))
-    if args.json:
-        args.json.write_text(json.dumps({**summary, 'results': found}, indent=1) + '\n', encoding='utf-8')
-    return bool(failed)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
