@@ -278,12 +278,12 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
         if change == 'load' and number == 1:  # it is put down
             near = [record for record in told if abs(seconds(record.change.ended) - at) < NAMED_S]
             named += bool(near)
-            delays += [seconds(near[0].change.told) - at] if near else []
+            delays += [seconds(near[0].change.noticed) - at] if near else []
             right |= {record.change.number for record in near}
             continue
-        near = [record for record in told if at - 3.0 < seconds(record.change.told) < at + NAMED_S]
+        near = [record for record in told if at - 3.0 < seconds(record.change.noticed) < at + NAMED_S]
         right |= {record.change.number for record in near}
-        delays += [seconds(near[0].change.told) - at] if near else []
+        delays += [seconds(near[0].change.noticed) - at] if near else []
         found = [
             record
             for record in near

@@ -48,7 +48,7 @@ from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.learner import Answer, Learner
-from semiparam_ros.online.renewal import LaterWindow
+from semiparam_ros.online.renewal import RecentWindow
 from semiparam_ros.online.worker import Done, Job, Result, absorb
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
@@ -218,7 +218,7 @@ class LateBackground(InlineBackground):
         """See :class:`Background`."""
         if function is absorb:
             return super().submit(function, *arguments, done=done)
-        draft = any(given is True or (isinstance(given, LaterWindow) and given.draft) for given in arguments)
+        draft = any(given is True or (isinstance(given, RecentWindow) and given.draft) for given in arguments)
         after = self._draft_after if draft else self._after
         return super().submit(function, *arguments, done=lambda *given: self._waiting.append(
             (after, partial(done, *given))))
@@ -273,11 +273,11 @@ class Listener:
     def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
         pass
 
-    def told(self, sentence: str) -> None:
+    def announce(self, sentence: str) -> None:
         print(f'{self.now:.1f} s: {sentence}', file=sys.stderr)
 
     def model_switched(self, success: bool, sentence: str) -> None:
-        self.told(sentence)
+        self.announce(sentence)
 
     def change_told(self, record: ChangeRecord) -> None:
         """Nothing is asked of it here."""

@@ -75,7 +75,7 @@ class Program:
                 raise SemiparamError(f'{self.name}: {what} did not happen within {timeout_s:g} s{self._last_words()}')
             time.sleep(POLL_S)
 
-    def said(self, text: str) -> bool:
+    def has_logged(self, text: str) -> bool:
         """Whether its log holds a text."""
         return self.log is not None and text in self.log.read_text(errors='replace')
 
@@ -162,12 +162,12 @@ def play(args: argparse.Namespace, environment: dict[str, str], seam: float) -> 
     replay = ['replay', args.bag, '--as-fast-as-followed', '--disable-keyboard-controls', '--json']
     with (Program(node, environment, folder / 'estimator.log') as estimator,
           Program(record, environment, folder / 'record.log') as recorder):
-        recorder.wait_for(lambda: recorder.said('recording'), 'the estimator was found', START_S)
+        recorder.wait_for(lambda: recorder.has_logged('recording'), 'the estimator was found', START_S)
         say(f'{args.bag.name} is played into the live node; the hyperparameters are estimated from its first '
             f'{seam:.0f} s.')
         with Program([*replay, folder / 'window.json', '--until', seam], environment) as player:
             player.finish(PLAY_S, beside=(estimator, recorder))
-        estimator.wait_for(lambda: estimator.said('has its hyperparameters and takes over'),
+        estimator.wait_for(lambda: estimator.has_logged('has its hyperparameters and takes over'),
                            'its hyperparameters were estimated', PLAY_S)
         say('they are estimated; the rest is predicted and learnt sample by sample.')
         with Program([*replay, folder / 'replay.json', '--start-offset', seam], environment) as player:

@@ -228,12 +228,12 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
 
 def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction, Array], None]:
     """Appends a line for each prediction of the variant's own."""
-    def told(prediction: Prediction, widening: Array) -> None:
+    def append(prediction: Prediction, widening: Array) -> None:
         if prediction.ready:
             found = external.of(prediction, prediction.sample.outputs - prediction.mean, widening)
             numbers = [*found.wrench.tolist(), *found.std.tolist()]
             rows.append(','.join([str(prediction.sample.stamp), *map(repr, numbers)]))
-    return told
+    return append
 
 
 def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, Scores],

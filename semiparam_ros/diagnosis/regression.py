@@ -21,7 +21,8 @@ from semiparam_ros.effects import Effect
 
 LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'felt', 'at_prior')
+OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'support',
+              'at_prior')
 """What neither its weights nor its outputs change."""
 
 
@@ -37,7 +38,7 @@ class Block(NamedTuple):
 
     cause: Effect | str
     columns: Array
-    felt: list[Indices]
+    support: list[Indices]
 
 
 class Channel(NamedTuple):
@@ -162,10 +163,11 @@ class Fit:
                 for used, counted in zip(self.in_use, self.counted.T, strict=True)]
 
     @cached_property
-    def felt(self) -> list[Indices]:
+    def support(self) -> list[Indices]:
         """(p_k,) of each channel k the numbers of the columns that are not zero there."""
         starts = np.cumsum([0, *(block.columns.shape[2] for block in self.blocks)])
-        return [np.concatenate([start + block.felt[channel] for start, block in zip(starts, self.blocks, strict=False)])
+        return [np.concatenate([start + block.support[channel]
+                                for start, block in zip(starts, self.blocks, strict=False)])
                 for channel in range(len(self.scale))]
 
     @cached_property
@@ -176,7 +178,7 @@ class Fit:
     def channel(self, number: int, known: Channel | None = None) -> Channel:
         """What one channel feels: the ``known`` one where that has the same blocks."""
         order, used = self.order[number], len(self.in_use[number])
-        blocks = [block for block in self.blocks if len(block.felt[number])]
+        blocks = [block for block in self.blocks if len(block.support[number])]
         if known is not None and list(map(id, known.blocks)) == list(map(id, blocks)):
             return known
         there = {} if known is None else _places(known.blocks, number)
@@ -188,8 +190,8 @@ class Fit:
                 before = there[id(block)][0]
                 columns[first:last + 1] = known.columns[before:before + last + 1 - first]
                 continue
-            for row, felt in zip(columns[first:last + 1], block.felt[number].tolist(), strict=True):
-                np.take(block.columns[:, number, felt], order, out=row, mode='clip')  # 'raise' would buffer
+            for row, support in zip(columns[first:last + 1], block.support[number].tolist(), strict=True):
+                np.take(block.columns[:, number, support], order, out=row, mode='clip')  # 'raise' would buffer
         return Channel(blocks, columns, _products_of(columns[:, :used], places, there, known))
 
     @property
@@ -205,8 +207,8 @@ class Fit:
     def predicted(self, theta: Array) -> Array:
         """(N, n) C theta."""
         outputs = np.empty(self.samples.outputs.shape)
-        for number, (channel, order, felt) in enumerate(zip(self.channels, self.order, self.felt, strict=True)):
-            outputs[order, number] = theta[felt] @ channel.columns
+        for number, (channel, order, support) in enumerate(zip(self.channels, self.order, self.support, strict=True)):
+            outputs[order, number] = theta[support] @ channel.columns
         return outputs
 
     @cached_property
@@ -218,8 +220,8 @@ class Fit:
     def factor(self) -> tuple[Array, bool]:
         """Cholesky factor of the regularised normal matrix."""
         normal = np.diag(self._precision())
-        for channel, felt, scale in zip(self.channels, self.felt, self.scale, strict=True):
-            normal[np.ix_(felt, felt)] += channel.gram / scale**2
+        for channel, support, scale in zip(self.channels, self.support, self.scale, strict=True):
+            normal[np.ix_(support, support)] += channel.gram / scale**2
         return cho_factor(normal)  # type: ignore[no-any-return]
 
     @property
@@ -277,11 +279,12 @@ class Fit:
         coefficients, covariance, rank, cross, _ = self._regressed(products, columns.shape[2], prior)
         refit = -cross @ coefficients
         left = self.squares.copy()
-        for channel, felt in enumerate(self.felt):
-            left[channel] += refit[felt] @ (self.channels[channel].gram @ refit[felt] - 2.0 * self.moments[channel])
+        for channel, support in enumerate(self.support):
+            gram = self.channels[channel].gram
+            left[channel] += refit[support] @ (gram @ refit[support] - 2.0 * self.moments[channel])
         for channel, acting, inner, right, shared in products:
             own = coefficients[acting]
-            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[self.felt[channel]] - right))
+            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[self.support[channel]] - right))
         explained = Explained(self, columns, coefficients, covariance, rank, refit, left)
         if (left < ROUNDED * self.squares).any():  # too small a difference of large sums
             explained = replace(explained, squares=(self.used(explained.residual) ** 2).sum(axis=0))
@@ -308,8 +311,8 @@ class Fit:
     def step_of_theta(self) -> Array:
         """(p,) the change that brings theta to its best."""
         right = self._precision() * (self.prior_mean() - self.theta)
-        for felt, moment, scale in zip(self.felt, self.moments, self.scale, strict=True):
-            right[felt] += moment / scale**2
+        for support, moment, scale in zip(self.support, self.moments, self.scale, strict=True):
+            right[support] += moment / scale**2
         return np.asarray(cho_solve(self.factor, right))
 
     def _products(self, columns: Array) -> list[Products]:
@@ -332,7 +335,7 @@ class Fit:
             weight = self.scale[each.channel] ** -2.0
             inner[np.ix_(each.acting, each.acting)] += weight * each.inner
             right[each.acting] += weight * each.right
-            shared[np.ix_(self.felt[each.channel], each.acting)] += weight * each.shared
+            shared[np.ix_(self.support[each.channel], each.acting)] += weight * each.shared
         if prior is not None:
             inner, right = inner + np.diag(prior.precision), right + prior.precision * prior.mean
         cross = cho_solve(self.factor, shared)
@@ -412,8 +415,9 @@ def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counte
 
 def _places(blocks: Sequence[Block], channel: int) -> dict[int, Indices]:
     """Numbers of the columns of each block among those that a channel feels, by the block's identity."""
-    ends = np.cumsum([len(block.felt[channel]) for block in blocks]).tolist()
-    return {id(block): np.arange(end - len(block.felt[channel]), end) for block, end in zip(blocks, ends, strict=True)}
+    ends = np.cumsum([len(block.support[channel]) for block in blocks]).tolist()
+    return {id(block): np.arange(end - len(block.support[channel]), end)
+            for block, end in zip(blocks, ends, strict=True)}
 
 
 def _products_of(columns: Array, places: dict[int, Indices], there: dict[int, Indices],

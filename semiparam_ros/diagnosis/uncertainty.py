@@ -64,11 +64,11 @@ def deviations(fit: Fit, found: Collection[int], disturbed: Sequence[Samples] = 
 def _without_common_gain(effect: Effect) -> Array:
     """(c, c) derivative of the calibrations that are told, see :meth:`Effect.without_common_gain`, by the fitted
     ones."""
-    def told(step: Array) -> Array:
+    def moved(step: Array) -> Array:
         return calibrated_values(moved_by(effect, step).without_common_gain())
 
     steps = GAIN_STEP * np.eye(len(effect.calibrations))
-    return np.column_stack([(told(step) - told(-step)) / (2.0 * GAIN_STEP) for step in steps])
+    return np.column_stack([(moved(step) - moved(-step)) / (2.0 * GAIN_STEP) for step in steps])
 
 
 def _further(fit: Fit, calibrated: Sequence[int], shapes: list[Shape]) -> list[Array]:
@@ -90,9 +90,9 @@ class _Rows(NamedTuple):
 def _rows(fit: Fit, columns: Array) -> Iterator[_Rows]:
     """Those of theta's columns and further ones (N, n, c)."""
     further = fit.n_columns + np.arange(columns.shape[2])
-    for channel, (used, felt, rows) in enumerate(zip(fit.in_use, fit.felt, fit.rows, strict=True)):
+    for channel, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
         weighed = np.hstack([rows, columns[used, channel]]) / fit.scale[channel]
-        yield _Rows(channel, used, np.append(felt, further), weighed)
+        yield _Rows(channel, used, np.append(support, further), weighed)
 
 
 def _deviations(fit: Fit, columns: Array, told: Array) -> Array:

@@ -123,7 +123,7 @@ class Way(NamedTuple):
         before = np.append(speed, self.velocity[:-1]) * step
         apart = ~(np.abs(net - 0.5 * (before + after)) < MOST_APART * (np.abs(before) + np.abs(after)))
         before, after = np.where(apart, net, before), np.where(apart, net, after)
-        parts = _in_parts(before, 6.0 * net - 4.0 * before - 2.0 * after, 3.0 * (before + after) - 6.0 * net)
+        parts = _parts_of_steps(before, 6.0 * net - 4.0 * before - 2.0 * after, 3.0 * (before + after) - 6.0 * net)
         travel, lengths = np.diff(parts.travel, axis=1), np.diff(parts.time, axis=1) * step[:, None]
         speeds = np.divide(travel, lengths, out=np.zeros_like(travel), where=lengths > 0.0)
         return travel.ravel(), speeds.ravel()
@@ -136,7 +136,7 @@ class _Parts(NamedTuple):
     travel: Array
 
 
-def _in_parts(start: Array, rise: Array, bend: Array) -> _Parts:
+def _parts_of_steps(start: Array, rise: Array, bend: Array) -> _Parts:
     """Parts of steps in which the velocity is start + rise u + bend u^2 (N,), with the middle one at its zero."""
     root = -0.5 * (rise + np.copysign(np.sqrt(np.maximum(rise**2 - 4.0 * bend * start, 0.0)), rise))
     turns = start * (start + rise + bend) < 0.0

@@ -23,7 +23,7 @@ from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.learning import learning_of, observe
 from semiparam_ros.online.model_switcher import sentence_of
-from semiparam_ros.online.renewal import LaterWindow, Renewal, has_draft
+from semiparam_ros.online.renewal import RecentWindow, Renewal, has_draft
 from semiparam_ros.online.worker import Done, Job, Result, Urgency, absorb, finish_window, renew
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator
@@ -183,7 +183,7 @@ class OfflineLearner:
         self.history = History(settings.initial_samples, settings.retained_samples, body.n_joints)
         self.renewals = 0
         self._renewal = Renewal(settings.initial_samples, body.n_outputs)
-        self._later: LaterWindow | None = None
+        self._later: RecentWindow | None = None
         self._successor: Callable[[], Estimator] | None = None
         self._draft: Callable[[], Estimator] | None = None
         self._waiting: list[tuple[Sample, int]] = []

@@ -20,7 +20,7 @@ def identified_mjcf(urdf: str, found: Identified, remark: str) -> str:
     import mujoco
 
     try:
-        spec = mujoco.MjSpec.from_string(bare(urdf))
+        spec = mujoco.MjSpec.from_string(without_geometry(urdf))
         for each in found.joints:
             if each.name == 'armature':
                 spec.joint(each.joint).armature = each.value
@@ -34,7 +34,7 @@ def identified_mjcf(urdf: str, found: Identified, remark: str) -> str:
     return editor.text()
 
 
-def bare(urdf: str) -> str:
+def without_geometry(urdf: str) -> str:
     """The links and joints of a description, which MuJoCo takes as they are; what moves without a
     mass gets a trace."""
     robot = ElementTree.fromstring(urdf)

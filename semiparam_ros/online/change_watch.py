@@ -112,7 +112,7 @@ class ChangeRecord:
             'schema': 1,
             'change': change.number,
             'since_stamp_s': change.since / NANOSECONDS,
-            'noticed_stamp_s': change.told / NANOSECONDS,
+            'noticed_stamp_s': change.noticed / NANOSECONDS,
             'ended_stamp_s': None if change.ended is None else change.ended / NANOSECONDS,
             'noticed_as': {
                 'kind': change.kind or None,

@@ -120,7 +120,7 @@ class Change(NamedTuple):
     """What was told of a change.
 
     :param number: counts them; one that is judged anew keeps its own.
-    :param since: [ns] stamp at which it began. :param told: [ns] when that was told.
+    :param since: [ns] stamp at which it began. :param noticed: [ns] when that was.
     :param kind: the likeliest cause ('' for none that is known), at ``where``.
     :param value: of a load its mass [kg], with its standard deviation; of what was put down
         negative; else NaN.
@@ -131,7 +131,7 @@ class Change(NamedTuple):
 
     number: int
     since: int
-    told: int
+    noticed: int
     kind: str
     where: str | None
     value: float
@@ -496,7 +496,7 @@ class ChangeDetector:
         if followed is not None and (ended := self._end(followed)) is not None:
             self.followed, self._standing, self._compared = None, 0, np.zeros(3)
             self._blocks.clear()
-            return followed.change._replace(told=stamp, ended=ended)
+            return followed.change._replace(noticed=stamp, ended=ended)
         moments = np.array([block.moment for block in self._blocks]) if again else self._left()
         best = self._likeliest(moments)
         if best is None or best.evidence < SURE:
@@ -504,7 +504,7 @@ class ChangeDetector:
             return None
         if again and followed is not None and followed.cause == best.cause:
             return None
-        return self._told(stamp, best)
+        return self._change(stamp, best)
 
     def _likeliest(self, moments: Array) -> Judged | None:
         """The change that is likeliest, beside a contact and none."""
@@ -616,7 +616,7 @@ class ChangeDetector:
         at = int(gains.argmax())
         return self._blocks[len(self._blocks) - len(gains) + at].start if gains[at] > SURE else None
 
-    def _told(self, stamp: int, judged: Judged) -> Change:
+    def _change(self, stamp: int, judged: Judged) -> Change:
         blocks = list(self._blocks)[-judged.blocks :]
         felt = np.sum(
             [block.own[3] ** 2 / np.maximum(block.own[0], 1e-300) for block in blocks], axis=0

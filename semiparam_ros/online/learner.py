@@ -36,7 +36,7 @@ from semiparam_ros.online.model_switcher import (
     same_model,
     sentence_of,
 )
-from semiparam_ros.online.renewal import LaterWindow, Renewal, has_draft
+from semiparam_ros.online.renewal import RecentWindow, Renewal, has_draft
 from semiparam_ros.online.state_file import SavedState
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import Background
@@ -73,7 +73,7 @@ class LearnerListener(Protocol):
     def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
         """The horizon errors of a shadow variant."""
 
-    def told(self, sentence: str) -> None:
+    def announce(self, sentence: str) -> None:
         """News for the log."""
 
     def model_switched(self, success: bool, sentence: str) -> None:
@@ -128,7 +128,7 @@ class Learner:
         self._seen = len(self.history)
         self._failures = 0
         self._asked: int | None = None
-        self._later: LaterWindow | None = None
+        self._later: RecentWindow | None = None
         """That hyperparameters are estimated from; None: the initial window."""
         self._awaits_draft = False
         self.takeovers: list[int] = []
@@ -155,7 +155,7 @@ class Learner:
             return
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
         if self.gate.changed:
-            self._listener.told(f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
+            self._listener.announce(f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                                 'a change of the robot, and is learnt.')
         learn = self.settings.learning and not contact and prediction.motion.is_news
         learning = learning_of(learn, self.gate)
@@ -228,7 +228,7 @@ class Learner:
         self.passed_over += passed
         self.learnt -= passed
         if self.estimator.returns > returns:
-            self._listener.told('the robot is again as it was before its last change: what was learnt then goes on.')
+            self._listener.announce('the robot is again as it was before its last change: what was learnt then goes on.')
         if errors is not None:
             self._listener.horizon_completed(errors)
         return True
@@ -253,7 +253,7 @@ class Learner:
         self._asked, self._later = self.answered, None
         self._awaits_draft = has_draft(self.built.initial_samples)
         if self.switcher.successor is None:
-            self._listener.told(f'the initial window holds {len(self.estimator.window)} samples of motion: the '
+            self._listener.announce(f'the initial window holds {len(self.estimator.window)} samples of motion: the '
                                 f'hyperparameters of {self.built.variant} are estimated; the rigid body answers on.')
             self.switcher.finish_window(self.built, self.estimator)
 
@@ -264,14 +264,14 @@ class Learner:
         if estimator is not None:
             self.estimator = estimator
             self._renewal.go_on_with_draft()
-            self._listener.told(f'{self.built.variant} takes over with a draft of its hyperparameters, {waited} '
+            self._listener.announce(f'{self.built.variant} takes over with a draft of its hyperparameters, {waited} '
                                 'samples after the end of the initial window.')
 
     def _window_live(self, estimator: Estimator) -> None:
         """The model whose window is over takes over from the provisional one or its draft, between two samples."""
         self.estimator = estimator
         self._renewal.clear()
-        self._listener.told(f'{self.built.variant} has its hyperparameters and takes over, '
+        self._listener.announce(f'{self.built.variant} has its hyperparameters and takes over, '
                             f'{self._taken_over()} samples after the end of the initial window.')
 
     def _taken_over(self) -> int:
@@ -302,28 +302,28 @@ class Learner:
         """Estimate the hyperparameters again."""
         self._later = self._renewal.begin()
         if self._later.draft or not has_draft(self.built.initial_samples):
-            self._listener.told(f'the hyperparameters of {self.built.variant} are estimated again, from the latest '
+            self._listener.announce(f'the hyperparameters of {self.built.variant} are estimated again, from the latest '
                                 f'{self._later.samples} samples, as the robot moves otherwise than in the window that '
                                 'they are from; it answers on.')
         self._asked = self.answered
         self.switcher.renew(self.built, self.history, self._later)
 
-    def _renewed(self, estimator: Estimator, later: LaterWindow) -> None:
+    def _renewed(self, estimator: Estimator, later: RecentWindow) -> None:
         """The model with hyperparameters of a later window takes over, between two samples."""
         self.estimator, self._renewal.done = estimator, True
         self.switcher.follow_renewed(self.settings, estimator, None if later.draft else self.history)
         if later.draft:
             self._renewal.go_on_with_draft()
-            self._listener.told(f'{self.built.variant} goes on with a draft of them, from {later.samples} '
+            self._listener.announce(f'{self.built.variant} goes on with a draft of them, from {later.samples} '
                                 f'samples, the last of which {self._taken_over()} samples ago.')
             return
         self._renewal.clear()
-        self._listener.told(f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
+        self._listener.announce(f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
                             f'{self._taken_over()} of them since the end of the window.')
 
     def _discard_window(self, reason: str) -> None:
         """Gather another initial window; nothing is built from the one that gave no hyperparameters."""
-        self._listener.told(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
+        self._listener.announce(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
         self.estimator.discard_window()
         self._taken_over()
         self.history.discard()
@@ -431,7 +431,7 @@ class Learner:
                 self._taken_over()
                 if self._later is None:
                     self._renewal.clear()
-                self._listener.told(f'the window gives no hyperparameters ({sentence}); {settings.variant} goes '
+                self._listener.announce(f'the window gives no hyperparameters ({sentence}); {settings.variant} goes '
                                     'on with those it has.')
             else:
                 self._discard_window(sentence)
@@ -443,7 +443,7 @@ class Learner:
 
     def shadow_failed(self, settings: Settings, sentence: str) -> None:
         """The others go on."""
-        self._listener.told(self._not_built(settings, sentence))
+        self._listener.announce(self._not_built(settings, sentence))
 
     def shadow_horizon(self, variant: str, errors: HorizonErrors) -> None:
         """Handed on."""

@@ -24,7 +24,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
 from semiparam_ros.online.history import History, SampleLog
 from semiparam_ros.online.learning import observe
-from semiparam_ros.online.renewal import LaterWindow, has_draft
+from semiparam_ros.online.renewal import RecentWindow, has_draft
 from semiparam_ros.online.worker import Background, Job, Urgency
 from semiparam_ros.settings.snapshot import Settings
 
@@ -96,7 +96,7 @@ class StandbyModel:
         """Begin to build it."""
         self._submit(worker.build, self.settings, self.body, history.batch(), known, history.origin)
 
-    def start_renewed(self, history: History, window: LaterWindow | None = None) -> None:
+    def start_renewed(self, history: History, window: RecentWindow | None = None) -> None:
         """Begin to build it with hyperparameters from a later window."""
         self._submit(worker.renew, self.settings, self.body, history.batch(), history.origin, window)
 
@@ -244,7 +244,7 @@ class ModelSwitcher:
         self.draft.wait_with(estimator)
         self.draft.finish_window(draft=True)
 
-    def renew(self, settings: Settings, history: History, window: LaterWindow) -> None:
+    def renew(self, settings: Settings, history: History, window: RecentWindow) -> None:
         """Build a successor of the same settings with hyperparameters from a later window."""
         self.successor = StandbyModel(settings, self._body, self._background, self)
         self.successor.start_renewed(history, window)

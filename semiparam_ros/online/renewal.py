@@ -38,7 +38,7 @@ MOST_ATTEMPTS = 60
 """More than a life is long enough for."""
 
 
-class LaterWindow(NamedTuple):
+class RecentWindow(NamedTuple):
     """The latest samples that were learnt, to estimate hyperparameters from."""
 
     samples: int
@@ -172,7 +172,7 @@ class Renewal:
         """Of what is due."""
         return not self._is_due(self._whole) or (has_draft(self._wanted) and not self._whole_drafted)
 
-    def outdates(self, later: LaterWindow | None) -> bool:
+    def outdates(self, later: RecentWindow | None) -> bool:
         """Whether a model that is being built has none of the motion of a draft that is due.
 
         :param later: the window that it is built from; None for the initial one.
@@ -186,11 +186,11 @@ class Renewal:
         """Samples to gather for it."""
         return watch.window * (1.0 + LEAD) if self._attempts else watch.window
 
-    def begin(self) -> LaterWindow:
+    def begin(self) -> RecentWindow:
         """Hyperparameters are being estimated from this window: watch anew, or go on after a draft."""
         draft, whole = self.draft_is_next, self._is_due(self._whole)
         watch = self._whole if whole else self._draft
-        window = LaterWindow(watch.window, inf if self._draft_rules and whole else watch.errors.size, draft)
+        window = RecentWindow(watch.window, inf if self._draft_rules and whole else watch.errors.size, draft)
         if draft and whole:
             self._follows = self._whole_drafted = True
         elif draft:

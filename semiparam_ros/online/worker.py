@@ -36,7 +36,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import transport
 from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.learning import Learning, observe
-from semiparam_ros.online.renewal import MOST_WORSE, Errors, LaterWindow, judged, later_window
+from semiparam_ros.online.renewal import MOST_WORSE, Errors, RecentWindow, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
 
@@ -422,13 +422,13 @@ def build(settings: Settings, body: RigidBody, batch: SampleBatch, known: Known 
 
 
 def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int | None,
-          later: LaterWindow | None = None) -> Estimator:
+          later: RecentWindow | None = None) -> Estimator:
     """The same with hyperparameters from a later window, see :mod:`semiparam_ros.online.renewal`.
 
     Raises SemiparamError when the window holds too little to estimate from, or the model predicts it worse than the one
     that it is to beat.
     """
-    later = later or LaterWindow(settings.initial_samples)
+    later = later or RecentWindow(settings.initial_samples)
     gathering, learning, learnt = new_estimator(settings, body, origin=origin), batch.learning, batch.learnt
     window = later_window(learnt, later.samples)
     begin = int(window.argmax())

@@ -111,10 +111,10 @@ def test_pinocchio_reads_it(exported):
 
 def test_mujoco_reads_it(exported):
     mujoco = pytest.importorskip('mujoco', reason='MuJoCo is not installed')
-    from semiparam_ros.export.mjcf import bare
+    from semiparam_ros.export.mjcf import without_geometry
 
     *_, urdf, document = exported
-    model = mujoco.MjModel.from_xml_string(bare(urdf))
+    model = mujoco.MjModel.from_xml_string(without_geometry(urdf))
     for name, values in document['links'].items():
         assert model.body(name).mass[0] == pytest.approx(values['mass'], rel=1e-6)
 

@@ -31,7 +31,7 @@ def told(body, samples):
 def test_a_load_is_noticed_within_three_seconds_and_so_is_its_end():
     body, samples, mass = loaded()
     (first, *_, last), _, detector = told(body, samples)
-    seconds = (np.array([first.since, first.told, last.ended, last.told]) - samples.origin) * 1e-9
+    seconds = (np.array([first.since, first.noticed, last.ended, last.noticed]) - samples.origin) * 1e-9
     assert first.kind == 'payload'
     assert abs(seconds[0] - LOADED_S[0]) < 2.0
     assert 0.0 < seconds[1] - LOADED_S[0] < 3.0

@@ -102,7 +102,7 @@ class Lives(RuleBasedStateMachine):
     def shadow_horizon_completed(self, variant, errors):
         assert variant in self.learner.settings.shadow_variants and np.isfinite(errors.eps).all()
 
-    def told(self, sentence):
+    def announce(self, sentence):
         if 'another one is gathered' in sentence:
             self.given.clear()
         self.kept |= 'goes on with those it has' in sentence and self.drafted

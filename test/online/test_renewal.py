@@ -12,7 +12,7 @@ from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_switcher import same_model
-from semiparam_ros.online.renewal import LaterWindow, later_window
+from semiparam_ros.online.renewal import RecentWindow, later_window
 from semiparam_ros.online.worker import ProcessBackground, Urgency, known_of, new_estimator, renew
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, InlineBackground, faster, motion
@@ -113,7 +113,7 @@ def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, eve
     pairs = [(sample, Learning.AFTER_CHANGE if changed and number == changed else Learning.YES)
              for number, sample in enumerate(DAY[:330])]
     settings = replace(SLOWER, effects=effects)
-    renewed = renew(settings, BODY, batch_of(pairs), DAY[0].stamp, LaterWindow(100, draft=draft))
+    renewed = renew(settings, BODY, batch_of(pairs), DAY[0].stamp, RecentWindow(100, draft=draft))
     expected = new_estimator(settings, BODY, known_of(renewed), DAY[0].stamp)
     for number, (sample, _) in enumerate(pairs):
         if number >= 230 or (number >= changed and (number - changed) % every == 0):

@@ -25,7 +25,7 @@ class Stage:
     def shadow_horizon_completed(self, variant, errors):
         self.horizons.append((variant, errors))
 
-    def told(self, sentence):
+    def announce(self, sentence):
         self.news.append(sentence)
 
     def model_switched(self, success, sentence):

@@ -113,7 +113,7 @@ def block_grams(fit: Fit, edges: Array) -> BlockGrams:
     target = fit.at_prior + further @ values
     blocks = len(edges) + 1
     channels, power, counts = [], np.zeros((blocks, len(fit.scale))), np.zeros((blocks, len(fit.scale)))
-    for number, (used, felt, rows) in enumerate(zip(fit.in_use, fit.felt, fit.rows, strict=True)):
+    for number, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
         acting = np.flatnonzero(further[used, number].any(axis=0))
         table = np.hstack([rows, further[used, number][:, acting]])
         outputs, ends = target[used, number], [0, *np.searchsorted(used, edges).tolist(), len(used)]
@@ -122,7 +122,7 @@ def block_grams(fit: Fit, edges: Array) -> BlockGrams:
             part, left = table[start:end], outputs[start:end]
             gram[block], moment[block] = part.T @ part, part.T @ left
             power[block, number], counts[block, number] = left @ left, end - start
-        channels.append(ChannelGrams(np.append(felt, fit.n_columns + acting), gram, moment))
+        channels.append(ChannelGrams(np.append(support, fit.n_columns + acting), gram, moment))
     return BlockGrams(np.append(fit.prior_deviation, spread), channels, power, counts)
 
 

@@ -118,7 +118,7 @@ def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array,
     gram, right = np.zeros((len(starts), size, size)), np.zeros((len(starts), size))
     cross = np.zeros((len(starts), fit.n_columns, size))
     for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
-        used, rows, felt = fit.in_use[channel], fit.rows[channel], fit.felt[channel]
+        used, rows, support = fit.in_use[channel], fit.rows[channel], fit.support[channel]
         own, residual, weight = columns[used, channel], fit.residual[used, channel, None], fit.scale[channel] ** -2.0
         # One product a start: a few samples lie between most of them, and then a call costs more than its sums.
         left, part, sums = np.hstack([own, residual, rows]).T, own * weight, []
@@ -127,7 +127,7 @@ def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array,
         channel_gram, channel_right, channel_cross = np.split(np.stack(sums), [size, size + 1], axis=1)
         gram += channel_gram
         right += channel_right[:, 0]
-        cross[:, felt] += channel_cross
+        cross[:, support] += channel_cross
     return _suffix(gram), _suffix(right), _suffix(cross)
 
 

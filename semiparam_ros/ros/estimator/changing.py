@@ -63,7 +63,7 @@ class Changing:
         if learner is not None and learner.changes.state != self._state:
             self._publish(learner)
 
-    def told(self, record: ChangeRecord) -> None:
+    def announce(self, record: ChangeRecord) -> None:
         """A change is new, or more is known of it."""
         self._say(record.sentence)
         line = json.dumps(record.as_dict()) + '\n'
@@ -89,7 +89,7 @@ class Changing:
             'state': state,
             'number': change.number,
             'since [s]': change.since / NANOSECONDS,
-            'noticed [s]': change.told / NANOSECONDS,
+            'noticed [s]': change.noticed / NANOSECONDS,
             'over [s]': '' if change.ended is None else change.ended / NANOSECONDS,
             'kind': change.kind,
             'where': change.where or '',

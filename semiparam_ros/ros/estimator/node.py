@@ -195,7 +195,7 @@ class EstimatorNode(Node):
         """Those of a shadow, on a topic of its own."""
         self._outputs.publish_shadow(variant, errors)
 
-    def told(self, sentence: str) -> None:
+    def announce(self, sentence: str) -> None:
         """News for the log."""
         self._reports.say(sentence)
 
@@ -210,7 +210,7 @@ class EstimatorNode(Node):
 
     def change_told(self, record: ChangeRecord) -> None:
         """The robot has changed, or more is known of a change."""
-        self._changing.told(record)
+        self._changing.announce(record)
 
     def failed(self, place: str, error: BaseException) -> None:
         """An internal error; the node goes on."""
