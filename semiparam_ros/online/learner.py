@@ -155,8 +155,9 @@ class Learner:
             return
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
         if self.gate.changed:
-            self._listener.announce(f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
-                                'a change of the robot, and is learnt.')
+            self._listener.announce(
+                f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
+                'a change of the robot, and is learnt.')
         learn = self.settings.learning and not contact and prediction.motion.is_news
         learning = learning_of(learn, self.gate)
         answer = Answer(self._as_measured(prediction, of_tools), sample.outputs - prediction.mean,
@@ -228,7 +229,8 @@ class Learner:
         self.passed_over += passed
         self.learnt -= passed
         if self.estimator.returns > returns:
-            self._listener.announce('the robot is again as it was before its last change: what was learnt then goes on.')
+            self._listener.announce(
+                'the robot is again as it was before its last change: what was learnt then goes on.')
         if errors is not None:
             self._listener.horizon_completed(errors)
         return True
@@ -314,12 +316,14 @@ class Learner:
         self.switcher.follow_renewed(self.settings, estimator, None if later.draft else self.history)
         if later.draft:
             self._renewal.go_on_with_draft()
-            self._listener.announce(f'{self.built.variant} goes on with a draft of them, from {later.samples} '
-                                f'samples, the last of which {self._taken_over()} samples ago.')
+            self._listener.announce(
+                f'{self.built.variant} goes on with a draft of them, from {later.samples} '
+                f'samples, the last of which {self._taken_over()} samples ago.')
             return
         self._renewal.clear()
-        self._listener.announce(f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
-                            f'{self._taken_over()} of them since the end of the window.')
+        self._listener.announce(
+            f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
+            f'{self._taken_over()} of them since the end of the window.')
 
     def _discard_window(self, reason: str) -> None:
         """Gather another initial window; nothing is built from the one that gave no hyperparameters."""
