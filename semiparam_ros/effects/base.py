@@ -145,6 +145,8 @@ class Effect:
     own_in_each_recording: ClassVar[bool] = False
     """True for what every model has, and each of several recordings for itself: a sensor's offset."""
     of_sensor: ClassVar[bool] = False
+    from_outside: ClassVar[bool] = False
+    """True for what others do to the robot, as a push: it is told, and not counted as part of the robot."""
     refine_link: ClassVar[bool] = False
     is_load: ClassVar[bool] = False
     """True for a body that the link carries: its coefficients are the ten inertial parameters in the link's frame."""

@@ -6,11 +6,15 @@ Kept with each sample, so that a model built later from the samples kept does wh
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.online.contact_gate import ContactGate
+
+if TYPE_CHECKING:
+    from semiparam_ros.online.change_watch import ChangeWatch
 
 
 class Learning(IntEnum):
@@ -22,9 +26,15 @@ class Learning(IntEnum):
     """The first one learnt after a lasting change of the robot: what was learnt before counts for less."""
 
 
-def learning_of(learn: bool, gate: ContactGate) -> Learning:
-    """That of a sample which the gate has just judged."""
-    return Learning.AFTER_CHANGE if learn and gate.changed else Learning(learn)
+def learning_of(learn: bool, gate: ContactGate, changes: ChangeWatch | None) -> Learning:
+    """That of a sample which the gate has just judged.
+
+    :param learn: whether it may be learnt, for all that is known without these two.
+    """
+    if not learn or (changes is not None and changes.holds):
+        return Learning.NO
+    released = changes is not None and changes.release()
+    return Learning.AFTER_CHANGE if gate.changed or released else Learning.YES
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:
