@@ -241,7 +241,7 @@ class OfflineLearner:
             self.changes.see(self.estimator, prediction, self.history)
         errors = observe(self.estimator, prediction, learn, finish=False)
         self.history.append(sample, learn, prediction.motion.is_news)
-        due = learn and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
+        due = learn > 0 and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
         if due and (self._successor is None or (self._draft is None and self._renewal.outdates(self._later))):
             if self._successor is not None:
                 self._next_takeover()

@@ -167,7 +167,7 @@ class Learner:
         self._emit(answer, learning)  # before learning, which takes as long as predicting
         self._look_for_changes(prediction)
         if self._observe(prediction, learning):
-            renews = learning and not self.settings.hyperparameters_sigma and self._renews(prediction)
+            renews = learning > 0 and not self.settings.hyperparameters_sigma and self._renews(prediction)
             self.switcher.offer(sample, learning)
             if self._asked is None and self.estimator.window_full:
                 self._end_window()

@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 
 class Learning(IntEnum):
-    """Of one sample; true where it is learnt."""
+    """Of one sample; positive where it is learnt."""
 
+    OFFSET = -1
+    """The wandering offset alone follows it: the robot may have changed, and what it is will be known soon."""
     NO = 0
     YES = 1
     AFTER_CHANGE = 2
@@ -31,8 +33,10 @@ def learning_of(learn: bool, gate: ContactGate, changes: ChangeWatch | None) -> 
 
     :param learn: whether it may be learnt, for all that is known without these two.
     """
-    if not learn or (changes is not None and changes.holds):
+    if not learn:
         return Learning.NO
+    if changes is not None and changes.holds:
+        return Learning.OFFSET
     released = changes is not None and changes.release()
     return Learning.AFTER_CHANGE if gate.changed or released else Learning.YES
 
@@ -41,4 +45,4 @@ def observe(estimator: Estimator, prediction: Prediction, learning: int, finish:
     """See :meth:`Estimator.observe <semiparam_ros.core.estimator.Estimator.observe>`."""
     if learning == Learning.AFTER_CHANGE:
         estimator.follow_change()
-    return estimator.observe(prediction, learning > 0, finish)
+    return estimator.observe(prediction, learning > 0, finish, learning == Learning.OFFSET)

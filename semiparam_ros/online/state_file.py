@@ -58,7 +58,7 @@ MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'kept',
 """What is measured stays within 1e9, its derivatives within that by a nanosecond."""
 STAMPS = ('stamps', 'origins', 'origin')
 RANGES = {'shares': (0.0, 1.0), 'log_weights': (-math.inf, 0.0), 'inflation': (1e-100, math.inf),
-          'learnt': (0, max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
+          'learnt': (min(Learning), max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
           **dict.fromkeys(('waiting', 'filled', 'start', 'memory', 'compared', 'renewed', 'still'), (0.0, math.inf))}
 """Of arrays by the last part of their names, where only some values make sense."""
 
