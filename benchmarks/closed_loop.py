@@ -11,9 +11,10 @@ friction of one joint; a hand that pushes three times for 5 s; and nothing. Seed
 joints and directions.
 
 *Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it
-has the right effect, 30 s after it or when it ends. *Back*: the error that its model leaves after
-the change, over the one before it. *False*: changes told of where there is none, or
-only a push; those that their naming took back are counted apart.
+has the right effect, 30 s after it or when it ends. *Back*: within 30 s of the change, and before
+the next one, the error of the predictions is within 1.3 times the one before all changes, and stays
+there for five seconds or more; and after how long (median). *False*: changes told of where there is
+none, or only a push; those that their naming took back are counted apart.
 """
 
 from __future__ import annotations
@@ -51,6 +52,8 @@ from semiparam_ros.simulation.simulate import simulate
 SECONDS, AT = 240.0, (0.55, 0.7, 0.85)
 """Of a simulated recording; changes as shares of a recording."""
 NOTICED_S, NAMED_S, PUSH_S = 3.0, 30.0, 5.0
+BACK, BACK_S, FLOOR_S = 1.3, 5.0, 30.0
+"""So near its floor, which is the error of the last seconds before all changes, an error is back."""
 CHANGES = ('load', 'offset', 'friction', 'push', 'none')
 MEASURED = {
     'UR3 measured': (('id1', 'id2'), Settings(outputs='effort')),
@@ -104,7 +107,8 @@ class Figures(NamedTuple):
     named: int
     delays: list[float]  # [s] until a change was told
     mass_errors: list[float]  # as shares
-    back: list[float]
+    back: int
+    back_s: list[float]  # [s] after the change
     false: int
     retracted: int
     hours: float
@@ -247,8 +251,9 @@ def pushes(robot: Robot, times: tuple[float, ...], rng: np.random.Generator) -> 
     return robot.arm.load_of_force(robot.arm.pose(robot.arm.tip, position), force, position)
 
 
-def run(robot: Robot, case: Case) -> tuple[list[ChangeRecord], Array]:
-    """Every record that was told, and (N,) whether the state was another than usual."""
+def run(robot: Robot, case: Case) -> tuple[list[ChangeRecord], Array, Array]:
+    """Every record that was told, (N,) whether the state was another than usual, and (N,) mean
+    squared errors of the predictions over the outputs' variance."""
     learner, told, unusual = (
         OfflineLearner(robot.settings, [], lambda: None),
         list[ChangeRecord](),
@@ -256,23 +261,49 @@ def run(robot: Robot, case: Case) -> tuple[list[ChangeRecord], Array]:
     )
     learner.look_for_changes(told.append)
     learner.begin(case.samples.origin)
+    predicted = []
     for sample in case.samples:
-        learner.step(sample, learning=True)
-        unusual.append(learner.changes is not None and learner.changes.state in STATES[3:])
-    return told, np.array(unusual)
+        predicted.append(learner.step(sample, learning=True).mean)
+        unusual.append(learner.changes is not None and learner.changes.state in STATES[3:5])
+    spread = robot.samples.outputs.std(axis=0)
+    left = (np.array(predicted) - case.samples.outputs) / spread
+    return told, np.array(unusual), np.mean(left**2, axis=1)
+
+
+def back_after(time: Array, squares: Array, at: float, until: float, floor: float) -> float:
+    """[s] after ``at`` from which on the error stays within ``BACK`` times its floor until
+    ``until``, for ``BACK_S`` at least; inf where it does not."""
+    starts = np.arange(at, min(at + NAMED_S, until - BACK_S), 0.25)
+    edges = [*starts, until]
+    sums = [
+        squares[(time >= start) & (time < end)]
+        for start, end in zip(edges[:-1], edges[1:], strict=True)
+    ]
+    for index, start in enumerate(starts):
+        later = np.concatenate(sums[index:])
+        soon = later[: int(np.searchsorted(time, start + BACK_S) - np.searchsorted(time, start))]
+        if max(later.mean(), soon.mean()) <= BACK**2 * floor:
+            return float(start - at)
+    return float('inf')
 
 
 def judged(robot: Robot, change: str, seed: int) -> Figures:
     """One case."""
     case = case_of(robot, change, seed)
-    told, unusual = run(robot, case)
+    told, unusual, squares = run(robot, case)
     time, origin = case.samples.time, case.samples.origin
 
     def seconds(stamp: int | None) -> float:
         return np.nan if stamp is None else (stamp - origin) * 1e-9
 
     noticed = named = 0
-    delays, errors, back, right = list[float](), list[float](), list[float](), set[int]()
+    delays, errors, right = list[float](), list[float](), set[int]()
+    first = AT[0] * float(time[-1])
+    floor = float(squares[(time >= first - FLOOR_S) & (time < first)].mean())
+    ends = [*case.times[1:], float(time[-1])]
+    back_s = [
+        back_after(time, squares, at, end, floor) for at, end in zip(case.times, ends, strict=False)
+    ]
     for number, at in enumerate(case.times):
         noticed += bool(unusual[(time >= at) & (time < at + NOTICED_S)].any())
         if change == 'load' and number == 1:  # it is put down
@@ -292,7 +323,6 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
         named += bool(found)
         if found and found[-1].named is not None:
             last = found[-1].named
-            back.append(last.after['nmse_mean'] / last.before['nmse_mean'])
             errors += (
                 [abs(last.parameters['mass'].value / case.mass - 1.0)] if change == 'load' else []
             )
@@ -305,7 +335,8 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
         named,
         delays,
         errors,
-        back,
+        int(np.isfinite(back_s).sum()),
+        back_s,
         len(wrong) - sum(wrong),
         sum(wrong),
         hours,
@@ -325,7 +356,7 @@ def summed(rows: list[Figures]) -> list[str]:
 
     flat = [
         [value for row in rows for value in getattr(row, name)]
-        for name in ('delays', 'mass_errors', 'back')
+        for name in ('delays', 'mass_errors', 'back_s')
     ]
     worst = f' ({max(flat[1]):.0%})' if flat[1] else ''
     mass = f'{np.median(flat[1]):.1%}{worst}' if flat[1] else '-'
@@ -334,10 +365,16 @@ def summed(rows: list[Figures]) -> list[str]:
         median(flat[0]),
         share(sum(row.named for row in rows)),
         mass,
+        share(sum(row.back for row in rows)),
         median(flat[2]),
         f'{sum(row.false for row in rows)} in {sum(row.hours for row in rows):.2f} h',
         str(sum(row.retracted for row in rows)),
     ]
+
+
+def with_auto(robot: Robot, auto: str) -> Robot:
+    """The same with ``diagnosis.auto``."""
+    return robot._replace(settings=replace(robot.settings, diagnosis_auto=auto))
 
 
 def main() -> int:
@@ -353,6 +390,7 @@ def main() -> int:
     parser.add_argument('--first-seed', type=int, default=1)
     parser.add_argument('--changes', nargs='+', choices=CHANGES, default=list(CHANGES))
     parser.add_argument('--no-icub', action='store_true', help='without the simulated iCub')
+    parser.add_argument('--auto', choices=('report', 'apply'), default='report')
     parser.add_argument('--json')
     given = parser.parse_args()
     robots: dict[str, Callable[[int], Robot]] = (
@@ -370,6 +408,7 @@ def main() -> int:
         'named',
         'mass error',
         'back',
+        'after [s]',
         'false',
         'taken back',
     )
@@ -380,7 +419,9 @@ def main() -> int:
                 continue  # a sensor at the wrist does not feel it
             seeds = range(given.first_seed, given.first_seed + given.seeds)
             only = 1 if change == 'none' and name in MEASURED else None  # nothing is drawn
-            rows = [judged(robot(seed), change, seed) for seed in seeds[:only]]
+            rows = [
+                judged(with_auto(robot(seed), given.auto), change, seed) for seed in seeds[:only]
+            ]
             everything[f'{name}, {change}'] = [row._asdict() for row in rows]
             table.add_row(name, change, *summed(rows))
             print(name, change, *summed(rows), sep=' | ', flush=True)

@@ -380,16 +380,16 @@ class ChangeWatch:
     def _waits(self, number: int) -> bool:
         """Whether a change is still to be named, or tried."""
         record = self.records.get(number)
-        if record is None:
+        if record is None or any(decision.what == DROPPED for decision in record.decisions):
             return False
-        if record.effect is None:
-            return record.times_named < NAMED_TWICE
-        return self.applied.of_change(number) is not None
+        return record.times_named < NAMED_TWICE or self.applied.of_change(number) is not None
 
     def _try(self, record: ChangeRecord) -> None:
         """Let an effect that was named predict beside the model."""
         effect, named, number = record.effect, record.named, record.change.number
-        if not self.applies or effect is None or named is None or effect.from_outside:
+        if effect is None or named is None or not self.applies:
+            return
+        if effect.from_outside or (effect.ends and record.change.ended is None):
             return
         followed = None if self.detector is None else self.detector.followed
         waits = followed is not None and followed.change.number == number and self.holds
@@ -413,18 +413,21 @@ class ChangeWatch:
 
     def _record(self, change: Change, now: int) -> None:
         known = self.records.get(change.number)
-        record = ChangeRecord(change) if known is None else replace(known, change=change)
+        anew = known is None or known.change.since != change.since
+        if known is None or anew:
+            record = ChangeRecord(change)
+        else:
+            record = replace(known, change=change)
         self.records[change.number] = record
         for number in list(self.records)[:-MOST_RECORDS]:
             del self.records[number]
-        if known is None:
-            self._due += [
-                (change.since + round(seconds * NANOSECONDS), change.number)
-                for seconds in NAMED_AFTER_S
-            ]
-        elif change.ended is not None:
+        if anew or change.ended is not None:
             self._due = [(when, number) for when, number in self._due if number != change.number]
-            self._due.append((now, change.number))
+            times = NAMED_AFTER_S if change.ended is None else (0.0,)
+            begins = change.since if change.ended is None else now
+            self._due += [
+                (begins + round(seconds * NANOSECONDS), change.number) for seconds in times
+            ]
         self._due.sort()
         self._told(record)
 
