@@ -11,9 +11,10 @@ friction of one joint; a hand that pushes three times for 5 s; and nothing. Seed
 joints and directions.
 
 *Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it
-has the right effect, 30 s after it or when it ends. *Back*: within 30 s of the change, and before
-the next one, the error of the predictions is within 1.3 times the one before all changes, and stays
-there for five seconds or more; and after how long (median). *False*: changes told of where there is
+has the right effect, 30 s after it or when it ends. *Back*: within 30 s of the change, the
+error of the predictions is, until the next change and for five seconds at least, within 1.3 times its
+floor: that of the same robot which never changes, or was changed from the beginning; and after how
+long (median). *False*: changes told of where there is
 none, or only a push; those that their naming took back are counted apart.
 """
 
@@ -52,8 +53,8 @@ from semiparam_ros.simulation.simulate import simulate
 SECONDS, AT = 240.0, (0.55, 0.7, 0.85)
 """Of a simulated recording; changes as shares of a recording."""
 NOTICED_S, NAMED_S, PUSH_S = 3.0, 30.0, 5.0
-BACK, BACK_S, FLOOR_S = 1.3, 5.0, 30.0
-"""So near its floor, which is the error of the last seconds before all changes, an error is back."""
+BACK, BACK_S = 1.3, 5.0
+"""So near its floor, for so long at least, an error is back."""
 CHANGES = ('load', 'offset', 'friction', 'push', 'none')
 MEASURED = {
     'UR3 measured': (('id1', 'id2'), Settings(outputs='effort')),
@@ -97,6 +98,8 @@ class Case(NamedTuple):
     samples: Samples
     times: tuple[float, ...]
     mass: float
+    always: Samples
+    """The same with the change from the beginning to the end."""
 
 
 class Figures(NamedTuple):
@@ -204,26 +207,31 @@ def case_of(robot: Robot, change: str, seed: int) -> Case:
     times = tuple(share * float(samples.time[-1]) for share in AT)
     time, n = samples.time, samples.outputs.shape[1]
     spread, mass, added = samples.outputs.std(axis=0), 0.0, np.zeros_like(samples.outputs)
+    always = added
     if change == 'load':
         mass = robot.mass * rng.uniform(0.6, 1.4)
         on = ((time >= times[0]) & (time < times[1])) | (time >= times[2])
-        added = on[:, None] * weight(robot, mass, rng)
+        always = weight(robot, mass, rng)
+        added = on[:, None] * always
     elif change == 'offset':
         jump = rng.choice([-0.5, 0.5], n) * spread
         if robot.settings.outputs == 'effort':
             jump *= np.arange(n) == rng.integers(n)
-        added, times = (time >= times[0])[:, None] * jump, times[:1]
+        always, times = np.broadcast_to(jump, added.shape), times[:1]
+        added = (time >= times[0])[:, None] * always
     elif change == 'friction':
         joint = int(rng.integers(n))
-        added[:, joint] = (
-            0.3 * spread[joint] * np.tanh(samples.velocity[:, joint] / 0.02) * (time >= times[0])
-        )
-        times = times[:1]
+        always = np.zeros_like(added)
+        always[:, joint] = 0.3 * spread[joint] * np.tanh(samples.velocity[:, joint] / 0.02)
+        added, times = (time >= times[0])[:, None] * always, times[:1]
     elif change == 'push':
         added, times = pushes(robot, times, rng), ()
     else:
         times = ()
-    return Case(replace(samples, outputs=samples.outputs + added), times, mass)
+    changed, unchanging = (
+        replace(samples, outputs=samples.outputs + each) for each in (added, always)
+    )
+    return Case(changed, times, mass, unchanging)
 
 
 def weight(robot: Robot, mass: float, rng: np.random.Generator) -> Array:
@@ -251,7 +259,7 @@ def pushes(robot: Robot, times: tuple[float, ...], rng: np.random.Generator) -> 
     return robot.arm.load_of_force(robot.arm.pose(robot.arm.tip, position), force, position)
 
 
-def run(robot: Robot, case: Case) -> tuple[list[ChangeRecord], Array, Array]:
+def run(robot: Robot, samples: Samples) -> tuple[list[ChangeRecord], Array, Array]:
     """Every record that was told, (N,) whether the state was another than usual, and (N,) mean
     squared errors of the predictions over the outputs' variance."""
     learner, told, unusual = (
@@ -260,29 +268,22 @@ def run(robot: Robot, case: Case) -> tuple[list[ChangeRecord], Array, Array]:
         list[bool](),
     )
     learner.look_for_changes(told.append)
-    learner.begin(case.samples.origin)
+    learner.begin(samples.origin)
     predicted = []
-    for sample in case.samples:
+    for sample in samples:
         predicted.append(learner.step(sample, learning=True).mean)
         unusual.append(learner.changes is not None and learner.changes.state in STATES[3:5])
     spread = robot.samples.outputs.std(axis=0)
-    left = (np.array(predicted) - case.samples.outputs) / spread
+    left = (np.array(predicted) - samples.outputs) / spread
     return told, np.array(unusual), np.mean(left**2, axis=1)
 
 
-def back_after(time: Array, squares: Array, at: float, until: float, floor: float) -> float:
-    """[s] after ``at`` from which on the error stays within ``BACK`` times its floor until
-    ``until``, for ``BACK_S`` at least; inf where it does not."""
-    starts = np.arange(at, min(at + NAMED_S, until - BACK_S), 0.25)
-    edges = [*starts, until]
-    sums = [
-        squares[(time >= start) & (time < end)]
-        for start, end in zip(edges[:-1], edges[1:], strict=True)
-    ]
-    for index, start in enumerate(starts):
-        later = np.concatenate(sums[index:])
-        soon = later[: int(np.searchsorted(time, start + BACK_S) - np.searchsorted(time, start))]
-        if max(later.mean(), soon.mean()) <= BACK**2 * floor:
+def back_after(time: Array, squares: Array, floor: Array, at: float, until: float) -> float:
+    """[s] after ``at`` from which on the squared error (N,) stays within ``BACK`` times its floor
+    (N,) until ``until`` and for the next ``BACK_S``; inf where it does not."""
+    for start in np.arange(at, min(at + NAMED_S, until - BACK_S), 0.25):
+        spans = [(time >= start) & (time < end) for end in (start + BACK_S, until)]
+        if all(squares[span].mean() <= BACK**2 * floor[span].mean() for span in spans):
             return float(start - at)
     return float('inf')
 
@@ -290,7 +291,10 @@ def back_after(time: Array, squares: Array, at: float, until: float, floor: floa
 def judged(robot: Robot, change: str, seed: int) -> Figures:
     """One case."""
     case = case_of(robot, change, seed)
-    told, unusual, squares = run(robot, case)
+    told, unusual, squares = run(robot, case.samples)
+    floors = [
+        run(with_auto(robot, 'off'), each)[2] for each in (robot.samples, case.always)[: 2 * bool(case.times)]
+    ]
     time, origin = case.samples.time, case.samples.origin
 
     def seconds(stamp: int | None) -> float:
@@ -298,14 +302,17 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
 
     noticed = named = 0
     delays, errors, right = list[float](), list[float](), set[int]()
-    first = AT[0] * float(time[-1])
-    floor = float(squares[(time >= first - FLOOR_S) & (time < first)].mean())
     ends = [*case.times[1:], float(time[-1])]
     back_s = [
-        back_after(time, squares, at, end, floor) for at, end in zip(case.times, ends, strict=False)
+        back_after(time, squares, floors[1 - number % 2], at, end)
+        for number, (at, end) in enumerate(zip(case.times, ends, strict=False))
+    ]
+    decided = [
+        seconds(decision.stamp) for record in told for decision in record.decisions[-1:]
     ]
     for number, at in enumerate(case.times):
-        noticed += bool(unusual[(time >= at) & (time < at + NOTICED_S)].any())
+        soon = any(at <= when < at + NOTICED_S for when in decided)
+        noticed += soon or bool(unusual[(time >= at) & (time < at + NOTICED_S)].any())
         if change == 'load' and number == 1:  # it is put down
             near = [record for record in told if abs(seconds(record.change.ended) - at) < NAMED_S]
             named += bool(near)

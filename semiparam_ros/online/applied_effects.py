@@ -70,14 +70,20 @@ class Trial:
     since: int = 0
     """[ns] when g was last zero."""
     tried_s: float = 0.0
-    squares: Array = field(default_factory=lambda: np.zeros(2))
-    """Weighed squares of r and of r + k while it is applied."""
+    squares: Array = field(default_factory=lambda: np.zeros((2, 1)))
+    """(2, n) weighed squares of what is left with it and without it, while it is there."""
 
     @property
     def share(self) -> float:
-        """The error of the outputs while it is applied over what it would have been without it."""
+        """The error of all outputs with it over that without it; 0 before anything is known."""
+        with_it, without = self.squares.sum(axis=1)
+        return float(np.sqrt(with_it / without)) if without > 0.0 else 0.0
+
+    @property
+    def shares(self) -> Array:
+        """(n,) the same of each output."""
         with_it, without = self.squares
-        return float(np.sqrt(with_it / without)) if without > 0.0 else float('nan')
+        return np.sqrt(with_it / np.maximum(without, 1e-300))
 
 
 class AppliedEffects:
@@ -133,6 +139,15 @@ class AppliedEffects:
         )
         return shown, needed
 
+    @property
+    def spread(self) -> Array:
+        """(n,) standard deviation of what is applied, for the newest sample: what errors of the
+        inputs and of theta leave of k grows with k, and its share is measured."""
+        variance = np.zeros(self._body.n_outputs)
+        for trial, added in zip(self.trials, self.added, strict=True):
+            variance += trial.applied * (trial.shares * added) ** 2
+        return np.sqrt(variance)
+
     def bodies_and_bias(self) -> tuple[Array, Array]:
         """(p,) base parameters of the loads that are applied, and (n,) what is the sensor's own, of
         the newest sample."""
@@ -180,16 +195,21 @@ class AppliedEffects:
 
         :param noise: kappa of a usual block. :param usual: the weighed squares that one has.
         """
-        power = float(block.own[-1].sum())
+        squares, power = block.own[-1], float(block.own[-1].sum())
         for trial, (along, own) in zip(self.trials, block.added, strict=True):
-            gained = float(-2.0 * along - own if trial.applied else 2.0 * along - own)
+            gains = -2.0 * along - own if trial.applied else 2.0 * along - own
+            gained = float(gains.sum())
+            there = (squares, squares - gains)
             if trial.applied:
-                trial.squares += (power, power - gained)
+                trial.squares = trial.squares + there
+            elif trial.score > 0.0:
+                trial.squares = trial.squares + there[::-1]
             kappa = noise * max((power - max(gained, 0.0)) / usual, 1.0)
             trial.score += gained / (2.0 * kappa)
             trial.tried_s += BLOCK_S * (not trial.applied and not trial.remembered)
             if trial.score <= 0.0:
                 trial.score, trial.since = 0.0, block.end
+                trial.squares = trial.squares * trial.applied
         best = max(self.trials, key=lambda trial: trial.score, default=None)
         return best if best is not None and best.score > SURE else None
 
@@ -197,10 +217,9 @@ class AppliedEffects:
         """Apply it from the sample after ``now`` [ns] on, or take it back."""
         trial.applied = not trial.applied
         if trial.applied:
-            trial.squares = np.zeros(2)
             self._begin_contribution(trial, now)
         else:
-            trial.remembered = True
+            trial.remembered, trial.squares = True, np.zeros((2, 1))
             self._end_contribution(trial, now)
         for other in self.trials:
             other.score = 0.0

@@ -223,7 +223,6 @@ class ChangeWatch:
         self.applied = AppliedEffects(body)
         self.holds = False
         """Whether the next sample is not to be learnt."""
-        self.released = False
         self._held_s = 0.0
         self._body, self._background, self._told, self._failed = body, background, told, failed
         self._columns: CoupledColumns | None = None
@@ -251,11 +250,13 @@ class ChangeWatch:
     @property
     def picked(self) -> tuple[bool, Load | None]:
         """Whether a load was picked up that is still there, and that load where it is named."""
-        loads = [
-            (str(trial.effect.where), trial.coefficients, trial.std)
-            for trial in self.applied.applied
-            if trial.effect.is_load
-        ]
+        loads = []
+        for trial in self.applied.applied:
+            record = self.records.get(trial.number)
+            named = None if record is None else record.named
+            if trial.effect.is_load:
+                values = (trial.coefficients, trial.std) if named is None else named.coefficients
+                loads.append((str(trial.effect.where), *values))
         followed = None if self.detector is None else self.detector.followed
         record = None if followed is None else self.records.get(followed.change.number)
         if record is not None and record.named is not None and record.effect is not None:
@@ -273,12 +274,7 @@ class ChangeWatch:
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
-        self.holds = self.released = False
-
-    def release(self) -> bool:
-        """Whether the sample that is learnt now is the first one of a robot that has changed."""
-        released, self.released = self.released, False
-        return released
+        self.holds = False
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock."""
@@ -293,7 +289,7 @@ class ChangeWatch:
             self.forget()
             return
         detector = self._detector_of(estimator.columns)
-        change = detector.see(*part, self.applied.added)
+        change = detector.see(*part, self.applied.added, self.applied.spread)
         self._now = now = prediction.sample.stamp
         if change is not None:
             self._record(change, now)
@@ -374,7 +370,7 @@ class ChangeWatch:
             self.holds = self._held_s < HELD_S
             self._held_s += BLOCK_S
         elif self.holds:
-            self.holds, self.released = False, True
+            self.holds = False
             self._decide(followed.change.number, Decision(LEARNT, self._now))
 
     def _waits(self, number: int) -> bool:
@@ -414,10 +410,7 @@ class ChangeWatch:
     def _record(self, change: Change, now: int) -> None:
         known = self.records.get(change.number)
         anew = known is None or known.change.since != change.since
-        if known is None or anew:
-            record = ChangeRecord(change)
-        else:
-            record = replace(known, change=change)
+        record = replace(known, change=change) if known and not anew else ChangeRecord(change)
         self.records[change.number] = record
         for number in list(self.records)[:-MOST_RECORDS]:
             del self.records[number]

@@ -153,7 +153,7 @@ class Block(NamedTuple):
     """(6, n) of each output the sums of w (1, t, t^2, r, r t, r^2), with weights w and time t in
     blocks."""
     added: Array
-    """(m, 2) the sums of w r k and w k^2 over all outputs, of what known effects add, k."""
+    """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
 
 
 def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
@@ -324,7 +324,7 @@ class ChangeDetector:
     def _begin_block(self) -> None:
         p, n = len(self._directions), len(self._names)
         self._gram, self._moment, self._own = np.zeros((p, p)), np.zeros(p), np.zeros((6, n))
-        self._added = np.zeros((0, 2))
+        self._added = np.zeros((0, 2, n))
         self._seconds, self._start = 0.0, 0
 
     @property
@@ -349,12 +349,16 @@ class ChangeDetector:
         return float(np.median(self._power))
 
     def see(
-        self, prediction: Prediction, model: Model, added: Array | None = None
+        self,
+        prediction: Prediction,
+        model: Model,
+        added: Array | None = None,
+        spread: Array | float = 0.0,
     ) -> Change | None:
         """Take one predicted sample into account; what is told with it.
 
         :param prediction: of a ``model`` without features. :param added: (m, n) what known effects
-            add to the outputs.
+            add to the outputs. :param spread: (n,) standard deviation of those that were taken off.
         """
         sample, theta = prediction.sample, model.theta
         self.finished = None
@@ -374,7 +378,7 @@ class ChangeDetector:
         elif model is not self._model:  # its coefficients may be worse than those before
             self._held, self._compared = True, np.zeros(3)
         self._model = model
-        weight = model.noise_std / (self._noise_std * prediction.model_std)
+        weight = model.noise_std / (self._noise_std * np.hypot(prediction.model_std, spread))
         if self._joints is not None:  # what holds a joint that rests tells nothing
             weight = weight * (speed[self._joints] > SPEEDS[0])
         if self._familiar < UNSEEN_S:
@@ -407,8 +411,8 @@ class ChangeDetector:
         if added is not None and len(added):
             known = added * weight
             if len(self._added) != len(known):
-                self._added = np.zeros((len(known), 2))
-            self._added += np.column_stack([known @ left, (known * known).sum(axis=1)])
+                self._added = np.zeros((len(known), 2, len(left)))
+            self._added += np.stack([known * left, known * known], axis=1)
 
     def _finish_block(self, stamp: int, theta: Array) -> Change | None:
         directions = self._directions

@@ -37,8 +37,7 @@ def learning_of(learn: bool, gate: ContactGate, changes: ChangeWatch | None) -> 
         return Learning.NO
     if changes is not None and changes.holds:
         return Learning.OFFSET
-    released = changes is not None and changes.release()
-    return Learning.AFTER_CHANGE if gate.changed or released else Learning.YES
+    return Learning.AFTER_CHANGE if gate.changed else Learning.YES
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:
