@@ -70,6 +70,8 @@ class Trial:
     since: int = 0
     """[ns] when g was last zero."""
     tried_s: float = 0.0
+    reference: Array | None = None
+    """(p,) coefficients of the model from before it was applied."""
     squares: Array = field(default_factory=lambda: np.zeros((2, 1)))
     """(2, n) weighed squares of what is left with it and without it, while it is there."""
 
@@ -94,6 +96,7 @@ class AppliedEffects:
         self.trials: list[Trial] = []
         self.contributions: list[Contribution] = []
         """All that was taken off, for those who need the samples as measured."""
+        self._newest: Array = np.zeros((body.n_outputs, 0))
         self.added: Array = np.zeros((0, body.n_outputs))
         """(m, n) k of each trial, of the newest sample."""
         self._columns = CoupledColumns(body)
@@ -121,6 +124,7 @@ class AppliedEffects:
         if not self.trials:
             return sample, None
         columns, self._memory = self._columns.one(sample, 0, self._memory)
+        self._newest = columns
         self.added = np.array([columns[:, block] @ trial.coefficients for block, trial in self._blocks()])
         if not self.applied:
             return sample, None
@@ -141,11 +145,13 @@ class AppliedEffects:
 
     @property
     def spread(self) -> Array:
-        """(n,) standard deviation of what is applied, for the newest sample: what errors of the
-        inputs and of theta leave of k grows with k, and its share is measured."""
+        """(n,) standard deviation of what is applied, for the newest sample: that of theta, and what
+        errors of the inputs leave of k, which grows with k; its share is measured."""
         variance = np.zeros(self._body.n_outputs)
-        for trial, added in zip(self.trials, self.added, strict=True):
-            variance += trial.applied * (trial.shares * added) ** 2
+        for (block, trial), added in zip(self._blocks(), self.added, strict=True):
+            if trial.applied:
+                of_theta = (self._newest[:, block] ** 2) @ trial.std**2
+                variance += of_theta + (trial.shares * added) ** 2
         return np.sqrt(variance)
 
     def bodies_and_bias(self) -> tuple[Array, Array]:
@@ -289,6 +295,7 @@ class AppliedEffects:
         """The trials are others: what effects remember begins anew."""
         self._columns = CoupledColumns(self._body, [trial.effect for trial in self.trials])
         self._memory = None
+        self._newest = np.zeros((self._body.n_outputs, self._columns.n_columns))
         self.added = np.zeros((len(self.trials), self._body.n_outputs))
 
     def _begin_contribution(self, trial: Trial, now: int) -> None:

@@ -327,7 +327,8 @@ class ChangeWatch:
             detector.number += beside is None
             known = self._record_of(trial, known, detector.number, since, now)
             trial.number = detector.number
-        detector.reset()
+        trial.reference = detector.reference if trial.applied else trial.reference
+        detector.resume(trial.reference)
         record = replace(known, decisions=(*known.decisions, decision))
         self.records[trial.number] = record
         if trial.applied:

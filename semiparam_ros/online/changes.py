@@ -321,6 +321,19 @@ class ChangeDetector:
         """The block that the newest sample finished, None where it did not."""
         self._begin_block()
 
+    @property
+    def reference(self) -> Array | None:
+        """(p,) coefficients of the model that outputs are compared with; None before the first."""
+        return None if self._reference is None else self._reference.copy()
+
+    def resume(self, reference: Array | None) -> None:
+        """Drop what is half seen, and compare with these coefficients (p,), unless those of the
+        model as it stands turn out to predict better."""
+        now = self._reference
+        self.reset()
+        if reference is not None and now is not None and now.shape == reference.shape:
+            self._reference, self._held = reference, True
+
     def _begin_block(self) -> None:
         p, n = len(self._directions), len(self._names)
         self._gram, self._moment, self._own = np.zeros((p, p)), np.zeros(p), np.zeros((6, n))
