@@ -144,7 +144,7 @@ def test_a_load_is_applied_and_taken_back_and_nobody_touches_anything(tmp_path):
         assert (tried['what'], applied['what']) == ('tried beside the model', 'applied')
         assert over['evidence'] > 12.0
         assert over['error_share'] < 0.7
-        assert abs(over['stamp_s'] - samples[off].stamp * 1e-9) < 3.0
+        assert abs(over['stamp_s'] - samples[off].stamp * 1e-9) < 10.0
         states = [
             {entry.key: entry.value for entry in message.status[0].values}['state']
             for message in client.heard['change']
