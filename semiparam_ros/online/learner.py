@@ -158,8 +158,8 @@ class Learner:
             self._listener.announce(
                 f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                 'a change of the robot, and is learnt.')
-        learn = self.settings.learning and not contact and prediction.motion.is_news
-        learning = learning_of(learn, self.gate)
+        learning = learning_of(prediction, self.settings.learning and not contact, self.gate)
+        learn = learning > 0
         answer = Answer(self._as_measured(prediction, of_tools), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learn, contact, self.gate.level, *self.gate.places())
         self._emit(answer, learning)  # before learning, which takes as long as predicting
@@ -248,7 +248,7 @@ class Learner:
         self.learnt += answer.learnt
         self.tare.add(sample.stamp, sample.outputs - answer.prediction.model_mean, answer.prediction.ready)
         self._listener.answered(answer)
-        self.history.append(sample, learning, answer.prediction.motion.is_news)
+        self.history.append(sample, learning)
 
     def _end_window(self) -> None:
         """Let the background estimate hyperparameters, unless the settings want another model than this."""

@@ -1,4 +1,4 @@
-"""What becomes of a sample: whether it is learnt, and whether the robot has changed before it.
+"""What becomes of a sample: whether it is news and learnt, and whether the robot changed before it.
 
 Kept with each sample, so that a model built later from the samples kept does what the model in force did.
 """
@@ -14,16 +14,25 @@ from semiparam_ros.online.contact_gate import ContactGate
 
 
 class Learning(IntEnum):
-    """Of one sample; true where it is learnt."""
+    """Of one sample; above zero where it is learnt."""
 
+    NO_NEWS = -1
+    """Not learnt, nor do bands and offset follow it: the robot is at rest, its motors are off, or
+    the clock has just jumped. A model that predicts otherwise, or does not know all samples of a
+    rest, could not tell that again."""
     NO = 0
     YES = 1
     AFTER_CHANGE = 2
     """The first one learnt after a lasting change of the robot: what was learnt before counts for less."""
 
 
-def learning_of(learn: bool, gate: ContactGate) -> Learning:
-    """That of a sample which the gate has just judged."""
+def learning_of(prediction: Prediction, learn: bool, gate: ContactGate) -> Learning:
+    """That of a sample which the model in force has predicted and the gate has just judged.
+
+    :param learn: let it be learnt if it is news.
+    """
+    if not prediction.motion.is_news:
+        return Learning.NO_NEWS
     return Learning.AFTER_CHANGE if learn and gate.changed else Learning(learn)
 
 
@@ -31,4 +40,7 @@ def observe(estimator: Estimator, prediction: Prediction, learning: int, finish:
     """See :meth:`Estimator.observe <semiparam_ros.core.estimator.Estimator.observe>`."""
     if learning == Learning.AFTER_CHANGE:
         estimator.follow_change()
+    motion, is_news = prediction.motion, learning != Learning.NO_NEWS
+    if motion.is_news != is_news:
+        prediction = prediction._replace(motion=motion._replace(is_news=is_news))
     return estimator.observe(prediction, learning > 0, finish)

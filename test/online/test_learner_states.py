@@ -88,7 +88,8 @@ class Lives(RuleBasedStateMachine):
 
     def answered(self, answer):
         self.answers.append(answer.prediction.sample.stamp)
-        self.given.append((answer.prediction.sample, learning_of(answer.learnt, self.learner.gate)))
+        learning = learning_of(answer.prediction, answer.learnt, self.learner.gate)
+        self.given.append((answer.prediction.sample, learning))
         assert np.isfinite(answer.prediction.mean).all() and np.isfinite(answer.prediction.std).all()
         found = self.external.of(answer.prediction, answer.residual, np.ones(self.body.n_outputs))
         assert np.isfinite([*found.wrench, *found.std]).all() and (found.std >= 0.0).all()
@@ -505,3 +506,18 @@ def test_priors_and_friction_are_switched_and_back(tmp_path, monkeypatch):
         save(tmp_path / 's.npz', life.learner.state())
         life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, life.body))
         life.comes_to_rest()
+
+
+def test_what_is_rest_is_judged_once_by_the_model_in_force():
+    """Each model beside it judged by its own predictions, and one built later by what a history
+    keeps of a rest."""
+    life = EffortLives()
+    life.begin()
+    life.chooses('SP2-VS')
+    life.moves(22)
+    life.background.run()
+    life.rests(50)
+    life.declares(['payload@ft'])
+    life.comes_to_rest()
+    life.moves(5)
+    life.comes_to_rest()

@@ -106,7 +106,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    21: {
+    22: {
         'meta': 'format gate joints known memory newest origin others passed_over renewal settings version window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar free level '
                 'mean newest resting speed tails turns within',
