@@ -31,6 +31,10 @@ DEGREES = 5.0
 LEAST_LOG_WEIGHT = -6.0
 """The best has 0: who was poor for long still weighs enough to take over within a few samples of a change."""
 
+OFF_SHARE = 0.1
+"""Where nothing moves and all outputs are below this share of what is predicted, the motors are
+off behind brakes."""
+
 ELSEWHERE = 2.0
 """Errors on another motion are up to so many times those on a block of the same motion that was left out: on thirteen
 pairs of recordings of measured and simulated arms then at most 1 % are beyond three standard deviations."""
@@ -108,8 +112,12 @@ class Ensemble:
                 np.array([each.prior.covariance for each in members]))
             model_std = np.sqrt(pooled[3].diagonal())
         mean, std, model_mean, covariance = pooled
+        motion, off = observed.motion, False
+        if self.first.ready and motion.still > 1:
+            off = bool(np.abs(observed.sample.outputs).max() < OFF_SHARE * np.abs(model_mean).max())
+            motion = motion._replace(is_news=motion.is_news and not off)
         return Prediction(mean, std, model_mean, model_std, self.first.ready, observed.sample, covariance,
-                          observed.columns, observed.memory, own.motion, observed.beyond, members, own.off)
+                          observed.columns, observed.memory, motion, observed.beyond, members, off)
 
     def _columns_of_each(self, observed: Observed) -> list[Array]:
         """The columns (n, p) of each model; those of the first are known."""
@@ -126,14 +134,15 @@ class Ensemble:
         :param follow: see :meth:`OnlineModel.take_in`.
         """
         sample, members, outputs = prediction.sample, prediction.members, prediction.sample.outputs
+        is_news = prediction.motion.is_news
         if len(members) == 1:
-            return self.first.take_in(sample, members[0], learn, follow=follow)
+            return self.first.take_in(sample, members[0], learn, is_news, follow=follow)
         counts = learn or not self.first.window_left  # as for the bands
         charged = np.zeros((len(members), self._horizons.length, len(outputs)))
         for model, its, errors in zip(self.models, members, charged, strict=True):
-            model.take_in(sample, its, learn, errors, follow)
+            model.take_in(sample, its, learn, is_news, errors, follow)
         std = np.array([its.std for its in members])
-        if prediction.motion.is_news and counts:
+        if is_news and counts:
             self.weights.learn(outputs - np.array([its.mean for its in members]), std)
         return self._horizons.advance_average(sample.stamp, charged, outputs, self.weights.weights, std)
 
@@ -159,6 +168,8 @@ class Ensemble:
     def compare(self, prediction: Prediction) -> int:
         """Let each model return to what was known before the last change of the robot, if that predicts better; how
         many did."""
+        if not prediction.motion.is_news:
+            return 0
         returns = sum([model.compare(prediction.sample, its)
                        for model, its in zip(self.models, prediction.members, strict=True)])
         if returns:

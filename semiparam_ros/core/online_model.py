@@ -22,9 +22,6 @@ from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
 
-OFF_SHARE = 0.1
-"""Where nothing moves and all outputs are below this share of what is predicted, the motors are off behind brakes."""
-
 COMPARED_EVERY_NS, LONGEST_COMPARED_NS = NANOSECONDS // 100, NANOSECONDS // 10
 """A model is compared with the one from before the last change no more often, and a pause counts for no more."""
 
@@ -64,11 +61,8 @@ class OnlineModel:
     def predict(self, observed: Observed, columns: Array) -> MemberPrediction:
         """Predict a sample, whose columns (n, p) are those of this model; nothing changes."""
         prior = self.model.predict(observed.x, columns)
-        motion, off = observed.motion, False
-        if self.ready and motion.still > 1:
-            off = bool(np.abs(observed.sample.outputs).max() < OFF_SHARE * np.abs(prior.mean).max())
-            motion = motion._replace(is_news=motion.is_news and not off)
-        return MemberPrediction(self._mean(prior), self.calibration.factor * prior.std, prior, columns, motion, off)
+        std = self.calibration.factor * prior.std
+        return MemberPrediction(self._mean(prior), std, prior, columns)
 
     def _mean(self, prior: Prior) -> Array:
         return prior.mean if self.wandering is None else prior.mean + self.wandering.offset
@@ -90,16 +84,17 @@ class OnlineModel:
             np.zeros((self.model.recursion.n_outputs, 0))
         return Coefficients(self.model.theta.copy(), alpha)
 
-    def take_in(self, sample: Sample, prediction: MemberPrediction, learn: bool, errors: Array | None = None,
-                follow: bool = False) -> HorizonErrors | None:
+    def take_in(self, sample: Sample, prediction: MemberPrediction, learn: bool, is_news: bool,
+                errors: Array | None = None, follow: bool = False) -> HorizonErrors | None:
         """Charge a predicted sample to the horizon index, and learn it where it is due; the horizon it completed.
 
+        :param is_news: let bands follow it, and the wandering offset where it is learnt.
         :param errors: see :meth:`HorizonIndex.advance`. :param follow: let the wandering offset follow it all the same.
         """
         prior, recursion = prediction.prior, self.model.recursion
         outputs = np.ascontiguousarray(sample.outputs, dtype=float)
         due = learn and self._is_due(prior)
-        if AVAILABLE and due and prediction.motion.is_news and self.wandering is not None:
+        if AVAILABLE and due and is_news and self.wandering is not None:
             self.window_left -= min(self.window_left, 1)
             self.horizon.make_room()
             eps = np.empty((2, len(outputs)))
@@ -110,7 +105,7 @@ class OnlineModel:
         innovations = recursion.learn(prior, outputs) if due else None
         if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
-        if prediction.motion.is_news:  # at rest nothing tells how wide the bands of motion are
+        if is_news:  # at rest nothing tells how wide the bands of motion are
             self.window_left -= min(self.window_left, learn)
             self._follow(outputs, prior, learn or follow)
         parts = None if self.wandering is None else self.wandering.parts
@@ -162,7 +157,7 @@ class OnlineModel:
         """Go on from what was known before the last change of the robot, if that predicts the last seconds better;
         whether it does."""
         recursion = self.model.recursion
-        if recursion.before is None or not prediction.motion.is_news:
+        if recursion.before is None:
             return False
         since = sample.stamp - recursion.compared_at
         if 0 <= since < COMPARED_EVERY_NS:

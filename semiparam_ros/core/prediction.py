@@ -35,8 +35,6 @@ class MemberPrediction(NamedTuple):
     std: Array  # (n,) predictive, noise included, calibrated
     prior: Prior  # of the model alone, without wandering offset, not calibrated
     columns: Array  # (n, p) all of its C
-    motion: Motion
-    off: bool
 
     @property
     def model_mean(self) -> Array:
@@ -78,8 +76,8 @@ class Prediction(NamedTuple):
         member = self.members[index]
         prior = member.prior
         return self._replace(mean=member.mean, std=member.std, model_mean=prior.mean, model_std=prior.std,
-                             model_covariance=prior.covariance, columns=member.columns, motion=member.motion,
-                             off=member.off, members=(member,))
+                             model_covariance=prior.covariance, columns=member.columns,
+                             members=(member,))
 
 
 class DesiredOutputs(NamedTuple):

@@ -236,12 +236,13 @@ class OfflineLearner:
             added = of_changes if added is None else added if of_changes is None else added + of_changes
         prediction = self.estimator.predict(sample)
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
-        learn = learning_of(learning and not contact and prediction.motion.is_news, self.gate, self.changes)
+        learns = learning_of(prediction, learning and not contact, self.gate, self.changes)
         if self.changes is not None:
             self.changes.see(self.estimator, prediction, self.history)
-        errors = observe(self.estimator, prediction, learn, finish=False)
-        self.history.append(sample, learn, prediction.motion.is_news)
-        due = learn > 0 and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
+        errors = observe(self.estimator, prediction, learns, finish=False)
+        self.history.append(sample, learns)
+        due = (learns > 0 and not self.settings.hyperparameters_sigma
+               and self._renewal.see(self.estimator, prediction))
         if due and (self._successor is None or (self._draft is None and self._renewal.outdates(self._later))):
             if self._successor is not None:
                 self._next_takeover()
@@ -249,7 +250,7 @@ class OfflineLearner:
             self._successor = partial(renew, self.settings, self.estimator.body, self.history.batch(),
                                       self.history.origin, self._later)
         elif self._successor is not None:
-            self._waiting.append((sample, learn))
+            self._waiting.append((sample, learns))
         elif self.estimator.window_full:
             self._later = None
             if has_draft(self.settings.initial_samples):

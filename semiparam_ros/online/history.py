@@ -15,6 +15,7 @@ import numpy as np
 
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
+from semiparam_ros.online.learning import Learning
 
 KEPT_OF_REST = 20
 """Samples of rest that are kept, the last before each motion."""
@@ -182,15 +183,15 @@ class History:
     def __len__(self) -> int:
         return len(self._window) + len(self._recent)
 
-    def append(self, sample: Sample, learnt: int, is_news: bool = True) -> None:
+    def append(self, sample: Sample, learnt: int) -> None:
         """Keep one sample."""
         if self.origin is None:
             self.origin = sample.stamp
-        if not is_news:
+        if learnt == Learning.NO_NEWS:
             self._at_rest.append(sample)
             return
         while self._at_rest:
-            self._keep(self._at_rest.popleft(), False)
+            self._keep(self._at_rest.popleft(), Learning.NO_NEWS)
         self._keep(sample, learnt)
 
     def _keep(self, sample: Sample, learnt: int) -> None:
@@ -226,7 +227,7 @@ class History:
 
     def batch(self) -> SampleBatch:
         """Everything that is kept, in order."""
-        at_rest = batch_of((sample, False) for sample in self._at_rest)
+        at_rest = batch_of((sample, Learning.NO_NEWS) for sample in self._at_rest)
         return SampleBatch([*self._window.rows(), *self._recent.rows(), *at_rest.rows], self._n_joints, self.origin)
 
     def span(self, seconds: float) -> SampleBatch:

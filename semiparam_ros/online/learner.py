@@ -54,11 +54,16 @@ class Answer(NamedTuple):
     prediction: Prediction
     residual: Array  # (n,) outputs minus prediction, in N and N m
     innovation: float  # root mean square of the residual in predictive standard deviations
-    learnt: bool
+    learning: Learning
     contact: bool
     contact_level: Array  # (n,) residual over the gate's threshold; 0 where it does not judge
     places: Array  # (n_links,) how likely the contact is at each link of the gate's places
     contact_s: float  # since the contact began
+
+    @property
+    def learnt(self) -> bool:
+        """Whether the model is to learn it."""
+        return self.learning > 0
 
 
 class LearnerListener(Protocol):
@@ -159,15 +164,13 @@ class Learner:
             self._listener.announce(
                 f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                 'a change of the robot, and is learnt.')
-        learn = self.settings.learning and not contact and prediction.motion.is_news
-        learning = learning_of(learn, self.gate, self.changes)
+        learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
-                        standardised_innovation(prediction), learning > 0, contact, self.gate.level,
-                        *self.gate.places())
-        self._emit(answer, learning)  # before learning, which takes as long as predicting
+                        standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places())
+        self._emit(answer)  # before learning, which takes as long as predicting
         self._look_for_changes(prediction)
         if self._observe(prediction, learning):
-            renews = learning > 0 and not self.settings.hyperparameters_sigma and self._renews(prediction)
+            renews = answer.learnt and not self.settings.hyperparameters_sigma and self._renews(prediction)
             self.switcher.offer(sample, learning)
             if self._asked is None and self.estimator.window_full:
                 self._end_window()
@@ -257,14 +260,14 @@ class Learner:
                 prediction = prediction._replace(mean=prediction.mean + more)
         return prediction._replace(mean=prediction.mean + self.tare.bias) if self.tare.active else prediction
 
-    def _emit(self, answer: Answer, learning: Learning) -> None:
+    def _emit(self, answer: Answer) -> None:
         sample = answer.prediction.sample
         self.answered += 1
         self._seen += 1
         self.learnt += answer.learnt
         self.tare.add(sample.stamp, sample.outputs - answer.prediction.model_mean, answer.prediction.ready)
         self._listener.answered(answer)
-        self.history.append(sample, learning, answer.prediction.motion.is_news)
+        self.history.append(sample, answer.learning)
 
     def _end_window(self) -> None:
         """Let the background estimate hyperparameters, unless the settings want another model than this."""

@@ -1,4 +1,4 @@
-"""What becomes of a sample: whether it is learnt, and whether the robot has changed before it.
+"""What becomes of a sample: whether it is news and learnt, and whether the robot changed before it.
 
 Kept with each sample, so that a model built later from the samples kept does what the model in force did.
 """
@@ -18,30 +18,37 @@ if TYPE_CHECKING:
 
 
 class Learning(IntEnum):
-    """Of one sample; positive where it is learnt."""
+    """Of one sample; above zero where it is learnt."""
 
-    OFFSET = -1
+    OFFSET = -2
     """The wandering offset alone follows it: the robot may have changed, and what it is will be known soon."""
+    NO_NEWS = -1
+    """Not learnt, nor do bands and offset follow it: the robot is at rest, its motors are off, or
+    the clock has just jumped. A model that predicts otherwise, or does not know all samples of a
+    rest, could not tell that again."""
     NO = 0
     YES = 1
     AFTER_CHANGE = 2
     """The first one learnt after a lasting change of the robot: what was learnt before counts for less."""
 
 
-def learning_of(learn: bool, gate: ContactGate, changes: ChangeWatch | None) -> Learning:
-    """That of a sample which the gate has just judged.
+def learning_of(prediction: Prediction, learn: bool, gate: ContactGate, changes: ChangeWatch | None) -> Learning:
+    """That of a sample which the model in force has predicted and the gate has just judged.
 
-    :param learn: whether it may be learnt, for all that is known without these two.
+    :param learn: let it be learnt if it is news. :param changes: keep what may be a change from being learnt.
     """
-    if not learn:
-        return Learning.NO
-    if changes is not None and changes.holds:
+    if not prediction.motion.is_news:
+        return Learning.NO_NEWS
+    if learn and changes is not None and changes.holds:
         return Learning.OFFSET
-    return Learning.AFTER_CHANGE if gate.changed else Learning.YES
+    return Learning.AFTER_CHANGE if learn and gate.changed else Learning(learn)
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:
     """See :meth:`Estimator.observe <semiparam_ros.core.estimator.Estimator.observe>`."""
     if learning == Learning.AFTER_CHANGE:
         estimator.follow_change()
+    motion, is_news = prediction.motion, learning != Learning.NO_NEWS
+    if motion.is_news != is_news:
+        prediction = prediction._replace(motion=motion._replace(is_news=is_news))
     return estimator.observe(prediction, learning > 0, finish, learning == Learning.OFFSET)

@@ -444,7 +444,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     every = max(OLDER, -((since - begin) // OLDER_OF_DRAFT)) if later.draft else OLDER
     older = np.zeros(begin, dtype=bool)
     older[since::every] = True
-    learning[:begin] = learnt[:begin] & older
+    learning[:begin] = np.minimum(learning[:begin], np.where(older, Learning.YES, Learning.NO))
     parts = [*batch.part(since, start, every).rows, *batch.part(start).rows]
     numbers = np.r_[since:start:every, start:len(batch)]
     each = zip(replace(batch, rows=parts).pairs(), learning[numbers].tolist(), compared[numbers].tolist(),

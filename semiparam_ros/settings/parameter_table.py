@@ -266,7 +266,8 @@ class Table:
 
     # Horizon error
     horizon_length: int = declare(
-        'horizon.length', 25, 'Length T of the horizon error.', unit='samples', minimum=1, maximum=10000, live=True)
+        'horizon.length', 25, 'Length T of the horizon error. The time that a sample takes grows with it.',
+        unit='samples', minimum=1, maximum=1000, live=True)
 
     # Time
     alignment_tolerance: float = declare(

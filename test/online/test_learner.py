@@ -23,6 +23,7 @@ from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import identified_parameters, state_file, worker
 from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload
+from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import ProcessBackground, Urgency, new_estimator
@@ -726,7 +727,8 @@ def test_gaps_are_told_where_the_robot_rested_and_none_of_thinning():
     for number, sample in enumerate(moving):
         if number == 1500:
             for rest in range(500):
-                history.append(sample._replace(stamp=sample.stamp + rest * PERIOD_NS), False, is_news=False)
+                later = sample._replace(stamp=sample.stamp + rest * PERIOD_NS)
+                history.append(later, Learning.NO_NEWS)
         history.append(sample._replace(stamp=sample.stamp + (number >= 1500) * 500 * PERIOD_NS), True)
     batch = history.span(300.0)
     for share in (1.0, 0.1):

@@ -31,7 +31,7 @@ from semiparam_ros.export.urdf import described_links
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.history import KEPT_OF_REST
 from semiparam_ros.online.learner import Learner
-from semiparam_ros.online.learning import Learning, learning_of, observe
+from semiparam_ros.online.learning import Learning, observe
 from semiparam_ros.online.model_switcher import State, same_model
 from semiparam_ros.online.state_file import load, save
 from semiparam_ros.online.worker import known_of, new_estimator
@@ -88,7 +88,7 @@ class Lives(RuleBasedStateMachine):
 
     def answered(self, answer):
         self.answers.append(answer.prediction.sample.stamp)
-        self.given.append((answer.prediction.sample, learning_of(answer.learnt, self.learner.gate)))
+        self.given.append((answer.prediction.sample, answer.learning))
         assert np.isfinite(answer.prediction.mean).all() and np.isfinite(answer.prediction.std).all()
         found = self.external.of(answer.prediction, answer.residual, np.ones(self.body.n_outputs))
         assert np.isfinite([*found.wrench, *found.std]).all() and (found.std >= 0.0).all()
@@ -505,3 +505,18 @@ def test_priors_and_friction_are_switched_and_back(tmp_path, monkeypatch):
         save(tmp_path / 's.npz', life.learner.state())
         life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, life.body))
         life.comes_to_rest()
+
+
+def test_what_is_rest_is_judged_once_by_the_model_in_force():
+    """Each model beside it judged by its own predictions, and one built later by what a history
+    keeps of a rest."""
+    life = EffortLives()
+    life.begin()
+    life.chooses('SP2-VS')
+    life.moves(22)
+    life.background.run()
+    life.rests(50)
+    life.declares(['payload@ft'])
+    life.comes_to_rest()
+    life.moves(5)
+    life.comes_to_rest()

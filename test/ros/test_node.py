@@ -174,7 +174,7 @@ def test_refused_values_leave_everything_as_it_was_and_say_why(client):
     assert refusal(forgetting=2.0) == 'forgetting is 2.0; expected 0.5 to 1, or auto.'
     assert refusal(forgetting='fast') == "forgetting is 'fast'; expected a number, 0.5 to 1, or auto."
     assert refusal(forgetting=float('nan')).startswith('forgetting is nan')
-    assert refusal(horizon__length='25') == "horizon.length is '25'; expected an integer, 1 to 10000."
+    assert refusal(horizon__length='25') == "horizon.length is '25'; expected an integer, 1 to 1000."
     assert refusal(features__count=100) == 'features.count cannot change while the node runs; start it again with ' \
                                            'the new value.'
     assert "nearest is 'variant'" in refusal(varaint='P')

@@ -8,6 +8,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from semiparam_ros.ros.estimator import diagnostics, subscriptions
 from semiparam_ros.ros.estimator.subscriptions import Turns
 from support.node_helpers import JOINTS, SETTINGS, motion
+from support.parameter_ends import EVERY_KIND
 
 
 class Line:
@@ -80,13 +81,14 @@ def test_what_is_late_or_lost_is_told_with_its_cause_once(monkeypatch):
 
 
 def test_a_node_that_cannot_follow_answers_calls_and_goes_back_to_what_it_can(start_node):
-    """The largest horizon: a sample takes longer than publishing the next one."""
+    """The largest horizon and every kind of effect: a sample takes longer than publishing the
+    next one."""
     settings = replace(SETTINGS, variant='P', acceleration_source='measured', initial_samples=60)
     _, client = start_node(settings)
     client.offer('joint_states', 'joint_accelerations', 'wrench')
     samples = motion(3000)
     rest = client.play_window(samples, JOINTS, 100)
-    assert client.set(horizon__length=10000)[0].successful
+    assert client.set_together(horizon__length=1000, effects=EVERY_KIND).successful
     client.wait_report('learning', lambda level, message, values: message == 'learning with P.')
     client.get('variant')  # a client that is known already
     client.forget()
@@ -94,7 +96,7 @@ def test_a_node_that_cannot_follow_answers_calls_and_goes_back_to_what_it_can(st
         client.state(sample, JOINTS)
         client.accelerations(sample, JOINTS)
         client.wrench(sample)
-    answer = client.set(horizon__length=5)[0]
+    answer = client.set_together(horizon__length=5, effects=[''])
     answered = len(client.heard['residual'])
     assert answer.successful and answered < len(rest)
     client.wait(lambda: len(client.heard['residual']) == len(rest), 'every sample is answered')
