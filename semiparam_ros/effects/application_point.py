@@ -18,7 +18,7 @@ POINT: Mapping[str, str] = {'x': 'm', 'y': 'm', 'z': 'm'}
 
 
 class AtPoint(Effect):
-    """Something whose point of application matters: the origin of the link's frame, or x, y and z [m] in it."""
+    """Effect at a point of a link: the origin of its frame, or x, y and z [m] in that frame."""
 
     parameter_units: ClassVar[Mapping[str, str]] = POINT
 
@@ -27,12 +27,12 @@ class AtPoint(Effect):
         return felt_links(body)
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
-        """It acts no farther from the link than the arm is long."""
+        """Tell whether the point is no farther from the link than the arm is long, too."""
         lever = float(np.linalg.norm([self.value(axis) for axis in POINT]))
         return lever <= reach_of(body) and super().conceivable(body, coefficients)
 
     def motion(self, body: RigidBody, samples: Samples) -> FrameMotion:
-        """How the point moves, and what a force there does."""
+        """Motion of the point along the samples, with the map from a force there to the outputs."""
         point = np.array([self.value(axis) for axis in POINT])
         motion = frame_motion(body, samples, str(self.where))
         return motion.at(point) if point.any() else motion

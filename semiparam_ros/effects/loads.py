@@ -50,7 +50,7 @@ class Payload(Effect):
 
     @property
     def searched(self) -> tuple[str, ...]:
-        """Nothing: what is declared of a load is known."""
+        """Return no name: a declared value of a load is known, not searched."""
         return ()
 
     def prior_mean(self, body: RigidBody) -> Array:
@@ -67,12 +67,12 @@ class Payload(Effect):
         return bool(coefficients[0] > 0.0)
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
-        """Its centre is no farther from the link than the arm is long."""
+        """Tell whether the centre of mass is no farther from the link than the arm is long, too."""
         reach = float(np.linalg.norm(coefficients[1:4])) <= reach_of(body) * float(coefficients[0])
         return reach and super().conceivable(body, coefficients)
 
     def relocated(self, body: RigidBody, coefficients: Array) -> Effect:
-        """At the link nearest to the load's centre of mass, unless something is known of it at this one."""
+        """The same load at the link nearest to its centre, unless it was declared at this one."""
         if self.parameters:
             return self
         mass, *moment = coefficients[:4]
@@ -81,7 +81,7 @@ class Payload(Effect):
 
 
 class AtAnyLink(AtPoint):
-    """Its search begins at the origin of every link of a body."""
+    """Effect at a point whose search begins at the origin of every link of a body."""
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
@@ -115,7 +115,7 @@ class _Drag(AtAnyLink):
         return bool(coefficients[0] > 0.0)
 
     def resistance(self, velocity: Array) -> Array:
-        """(N, 3) force for a unit coefficient, from velocities (N, 3) [m/s]."""
+        """Force (N, 3) for a unit coefficient, from velocities (N, 3) [m/s]."""
         raise NotImplementedError
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:

@@ -1,7 +1,8 @@
-"""All kinds of effects by name, those of other packages among them, and their text form in parameters.
+"""Registry of effects by kind, those of other packages among them, and their text form.
 
-A package adds a kind with an entry point in the group ``semiparam_ros.effects`` that names a subclass of Effect.
-Text is never evaluated: an effect is written ``kind``, ``kind@where``, or either with a JSON object of numbers.
+A package adds a kind with an entry point in the group ``semiparam_ros.effects`` that names a
+subclass of Effect. Text is never evaluated: an effect is written ``kind``, ``kind@where``, or
+either with a JSON object of numbers.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ from semiparam_ros.errors import SemiparamError
 
 GROUP = 'semiparam_ros.effects'
 LARGEST = 4e9
-"""Of a value: seconds up to it, stamps among them, can be counted in ns in 64 bits, and no column overflows."""
+"""Largest value: seconds up to it, stamps among them, can be counted in ns in 64 bits, and no
+column overflows."""
 SUPERSEDED = ('at_link', 'directions')
 """Values that older files hold and that follow from the place."""
 BUILT_IN: tuple[type[Effect], ...] = (
@@ -84,7 +86,7 @@ def _loaded(point: EntryPoint) -> object:
 
 
 def kinds(outputs: str | None = None) -> dict[str, type[Effect]]:
-    """Every kind by name, or only those that act on ``outputs`` (wrench or effort)."""
+    """Kinds by name, all or only those that act on ``outputs`` (wrench or effort)."""
     return {name: kind for name, kind in _all_kinds().items() if outputs is None or outputs in kind.outputs}
 
 
