@@ -22,7 +22,8 @@ class MergedBag(BagReader):
     """Readers merged by time; where times are equal, the order of ``readers`` decides. It closes them."""
 
     def __init__(self, path: str | os.PathLike[str], readers: Sequence[BagReader]) -> None:
-        """:param path: what the bag is called in sentences. Different types of one topic raise SemiparamError."""
+        """Merge readers; a topic of two types raises SemiparamError, which calls the bag ``path``.
+        """
         super().__init__(path)
         self.readers = tuple(readers)
         filled = [reader for reader in self.readers if reader.message_count]
@@ -78,7 +79,8 @@ def open_bag(path: str | os.PathLike[str]) -> BagReader:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether :func:`open_bag` is meant for this path: a directory, or a file by its first bytes or its name."""
+    """Tell whether :func:`open_bag` takes this path: a directory, or a file by first bytes or name.
+    """
     if path.is_dir():
         return True
     try:
@@ -120,7 +122,7 @@ def _open_directory(path: Path) -> BagReader:
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    """What metadata.yaml says; nothing where it is missing or damaged, since the files themselves tell enough."""
+    """Content of metadata.yaml; nothing where it is missing or damaged: the files tell enough."""
     try:
         return dict(yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information'])
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError):
@@ -128,12 +130,13 @@ def _metadata(path: Path) -> dict[str, Any]:
 
 
 def is_sqlite(path: Path, magic: bytes) -> bool:
-    """Whether a file is sqlite by its first bytes, or by its name where those are damaged."""
+    """Tell whether a file is sqlite by its first bytes, or by its name where those are damaged."""
     return magic.startswith(b'SQLite format 3\x00') or path.suffix == '.db3'
 
 
 def is_ros1(path: Path, magic: bytes) -> bool:
-    """Whether a file is a ROS 1 bag by its first bytes, or by its name where those are damaged."""
+    """Tell whether a file is a ROS 1 bag by its first bytes, or its name where those are damaged.
+    """
     return magic.startswith(b'#ROSBAG') or path.suffix == '.bag'
 
 

@@ -52,7 +52,7 @@ def full_type(name: str) -> str:
 
 
 def is_jazzy_type(type_name: str) -> bool:
-    """Whether ROS 2 Jazzy's common interfaces define ``type_name``."""
+    """Tell whether ROS 2 Jazzy's common interfaces define ``type_name``."""
     return full_type(type_name) in jazzy_types()
 
 
@@ -110,7 +110,7 @@ def encoder(type_name: str, schema: Schema = UNKNOWN) -> Encoder:
 
 @cache
 def has_header(type_name: str, schema: Schema = UNKNOWN) -> bool:
-    """Whether messages of this type begin with a std_msgs/Header, whose stamp is then bytes 4 to 12."""
+    """Tell whether messages begin with a std_msgs/Header, whose stamp is then bytes 4 to 12."""
     fields = (line.split() for line in (message_text(type_name, schema) or '').splitlines())
     first = next((words for words in fields if len(words) > 1 and not words[0].startswith('#')
                   and '=' not in ''.join(words)), [''])

@@ -29,13 +29,14 @@ _LATEST_STAMP = 2**31 * NANOSECONDS  # a builtin_interfaces/Time has 31 bits of 
 
 @dataclass(frozen=True)
 class TableLayout:
-    """``columns``: role -> columns, each a number from 1 or a name of the header line.
+    """Layout of a table; ``columns``: role -> columns, each a number from 1 or a name of the header
+    line.
 
-    Roles: 'time', 'position', 'velocity', 'acceleration', 'effort' (one column for each joint), 'force', 'torque'
-    (three each), 'temperature' [deg C] (one for each of ``temperatures``, which the messages have as frame_id; not a
-    number where there is none). Without 'time', rows are ``period`` [s] apart and the first has the stamp ``start``
-    [s]. Signs multiply what the file holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or
-    -1).
+    Roles: 'time', 'position', 'velocity', 'acceleration', 'effort' (one column for each joint),
+    'force', 'torque' (three each), 'temperature' [deg C] (one for each of ``temperatures``, which
+    the messages have as frame_id; not a number where there is none). Without 'time', rows are
+    ``period`` [s] apart and the first has the stamp ``start`` [s]. Signs multiply what the file
+    holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or -1).
     """
 
     joints: tuple[str, ...] = ()
@@ -51,14 +52,14 @@ class TableLayout:
     temperatures: tuple[str, ...] = ()
 
     def checked(self) -> TableLayout:
-        """Itself, or SemiparamError for the first thing that is missing or contradicts."""
+        """Return the layout; SemiparamError says the first thing that is missing or contradicts."""
         sentence = next(_complaints(self), None)
         if sentence:
             raise SemiparamError(sentence)
         return self
 
     def merged(self, values: Mapping[str, object], where: str) -> TableLayout:
-        """This layout with ``values`` (names as in a YAML file) in place of its own.
+        """Return the layout with ``values`` (names as in a YAML file) in place of its own.
 
         :param where: names the origin of the values in errors. 'rate' [Hz] may stand for 'period'.
         """
@@ -106,7 +107,7 @@ def parse_columns(text: object) -> tuple[int | str, ...]:
 
 
 def _converted(name: str, value: Any, where: str) -> Any:
-    """``value`` as the field of this name wants it."""
+    """Convert ``value`` to what the field of this name holds."""
     if name in ('joints', 'temperatures'):
         return tuple(value.split(',') if isinstance(value, str) else map(str, value or ()))
     if name == 'columns':
@@ -187,7 +188,7 @@ def column_indices(layout: TableLayout, header: Sequence[str], where: str) -> di
 
 
 def _parts(column: int | str, header: Sequence[str]) -> list[int | str]:
-    """Every column of the array that is named, or the column."""
+    """Columns of the array that is named, or the column itself."""
     return [name for name in header if name.rpartition(':')[0] == column] or [column]
 
 
@@ -199,7 +200,7 @@ def _index(column: int | str, header: Sequence[str], where: str) -> int:
     return list(header).index(column)
 
 
-class Row(NamedTuple):
+class TableRow(NamedTuple):
     """One row in SI units; roles that the table does not have are empty."""
 
     stamp: int
@@ -212,8 +213,9 @@ class Row(NamedTuple):
 
 
 @dataclass
-class Summary:
-    """What was converted: rows, the first and last stamp [ns], rows with a number that is not finite."""
+class ConversionAccount:
+    """Account of a conversion: rows, first and last stamp [ns], rows with a number that is not
+    finite."""
 
     rows: int = 0
     start_ns: int = 0
@@ -223,14 +225,15 @@ class Summary:
 
 
 def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWriter,
-                  robot_description: str | None = None, progress: Callable[[int], None] = lambda done: None) -> Summary:
+                  robot_description: str | None = None,
+                  progress: Callable[[int], None] = lambda done: None) -> ConversionAccount:
     """Write every row of a table as messages of one stamp; returns what was converted.
 
     :param robot_description: a URDF that travels in the bag.
     :param progress: called with the number of bytes read so far, of a text table.
     A line that does not fit the layout raises SemiparamError naming line and column.
     """
-    summary, written = Summary(), dict[str, float]()
+    summary, written = ConversionAccount(), dict[str, float]()
     for row in read_rows(path, layout, progress):
         summary.not_increasing += summary.rows > 0 and row.stamp <= summary.end_ns
         summary.rows += 1
@@ -252,7 +255,7 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
 
 
 def read_rows(path: str | os.PathLike[str], layout: TableLayout,
-              progress: Callable[[int], None] = lambda done: None) -> Iterator[Row]:
+              progress: Callable[[int], None] = lambda done: None) -> Iterator[TableRow]:
     """The rows of a table. Blank lines and those that begin with # or % are passed by; names may stand in line 1."""
     name = repr(str(path))
     arrays = holds_arrays(Path(path))
@@ -280,7 +283,7 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
 
 
 def _lines(path: Path, progress: Callable[[int], None] = lambda done: None) -> Iterator[tuple[int, list[str]]]:
-    """(number of the line, its cells)."""
+    """Number and cells of each line."""
     read = 0
     try:
         with path.open('rb') as file:
@@ -312,7 +315,7 @@ def _is_number(cell: str) -> bool:
 
 
 class _Units:
-    """From the units and signs of the file to SI units."""
+    """Conversion from the units and signs of the file to SI units."""
 
     def __init__(self, layout: TableLayout) -> None:
         angle = math.pi / 180.0 if layout.degrees else 1.0
@@ -320,7 +323,7 @@ class _Units:
                          'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
         self._layout = layout
 
-    def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> Row:
+    def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> TableRow:
         """The ``number``-th row (from 0) from its cells by role."""
         scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
                   for role, factor in self._factors.items()}
@@ -328,11 +331,11 @@ class _Units:
             scaled['effort'] = [value * self._layout.effort_factors.get(joint, 1.0)
                                 for joint, value in zip(self._layout.joints, scaled['effort'], strict=True)]
         stamp = self._stamp(cells['time'][0] if 'time' in cells else None, number, where)
-        return Row(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'], scaled['effort'],
-                   scaled['force'] + scaled['torque'], scaled['temperature'])
+        return TableRow(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'],
+                        scaled['effort'], scaled['force'] + scaled['torque'], scaled['temperature'])
 
     def _stamp(self, cell: str | None, number: int, where: str) -> int:
-        """[ns]. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
+        """Stamp [ns] of a row. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
         if cell is None:
             # Multiplied, not added up: rounding must not pile up over a long recording.
             time = (Decimal(str(self._layout.start)) + number * Decimal(str(self._layout.period))) * NANOSECONDS
@@ -352,7 +355,7 @@ def _float(cell: str, role: str, where: str) -> float:
         raise SemiparamError(f'{where}: {cell!r} is not a number ({role}).') from None
 
 
-def _write(bag: BagWriter, row: Row, layout: TableLayout) -> None:
+def _write(bag: BagWriter, row: TableRow, layout: TableLayout) -> None:
     names = list(layout.joints)
     header: dict[str, object] = {'stamp': stamp_fields(row.stamp), 'frame_id': ''}
     _put(bag, layout_names.JOINT_STATES, row.stamp, {'header': header, 'name': names, 'position': row.position,
