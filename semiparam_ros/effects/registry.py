@@ -14,39 +14,8 @@ from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
+from semiparam_ros.effects import cables, drive, friction, geometry, loads, periodic, sensor, temperature, terms
 from semiparam_ros.effects.base import Effect
-from semiparam_ros.effects.cables import CableHysteresis, CableSpring
-from semiparam_ros.effects.drive import (
-    Backlash,
-    CommonGain,
-    EffortGain,
-    EffortOffset,
-    GearCoupling,
-    JointSpring,
-    RotorInertia,
-    TransmissionRipple,
-)
-from semiparam_ros.effects.friction import (
-    AsymmetricFriction,
-    CoulombFriction,
-    LoadFriction,
-    StribeckFriction,
-    ViscousFriction,
-)
-from semiparam_ros.effects.geometry import GravityTilt, JointOffset, TimeDelay, VelocityFilter
-from semiparam_ros.effects.loads import ExternalForce, Payload, QuadraticDrag, ViscousDrag
-from semiparam_ros.effects.periodic import PeriodicDisturbance
-from semiparam_ros.effects.sensor import (
-    SensorCrosstalk,
-    SensorDrift,
-    SensorGain,
-    SensorMisalignment,
-    SensorNonlinearity,
-    SensorOffset,
-    ThermalDrift,
-)
-from semiparam_ros.effects.temperature import TemperatureDrift, TemperatureFriction
-from semiparam_ros.effects.terms import Terms
 from semiparam_ros.errors import SemiparamError
 
 GROUP = 'semiparam_ros.effects'
@@ -56,11 +25,16 @@ column overflows."""
 SUPERSEDED = ('at_link', 'directions')
 """Values that older files hold and that follow from the place."""
 BUILT_IN: tuple[type[Effect], ...] = (
-    Payload, SensorOffset, SensorDrift, ThermalDrift, TemperatureDrift, SensorGain, SensorCrosstalk, SensorMisalignment,
-    TimeDelay, JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
-    PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
-    TemperatureFriction, RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash,
-    GearCoupling, SensorNonlinearity, CommonGain, VelocityFilter, Terms)
+    loads.Payload, sensor.SensorOffset, sensor.SensorDrift, sensor.ThermalDrift,
+    temperature.TemperatureDrift, sensor.SensorGain, sensor.SensorCrosstalk,
+    sensor.SensorMisalignment, geometry.TimeDelay, geometry.JointOffset, geometry.GravityTilt,
+    loads.ExternalForce, loads.ViscousDrag, loads.QuadraticDrag, cables.CableSpring,
+    cables.CableHysteresis, periodic.PeriodicDisturbance, friction.ViscousFriction,
+    friction.CoulombFriction, friction.StribeckFriction, friction.AsymmetricFriction,
+    friction.LoadFriction, temperature.TemperatureFriction, drive.RotorInertia, drive.JointSpring,
+    drive.EffortOffset, drive.EffortGain, drive.TransmissionRipple, drive.Backlash,
+    drive.GearCoupling, sensor.SensorNonlinearity, drive.CommonGain, geometry.VelocityFilter,
+    terms.Terms)
 
 
 @cache

@@ -1,4 +1,4 @@
-"""What to simulate, and what comes out of it."""
+"""Scenario of a simulation, and the recording that comes out of it."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class SimulatedRecording:
 
     @property
     def temperatures(self) -> tuple[str, ...]:
-        """Whose they are: the joints, or the frame of the sensor."""
+        """Sources of the temperatures: the joints, or the frame of the sensor."""
         if self.temperature is None:
             return ()
         return self.joint_names if self.outputs_kind == 'effort' else (self.frame_id,)
