@@ -21,7 +21,7 @@ from semiparam_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from semiparam_ros.experiments.comparison import Comparison, Scenario
+    from semiparam_ros.experiments.comparison import Comparison, ComparisonScenario
 
 SHORT = {'first 60 s': '< 60 s', 'after 30 s': '> 30 s', 'learning': 'learn', 'frozen': 'frozen'}
 """Details of columns as a terminal has room for them; the others are on the page."""
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def scenario_of(args: argparse.Namespace) -> Scenario:
+def scenario_of(args: argparse.Namespace) -> ComparisonScenario:
     """The checked scenario of the command line."""
     from semiparam_ros.cli.evaluate import chosen_variants, load_bags
     from semiparam_ros.experiments.comparison import scenario_from

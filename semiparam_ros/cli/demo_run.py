@@ -28,7 +28,7 @@ from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.experiments.evaluation import Scores, update_times
+from semiparam_ros.experiments.evaluation import VariantScores, update_times
 from semiparam_ros.report.horizon_figure import plot_indices
 from semiparam_ros.settings import Settings, load_params
 
@@ -184,7 +184,7 @@ def say_pace(args: argparse.Namespace, bag: LoadedBag) -> None:
         f'all {len(bag.samples)} samples answered.')
 
 
-def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> Scores:
+def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> VariantScores:
     """What the node published, against the recording; a sample without its answer raises SemiparamError."""
     residuals, horizons = published(path)
     samples, first = bag.samples, gathered_from(bag.samples, settings.initial_samples).end
@@ -195,7 +195,7 @@ def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> Scores:
     if len(samples) <= first:
         raise SemiparamError(f'the recording holds {len(samples)} samples; expected more than the initial window of '
                              f'{first} (parameter initial.samples).')
-    scores = Scores(settings.outputs)
+    scores = VariantScores(settings.outputs)
     scores.start_recording(samples.origin)
     for sample in samples[first:]:
         scores.add(sample.outputs, sample.outputs - residuals[sample.stamp])
@@ -233,7 +233,7 @@ def answer_times(path: Path, first: int) -> dict[str, float] | None:
     return update_times(1e-9 * np.diff(arrivals[first:]))
 
 
-def report(args: argparse.Namespace, scores: dict[str, Scores], results: dict[str, dict[str, Any]]) -> None:
+def report(args: argparse.Namespace, scores: dict[str, VariantScores], results: dict[str, dict[str, Any]]) -> None:
     """The table, and the files beside it."""
     print_scores(output, results)
     say(f'{" and ".join(COMPARED)}: the same recording through `semiparam evaluate`, without DDS.')

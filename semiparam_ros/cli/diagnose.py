@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from semiparam_ros.core.samples import Samples
     from semiparam_ros.diagnosis.diagnose import Diagnosis
     from semiparam_ros.effects import Effect
-    from semiparam_ros.experiments.variants_with_effects import VariantFigures
+    from semiparam_ros.experiments.variants_with_effects import VariantErrors
     from semiparam_ros.settings import Settings
 
 HELP = 'Find what the model lacks in a recording, name the effect, add it, and show the error before and after.'
@@ -168,7 +168,7 @@ def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> No
                 remarks={'effects': [remarks(diagnosis, effect) for effect in standing.values()]})
 
 
-def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, VariantFigures]:
+def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, VariantErrors]:
     if not args.variants:
         return {}
     from semiparam_ros.cli.evaluate import chosen_variants
@@ -180,7 +180,7 @@ def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: 
                                  lambda done, total: bar.update(task, completed=done, total=total))
 
 
-def show(diagnosis: Diagnosis, variants: dict[str, VariantFigures], written: str = '') -> None:
+def show(diagnosis: Diagnosis, variants: dict[str, VariantErrors], written: str = '') -> None:
     """Print the report. :param written: the parameter file that declares what was found; '' for none."""
     from rich import box
     from rich.table import Table

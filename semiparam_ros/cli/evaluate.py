@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from semiparam_ros.core.prediction import Prediction
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
     from semiparam_ros.core.types import Array
-    from semiparam_ros.experiments.evaluation import Scores
+    from semiparam_ros.experiments.evaluation import VariantScores
     from semiparam_ros.online.change_watch import ChangeRecord
     from semiparam_ros.settings import Settings
 
@@ -192,8 +192,8 @@ def load_bags(paths: Sequence[Path], settings: Settings,
 
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
              progress: Progress, takeovers: Sequence[int] = (0,), wrenches: list[str] | None = None,
-             changes: dict[int, ChangeRecord] | None = None) -> Scores:
-    """Scores of one variant over ``bags``, from the first sample that it predicts itself.
+             changes: dict[int, ChangeRecord] | None = None) -> VariantScores:
+    """VariantScores of one variant over ``bags``, from the first sample that it predicts itself.
 
     :param wrenches: receives a line of a table for each of these samples: what acts from outside.
     :param changes: receives what was told of changes of the robot, by their numbers.
@@ -202,7 +202,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     Raises SemiparamError when the recordings are over before the initial window is.
     """
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
-    from semiparam_ros.experiments.evaluation import OfflineLearner, Scores
+    from semiparam_ros.experiments.evaluation import OfflineLearner, VariantScores
 
     total = sum(len(bag.samples) for bag in [*training, *bags])
     task = progress.add_task(settings.variant, total=total)
@@ -210,9 +210,9 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     if changes is not None:
         learner.look_for_changes(lambda record: changes.update({record.change.number: record}))
     for bag in training:
-        learner.take(bag, Scores(settings.outputs), learning=True)
+        learner.take(bag, VariantScores(settings.outputs), learning=True)
     learner.finish(training, frozen)
-    scores = Scores(settings.outputs)
+    scores = VariantScores(settings.outputs)
     if wrenches is not None:
         learner.answered = _told_to(wrenches, ExternalWrench(learner.estimator.body, settings.external_wrench_frame))
     for bag in bags:
@@ -236,7 +236,7 @@ def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction,
     return append
 
 
-def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, Scores],
+def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, VariantScores],
                   bags: Sequence[LoadedBag], channels: Sequence[str],
                   changes: Mapping[int, ChangeRecord] | None = None) -> None:
     """The JSON file and the plot, where asked for."""

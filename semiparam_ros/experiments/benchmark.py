@@ -1,6 +1,4 @@
-"""What `semiparam bench` times: the arm and its motion, the recursions that one might use instead of ours, and the
-evidence of an initial window.
-"""
+"""Parts of `semiparam bench`: an arm that moves, other recursions, evidence of a window."""
 
 from __future__ import annotations
 
@@ -76,7 +74,7 @@ class Potter:
         self._root = np.asfortranarray(np.eye(n_features))
 
     def update(self, phi: Array) -> None:
-        """As :meth:`Covariance.update`."""
+        """Learn that the features (D,) were seen; weights are not kept."""
         f = dgemv(1.0, self._root, phi, trans=1)
         s = SIGMA**2 + float(f @ f)
         gain = dgemv(1.0, self._root, f)

@@ -14,7 +14,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.experiments.evaluation import Scores, by_phase, normalised_errors, update_times
+from semiparam_ros.experiments.evaluation import VariantScores, by_phase, normalised_errors, update_times
 from semiparam_ros.settings import Settings, dump_params, load_params
 from support import node_helpers
 from support.recordings import FRAME, INITIAL, JOINTS, PERIOD_NS, URDF, write_arm, write_params
@@ -187,7 +187,7 @@ def test_a_constant_channel_has_no_normalised_error():
 
 
 def test_time_goes_on_from_one_recording_to_the_next():
-    scores = Scores('effort')
+    scores = VariantScores('effort')
     for origin in (0, 10**18):
         scores.start_recording(origin)
         for second in range(3):
