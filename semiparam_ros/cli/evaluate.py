@@ -193,7 +193,7 @@ def load_bags(paths: Sequence[Path], settings: Settings,
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
              progress: Progress, takeovers: Sequence[int] = (0,), wrenches: list[str] | None = None,
              changes: dict[int, ChangeRecord] | None = None) -> VariantScores:
-    """VariantScores of one variant over ``bags``, from the first sample that it predicts itself.
+    """Scores of one variant over ``bags``, from the first sample that it predicts itself.
 
     :param wrenches: receives a line of a table for each of these samples: what acts from outside.
     :param changes: receives what was told of changes of the robot, by their numbers.

@@ -114,7 +114,7 @@ def test_a_peer_learns_what_it_sees(kind, seen):
     view = peers.RigidBodyView() if seen == 'rigid body' else peers.InputView() if 'Kernel' in kind else \
         peers.FeatureView(200)
     peer = getattr(peers, kind)(view, 2)
-    peer.begin(peers.Window(inputs[:100], columns[:100], outputs[:100]))
+    peer.begin(peers.PeerWindow(inputs[:100], columns[:100], outputs[:100]))
     errors = []
     for index in range(100, 600):
         errors.append(peer.predict(inputs[index], columns[index]) - outputs[index])
