@@ -200,7 +200,7 @@ def _index(column: int | str, header: Sequence[str], where: str) -> int:
     return list(header).index(column)
 
 
-class TableRow(NamedTuple):
+class RecordedRow(NamedTuple):
     """One row in SI units; roles that the table does not have are empty."""
 
     stamp: int
@@ -255,7 +255,7 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
 
 
 def read_rows(path: str | os.PathLike[str], layout: TableLayout,
-              progress: Callable[[int], None] = lambda done: None) -> Iterator[TableRow]:
+              progress: Callable[[int], None] = lambda done: None) -> Iterator[RecordedRow]:
     """The rows of a table. Blank lines and those that begin with # or % are passed by; names may stand in line 1."""
     name = repr(str(path))
     arrays = holds_arrays(Path(path))
@@ -323,7 +323,7 @@ class _Units:
                          'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
         self._layout = layout
 
-    def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> TableRow:
+    def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> RecordedRow:
         """The ``number``-th row (from 0) from its cells by role."""
         scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
                   for role, factor in self._factors.items()}
@@ -331,8 +331,8 @@ class _Units:
             scaled['effort'] = [value * self._layout.effort_factors.get(joint, 1.0)
                                 for joint, value in zip(self._layout.joints, scaled['effort'], strict=True)]
         stamp = self._stamp(cells['time'][0] if 'time' in cells else None, number, where)
-        return TableRow(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'],
-                        scaled['effort'], scaled['force'] + scaled['torque'], scaled['temperature'])
+        return RecordedRow(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'],
+                           scaled['effort'], scaled['force'] + scaled['torque'], scaled['temperature'])
 
     def _stamp(self, cell: str | None, number: int, where: str) -> int:
         """Stamp [ns] of a row. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
@@ -355,7 +355,7 @@ def _float(cell: str, role: str, where: str) -> float:
         raise SemiparamError(f'{where}: {cell!r} is not a number ({role}).') from None
 
 
-def _write(bag: BagWriter, row: TableRow, layout: TableLayout) -> None:
+def _write(bag: BagWriter, row: RecordedRow, layout: TableLayout) -> None:
     names = list(layout.joints)
     header: dict[str, object] = {'stamp': stamp_fields(row.stamp), 'frame_id': ''}
     _put(bag, layout_names.JOINT_STATES, row.stamp, {'header': header, 'name': names, 'position': row.position,

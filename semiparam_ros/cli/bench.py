@@ -1,5 +1,4 @@
-"""`semiparam bench`: what one sample costs, side by side with the recursions that one might use instead; and how our
-variants do beside learners of other packages."""
+"""Command `semiparam bench`: times beside other recursions, scores beside other learners."""
 
 from __future__ import annotations
 
@@ -17,6 +16,7 @@ from semiparam_ros.cli.options import (
     add_params_option,
     console,
     output,
+    plain_table,
     progress_bar,
     require_places,
     write_json,
@@ -58,7 +58,7 @@ class Case(NamedTuple):
 
 
 class Contender(NamedTuple):
-    """Something that learns one sample, and how many samples of it a round takes."""
+    """Contender that learns one sample, and how many samples of it a round takes."""
 
     learn: Callable[[Case], object]
     samples: int
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def timing(args: argparse.Namespace) -> int:
-    """Every contender for every D."""
+    """Time every contender for every D."""
     from semiparam_ros.core.compiled import AVAILABLE
     from semiparam_ros.experiments.benchmark import arm
 
@@ -113,7 +113,7 @@ def timing(args: argparse.Namespace) -> int:
 
 
 def beside_peers(args: argparse.Namespace) -> int:
-    """Our variants and other packages' learners on one recording."""
+    """Score our variants and other packages' learners on one recording."""
     from semiparam_ros.cli.evaluate import chosen_variants, load_bags
     from semiparam_ros.experiments.peers import compare_with_peers
     from semiparam_ros.settings import load_params
@@ -139,13 +139,10 @@ def beside_peers(args: argparse.Namespace) -> int:
 
 def show_scores(scores: Sequence[Score]) -> None:
     """One row for each learner, ours first."""
-    from rich import box
-    from rich.table import Table
-
     from semiparam_ros.cli.evaluate import figure
     from semiparam_ros.experiments.peers import REFITTED_EVERY, REFITTED_ON
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table = plain_table()
     table.add_column('learner')
     table.add_column('sees')
     for heading in ('nMSE', 'us', 'window s'):
@@ -188,7 +185,7 @@ def case(model: Estimator, sample: Sample) -> Case:
 
 
 def contenders(model: Estimator, count: int) -> dict[str, Contender]:
-    """Ours and the others at D = ``count``; the dense one takes so long that one sample a round is enough."""
+    """Contenders at D = ``count``; the dense one is so slow that one sample a round is enough."""
     from semiparam_ros.experiments.benchmark import Covariance, Dense, Potter
 
     covariance, potter = Covariance(count), Potter(count)

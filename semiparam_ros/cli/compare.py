@@ -1,4 +1,4 @@
-"""`semiparam compare TRAIN TEST`: the paper's experiment on any pair of recordings, as one HTML page."""
+"""Command `semiparam compare TRAIN TEST`: the paper's experiment on two recordings, as one page."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from semiparam_ros.cli.options import (
     add_params_option,
     console,
     output,
+    plain_table,
     progress_bar,
     require_counts,
     require_places,
@@ -94,7 +95,7 @@ def scenario_of(args: argparse.Namespace) -> ComparisonScenario:
 
 
 def command_line(args: argparse.Namespace) -> list[str]:
-    """What to type to get the same page again; the number of processes changes nothing."""
+    """Words that give the same page again; the number of processes changes nothing."""
     words = [str(args.train), str(args.test)]
     for option, value in (('--params', args.params), ('--subset-samples', args.subset_samples),
                           ('--train-samples', args.train_samples)):
@@ -113,18 +114,13 @@ def command_line(args: argparse.Namespace) -> list[str]:
 
 def show(comparison: Comparison) -> None:
     """The main columns of the table, the findings and the verdict, for a terminal of 80 columns."""
-    from rich import box
-    from rich.table import Table
-
     from semiparam_ros.experiments.comparison import verdict
     from semiparam_ros.report.comparison_page import cells, columns
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column('\nvariant', no_wrap=True)
     chosen = [column for column in columns(comparison)
               if column.detail in SHORT and column.heading != 'log density']
-    for column in chosen:
-        table.add_column(f'{column.heading}\n{SHORT[column.detail]}', justify='right', no_wrap=True)
+    table = plain_table('\nvariant', [f'{column.heading}\n{SHORT[column.detail]}'
+                                      for column in chosen])
     for variant in comparison.figures:
         table.add_row(variant, *(cells(comparison, column)[variant].text for column in chosen))
     output.print(table)

@@ -1,4 +1,4 @@
-"""`semiparam convert`: a table, a bag of another format or a damaged bag becomes an MCAP bag."""
+"""Command `semiparam convert`: a table, a damaged bag or one of another format becomes MCAP."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""What `make demo` does: programs started as in three terminals, real DDS, what was published judged, compared,
-diagnosed.
-"""
+"""Demonstration of `make demo`: programs started as in three terminals, real DDS, what was
+published judged, compared and diagnosed."""
 
 from __future__ import annotations
 
@@ -65,7 +64,7 @@ class Program:
             stream.close()
 
     def wait_for(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
-        """Until the condition holds; raises SemiparamError when the program ends or the time is over before."""
+        """Wait for the condition; SemiparamError when the program or the time ends before."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             if self._process.poll() is not None:
@@ -76,7 +75,7 @@ class Program:
             time.sleep(POLL_S)
 
     def has_logged(self, text: str) -> bool:
-        """Whether its log holds a text."""
+        """Tell whether the program's log holds a text."""
         return self.log is not None and text in self.log.read_text(errors='replace')
 
     def check_running(self) -> None:
@@ -177,7 +176,7 @@ def play(args: argparse.Namespace, environment: dict[str, str], seam: float) -> 
 
 
 def say_pace(args: argparse.Namespace, bag: LoadedBag) -> None:
-    """How fast it went, by the account of the replay."""
+    """Say how fast it went, by the account of the replay."""
     seconds = sum(json.loads((args.output / name).read_text())['duration_s'] for name in ('window.json', 'replay.json'))
     recorded = float(bag.samples.time[-1])
     say(f'{recorded:.0f} s of recording in {seconds:.0f} s, {recorded / seconds:.0f} times real time; '
@@ -185,7 +184,7 @@ def say_pace(args: argparse.Namespace, bag: LoadedBag) -> None:
 
 
 def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> VariantScores:
-    """What the node published, against the recording; a sample without its answer raises SemiparamError."""
+    """Score what the node published; a sample without its answer raises SemiparamError."""
     residuals, horizons = published(path)
     samples, first = bag.samples, gathered_from(bag.samples, settings.initial_samples).end
     lost = [stamp for stamp in samples.stamps.tolist() if stamp not in residuals]
@@ -223,10 +222,10 @@ def published(path: Path) -> tuple[dict[int, Array], list[HorizonErrors]]:
 
 
 def answer_times(path: Path, first: int) -> dict[str, float] | None:
-    """From one answer to the next [ms], from the ``first`` on: receiving, predicting, learning and publishing.
+    """Times from one answer to the next [ms], from the ``first`` on, with all that a node does.
 
-    The replay keeps samples waiting, so that there is no idle time between two answers. (The latency that the node's
-    diagnostics tell would be that of the queue.)
+    The replay keeps samples waiting, so that there is no idle time between two answers. (The
+    latency that the node's diagnostics tell would be that of the queue.)
     """
     with open_bag(path) as bag:
         arrivals = np.array([message.log_time for message in bag.messages([RESIDUAL])])
@@ -245,7 +244,7 @@ def report(args: argparse.Namespace, scores: dict[str, VariantScores], results: 
 
 
 def diagnose(args: argparse.Namespace) -> None:
-    """What does the model lack on a recording with something undeclared?"""
+    """Diagnose what the model lacks on a recording with something undeclared."""
     if not args.undeclared.exists():
         return
     say(f'semiparam diagnose {args.undeclared.name}')

@@ -1,4 +1,4 @@
-"""`semiparam diagnose BAG...`: what the model lacks, and what adding it brings."""
+"""Command `semiparam diagnose BAG...`: what the model lacks, and what adding it brings."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from semiparam_ros.cli.options import (
     add_params_option,
     console,
     output,
+    plain_table,
     progress_bar,
     require_counts,
     require_places,
@@ -182,14 +183,11 @@ def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: 
 
 def show(diagnosis: Diagnosis, variants: dict[str, VariantErrors], written: str = '') -> None:
     """Print the report. :param written: the parameter file that declares what was found; '' for none."""
-    from rich import box
-    from rich.table import Table
-
     from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
     from semiparam_ros.report.diagnosis_page import variant_rows
 
     if diagnosis.findings:
-        found = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+        found = plain_table()
         for heading in ('where', 'effect', 'values', 'when'):
             found.add_column(heading, overflow='fold')
         last = ''
@@ -200,10 +198,8 @@ def show(diagnosis: Diagnosis, variants: dict[str, VariantErrors], written: str 
         output.print()
     for line in text_report(diagnosis):
         output.print(line, soft_wrap=True)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column('\noutput', no_wrap=True)
-    for heading in ('nMSE\nbefore', '\nafter', 'RMSE\nbefore', '\nafter', 'noise\nfloor'):
-        table.add_column(heading, justify='right', no_wrap=True)
+    table = plain_table('\noutput', ('nMSE\nbefore', '\nafter', 'RMSE\nbefore', '\nafter',
+                                     'noise\nfloor'))
     rows = zip(diagnosis.first.body.output_names, diagnosis.first.body.output_units, diagnosis.before.nmse,
                diagnosis.after.nmse, diagnosis.before.rmse, diagnosis.after.rmse, diagnosis.noise_floor_rmse,
                strict=True)

@@ -8,9 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli.options import (
@@ -18,6 +16,7 @@ from semiparam_ros.cli.options import (
     add_params_option,
     console,
     output,
+    plain_table,
     progress_bar,
     require_places,
     write_json,
@@ -46,11 +45,8 @@ HELP = 'Predict, then learn, every sample of recordings, and report the errors o
 def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> None:
     """One row for each variant: nMSE, the horizon indices at first and in steady state, and the update time."""
     indices = [name for name in HEADINGS if any(result.get(name) for result in results.values())]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column('\nvariant', no_wrap=True)
     phases = [f'{HEADINGS[name]}\n{phase}' for name in indices for phase in PHASES.values()]
-    for heading in ['\nnMSE', *phases, 'update\n[ms]', '\np99', '\nsamples']:
-        table.add_column(heading, justify='right', no_wrap=True)
+    table = plain_table('\nvariant', ['\nnMSE', *phases, 'update\n[ms]', '\np99', '\nsamples'])
     for variant, result in results.items():
         values = [result[name][phase] for name in indices for phase in PHASES]
         times = result['update_ms'] or {'median': None, 'p99': None}
@@ -62,7 +58,7 @@ def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> 
 def print_outputs(console: Console, results: Mapping[str, Mapping[str, Any]], names: Sequence[str],
                   units: Sequence[str]) -> None:
     """One row for each output: the nMSE of every variant, and of a single variant the root mean square error too."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table = plain_table()
     table.add_column('\noutput', overflow='ellipsis', no_wrap=True, max_width=24)
     for variant in results:
         table.add_column(f'nMSE\n{variant}', justify='right', no_wrap=True)
@@ -166,7 +162,7 @@ def output_channels(settings: Settings, joints: Sequence[str]) -> tuple[Sequence
 
 
 def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str]:
-    """Checked names, each once, in the order asked for; by default the variant of the settings."""
+    """Names of variants, checked and once each, as asked for; by default that of the settings."""
     from semiparam_ros.core.variants import VARIANTS, variant_named
 
     names = [name for word in asked or [settings.variant] for name in (VARIANTS if word == 'all' else [word])]

@@ -1,4 +1,4 @@
-"""`semiparam export SOURCE`: what was learnt as files for controllers and simulators."""
+"""Command `semiparam export SOURCE`: what was learnt as files for controllers and simulators."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FORMS = {'urdf': 'URDF: inertias, friction and damping, loads as fixed links; al
          'crisp-friction': 'friction of the joints, for crisp_controllers'}
 
 MOST_SAMPLES = 60_000
-"""Of a longer recording stretches are read, evenly spread over it."""
+"""Number of samples beyond which evenly spread stretches of a recording are read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, str]:
-    """What the source tells, and the robot description."""
+    """Estimate that the source gives, and the robot description."""
     from semiparam_ros.settings.robot_description import robot_description
 
     source = args.source
@@ -127,7 +127,7 @@ def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tupl
 
 
 def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str | None) -> str:
-    """What a file of one form holds."""
+    """Text of a file of one form."""
     from semiparam_ros.export import controllers
     from semiparam_ros.export.mjcf import identified_mjcf
     from semiparam_ros.export.report import remark

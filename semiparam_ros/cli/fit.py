@@ -1,4 +1,4 @@
-"""`semiparam fit BAG`: hyperparameters once, for every later start of the node and of the other commands."""
+"""Command `semiparam fit BAG`: hyperparameters once, for every later start and command."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_estimation_options(parser: argparse.ArgumentParser) -> None:
-    """How the hyperparameters are looked for; `semiparam compare` has the same options."""
+    """Add the options of the estimation, which `semiparam compare` has too."""
     group = parser.add_argument_group('estimation')
     group.add_argument('--method', choices=('quasi-newton', 'nelder-mead'), default='quasi-newton',
                        help='optimiser of the marginal likelihood (default: quasi-newton; the paper: nelder-mead)')
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def result(args: argparse.Namespace, settings: Settings, found: Hyperparameters, samples: int) -> dict[str, Any]:
-    """What the JSON file holds."""
+    """Content of the JSON file."""
     from dataclasses import asdict
 
     return {'command': 'fit', 'bag': str(args.bag), 'variant': settings.variant, 'samples': samples,

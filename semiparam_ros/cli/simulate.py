@@ -1,4 +1,4 @@
-"""`semiparam simulate OUT.mcap`: a recording of a simulated arm whose hidden causes are known."""
+"""Command `semiparam simulate OUT.mcap`: a recording of an arm whose hidden causes are known."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
 
 
 def samples_of(args: argparse.Namespace) -> int:
-    """How many samples to make."""
+    """Number of samples to make."""
     if args.seconds is None:
         return DEFAULT_SAMPLES if args.samples is None else int(args.samples)
     if not 0 < args.seconds * args.rate < 1e9:
@@ -179,13 +179,13 @@ def messages(recording: SimulatedRecording, row: int, stamp: int) -> list[tuple[
 
 
 def is_read(recording: SimulatedRecording, row: int) -> bool:
-    """Whether there are new readings of temperatures at a sample: one a second."""
+    """Tell whether temperatures are read anew at a sample: once a second."""
     seconds = (recording.stamps[max(row - 1, 0):row + 1] - recording.stamps[0]) // NANOSECONDS
     return row == 0 or bool(seconds[1] > seconds[0])
 
 
 def truth_of(recording: SimulatedRecording) -> dict[str, Any]:
-    """What a perfect diagnosis would find, for a JSON file."""
+    """Truth that a perfect diagnosis would find, for a JSON file."""
     return {'effects': list(recording.truth), 'baseline': list(recording.baseline_truth),
             'outputs': recording.outputs_kind, 'convention': recording.convention, 'frame_id': recording.frame_id,
             'joints': list(recording.joint_names), 'samples': len(recording.stamps),

@@ -1,4 +1,4 @@
-"""How far a playback is: a bar on a terminal, a line now and then everywhere else."""
+"""Progress of a playback: a bar on a terminal, a line now and then everywhere else."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SECONDS = 1e-9
 
 
 class Playback(Protocol):
-    """What is shown of a player."""
+    """Playback as it is shown."""
 
     @property
     def rate(self) -> float | None:
@@ -24,7 +24,7 @@ class Playback(Protocol):
 
     @property
     def paused(self) -> bool:
-        """Whether the playback is held."""
+        """Tell whether the playback is held."""
 
     @property
     def published(self) -> int:
