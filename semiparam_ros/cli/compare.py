@@ -8,18 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from semiparam_ros.atomic_write import write_text
+from semiparam_ros.cli import options
 from semiparam_ros.cli.fit import add_estimation_options, estimation_of
-from semiparam_ros.cli.options import (
-    add_json_option,
-    add_params_option,
-    console,
-    output,
-    plain_table,
-    progress_bar,
-    require_counts,
-    require_places,
-    write_json,
-)
 
 if TYPE_CHECKING:
     from semiparam_ros.experiments.comparison import Comparison, ComparisonScenario
@@ -35,12 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('train', metavar='TRAIN', type=Path,
                         help='recording whose start gives the hyperparameters and whose rest is learnt')
     parser.add_argument('test', metavar='TEST', type=Path, help='recording that is then predicted, in subsets')
-    add_params_option(parser)
+    options.add_params_option(parser)
     parser.add_argument('--variant', metavar='V', action='append', dest='variants',
                         help='compare only this one; may be repeated (default: all seven)')
     parser.add_argument('--output', '-o', metavar='FILE.html', type=Path, default=Path('comparison.html'),
                         help='page to write (default: comparison.html)')
-    add_json_option(parser)
+    options.add_json_option(parser)
     split = parser.add_argument_group('scenario')
     split.add_argument('--subsets', metavar='N', type=int, default=5,
                        help='parts of TEST, each started from the model that TRAIN left (default: 5)')
@@ -62,18 +52,19 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.experiments.parallel import workers
     from semiparam_ros.report.comparison_page import as_dictionary, page
 
-    require_places(args.output, args.json)
+    options.require_places(args.output, args.json)
     scenario = scenario_of(args)
-    with workers(args.jobs, args.scheduler), progress_bar() as bar:
+    with workers(args.jobs, args.scheduler), options.progress_bar() as bar:
         task = bar.add_task('comparing', total=steps(scenario))
         comparison = compare(scenario, lambda: bar.advance(task))
     command = shlex.join(['semiparam', 'compare', *command_line(args)])
     text = page(comparison, args.train.name, args.test.name, command)
     if args.json:
-        write_json(args.json, {'train': str(args.train), 'test': str(args.test), **as_dictionary(comparison)})
+        options.write_json(args.json, {'train': str(args.train), 'test': str(args.test),
+                                       **as_dictionary(comparison)})
     write_text(args.output, text)
     show(comparison)
-    output.print(f'page: {args.output}', soft_wrap=True)
+    options.tell(f'page: {args.output}')
     return 0
 
 
@@ -83,7 +74,7 @@ def scenario_of(args: argparse.Namespace) -> ComparisonScenario:
     from semiparam_ros.experiments.comparison import scenario_from
     from semiparam_ros.settings import load_params
 
-    require_counts(args, 'seeds')
+    options.require_counts(args, 'seeds')
     settings = load_params(args.params)
     estimation = estimation_of(args)
     variants = chosen_variants(args.variants or ['all'], settings)
@@ -119,14 +110,14 @@ def show(comparison: Comparison) -> None:
 
     chosen = [column for column in columns(comparison)
               if column.detail in SHORT and column.heading != 'log density']
-    table = plain_table('\nvariant', [f'{column.heading}\n{SHORT[column.detail]}'
-                                      for column in chosen])
+    table = options.plain_table('\nvariant', [f'{column.heading}\n{SHORT[column.detail]}'
+                                              for column in chosen])
     for variant in comparison.figures:
         table.add_row(variant, *(cells(comparison, column)[variant].text for column in chosen))
-    output.print(table)
+    options.output.print(table)
     for finding in comparison.findings:
         word = 'open' if finding.holds is None else 'holds' if finding.holds else 'does not hold'
-        output.print(f'{word}: {finding.statement} {finding.evidence}')
-    output.print(verdict(comparison.figures, comparison.findings))
+        options.output.print(f'{word}: {finding.statement} {finding.evidence}')
+    options.output.print(verdict(comparison.figures, comparison.findings))
     if len(comparison.scenario.seeds) == 1:
-        console.print('One feature draw proves little: --seeds 3 shows the spread.')
+        options.console.print('One feature draw proves little: --seeds 3 shows the spread.')

@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from semiparam_ros.atomic_write import write_text
-from semiparam_ros.cli.options import (
-    add_json_option,
-    add_params_option,
-    console,
-    output,
-    plain_table,
-    progress_bar,
-    require_places,
-    write_json,
-)
+from semiparam_ros.cli import options
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -46,7 +37,8 @@ def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> 
     """One row for each variant: nMSE, the horizon indices at first and in steady state, and the update time."""
     indices = [name for name in HEADINGS if any(result.get(name) for result in results.values())]
     phases = [f'{HEADINGS[name]}\n{phase}' for name in indices for phase in PHASES.values()]
-    table = plain_table('\nvariant', ['\nnMSE', *phases, 'update\n[ms]', '\np99', '\nsamples'])
+    table = options.plain_table('\nvariant', ['\nnMSE', *phases, 'update\n[ms]', '\np99',
+                                              '\nsamples'])
     for variant, result in results.items():
         values = [result[name][phase] for name in indices for phase in PHASES]
         times = result['update_ms'] or {'median': None, 'p99': None}
@@ -58,7 +50,7 @@ def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> 
 def print_outputs(console: Console, results: Mapping[str, Mapping[str, Any]], names: Sequence[str],
                   units: Sequence[str]) -> None:
     """One row for each output: the nMSE of every variant, and of a single variant the root mean square error too."""
-    table = plain_table()
+    table = options.plain_table()
     table.add_column('\noutput', overflow='ellipsis', no_wrap=True, max_width=24)
     for variant in results:
         table.add_column(f'nMSE\n{variant}', justify='right', no_wrap=True)
@@ -82,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam evaluate`."""
     parser.add_argument('bags', metavar='BAG', nargs='+', type=Path,
                         help='recordings (.mcap, rosbag2 directory, .db3, ROS 1 .bag), one after the other')
-    add_params_option(parser)
+    options.add_params_option(parser)
     parser.add_argument('--variant', metavar='V', action='append', dest='variants',
                         help='variant to evaluate instead of the one in the parameters; may be repeated; "all" for all')
     parser.add_argument('--train', metavar='BAG', type=Path, action='append', default=[],
@@ -95,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--auto', choices=('off', 'report'), default='off',
                         help='report: look for changes of the robot, and name them, as the node does with '
                              'diagnosis.auto; of one variant (default off)')
-    add_json_option(parser)
+    options.add_json_option(parser)
     parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
     parser.add_argument('--external-wrench', metavar='FILE', type=Path,
                         help='write what acts from outside, as ~/external_wrench, as a table (.csv); of one variant')
@@ -107,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.report.horizon_figure import picture_format
     from semiparam_ros.settings import load_params
 
-    require_places(args.json, args.plot, args.external_wrench)
+    options.require_places(args.json, args.plot, args.external_wrench)
     if args.plot:
         picture_format(args.plot)
     settings = load_params(args.params)
@@ -122,20 +114,20 @@ def run(args: argparse.Namespace) -> int:
     rows: list[str] | None = [] if args.external_wrench else None
     changes: dict[int, ChangeRecord] | None = None if args.auto == 'off' else {}
     training, bags = load_bags(args.train, settings), load_bags(args.bags, settings)
-    with progress_bar() as progress:
+    with options.progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
                                     waits, rows, changes)
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
-    print_scores(output, results)
+    print_scores(options.output, results)
     channels = output_channels(settings, bags[0].joints)
-    print_outputs(output, results, *channels)
+    print_outputs(options.output, results, *channels)
     if settings.features_count == 'auto':
         chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()
                            if result['features'])
-        output.print(f'random features: {chosen or "none"}')
+        options.output.print(f'random features: {chosen or "none"}')
     for record in (changes or {}).values():
-        output.print(record.sentence, highlight=False)
+        options.output.print(record.sentence, highlight=False)
     write_outputs(args, results, scores, bags, channels[0], changes)
     if rows is not None:
         write_text(args.external_wrench, '\n'.join([WRENCH_HEADER, *rows]) + '\n')
@@ -180,9 +172,9 @@ def load_bags(paths: Sequence[Path], settings: Settings,
     for path, bag in zip(paths, bags, strict=True):
         left_out = ', '.join(f'{count} {reason}' for reason, count in sorted(bag.faults.items()) if count)
         if left_out:
-            console.print(f'{path}: left out {left_out}.')
+            options.console.print(f'{path}: left out {left_out}.')
         if bag.losses:
-            console.print(str(bag.losses))
+            options.console.print(str(bag.losses))
     return bags
 
 
@@ -214,8 +206,8 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     for bag in bags:
         learner.take(bag, scores, settings.learning and not frozen)
     for reason in learner.failed_windows:
-        console.print(f'{settings.variant}: an initial window gives no hyperparameters ({reason}); another one is '
-                      'gathered.')
+        options.console.print(f'{settings.variant}: an initial window gives no hyperparameters '
+                              f'({reason}); another one is gathered.')
     if not len(scores):
         raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
                              'of a robot that moves (parameter initial.samples).')
@@ -237,7 +229,7 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
                   changes: Mapping[int, ChangeRecord] | None = None) -> None:
     """The JSON file and the plot, where asked for."""
     if args.json:
-        write_json(args.json, {
+        options.write_json(args.json, {
             'command': 'evaluate', 'bags': [str(path) for path in args.bags],
             'train': [str(path) for path in args.train], 'frozen': args.frozen, 'outputs': list(channels),
             'variants': results,
@@ -247,4 +239,4 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
         from semiparam_ros.report.horizon_figure import plot_indices
 
         plot_indices(args.plot, scores)
-        console.print(f'plot: {args.plot}')
+        options.console.print(f'plot: {args.plot}')

@@ -38,6 +38,11 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--json', metavar='FILE', type=Path, help='write the result to this JSON file, in SI units')
 
 
+def tell(line: str) -> None:
+    """Print a line of the result, which the terminal may wrap but no table's width does."""
+    output.print(line, soft_wrap=True)
+
+
 def plain_table(name: str = '', figures: Sequence[str] = ()) -> Table:
     """Table with no lines but one under its headings: a column of names, then those of figures."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
