@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Collection, Sequence
 from math import isfinite, nan
-from typing import Protocol
 
 import numpy as np
 
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample
+from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.stamps import NANOSECONDS, in_seconds
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed, shortened
@@ -108,16 +108,6 @@ class ZeroOrderHold:
         self._coming.clear()
 
 
-class Differentiator(Protocol):
-    """A causal estimate of rates, such as ``core.signals.differentiation.CausalDifferentiator``."""
-
-    def update(self, stamp: int, values: Array, /) -> Array:
-        """Rates (n_joints,) [1/s] of the values (n_joints,) at ``stamp`` [ns]."""
-
-    def reset(self) -> None:
-        """Forget the past."""
-
-
 class SampleStream:
     """Turns messages into samples, one message at a time.
 
@@ -131,9 +121,9 @@ class SampleStream:
     """
 
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
-                 tolerance_s: float = 0.02, differentiator: Differentiator | None = None,
+                 tolerance_s: float = 0.02, differentiator: CausalDifferentiator | None = None,
                  measured_accelerations: bool = False, capacity: int | None = CAPACITY,
-                 velocity_filter: Differentiator | None = None, output_joints: Collection[str] = (),
+                 velocity_filter: CausalDifferentiator | None = None, output_joints: Collection[str] = (),
                  temperatures: Collection[str] = ()) -> None:
         """Make a stream without messages.
 

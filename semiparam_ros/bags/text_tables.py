@@ -12,11 +12,12 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from semiparam_ros.bags import recording_layout as layout_names
+from semiparam_ros.bags import sample_messages
 from semiparam_ros.bags.array_files import array_lines, holds_arrays, raise_unmatched
 from semiparam_ros.bags.conversion import write_description
+from semiparam_ros.bags.sample_messages import SampleMessage
 from semiparam_ros.bags.writer import BagWriter
-from semiparam_ros.core.stamps import NANOSECONDS, stamp_fields
+from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.yaml_file import read_yaml
 
@@ -243,11 +244,11 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
                 write_description(bag, robot_description, row.stamp)
         summary.end_ns = row.stamp
         summary.not_finite += not all(math.isfinite(value) for part in row[1:6] for value in part)
-        _write(bag, row, layout)
+        for message in _messages(row, layout):
+            message.put(bag)
         for name, value in zip(layout.temperatures, row.temperature, strict=False):
             if math.isfinite(value) and value != written.get(name):
-                _put(bag, layout_names.TEMPERATURE, row.stamp, {
-                    'header': {'stamp': stamp_fields(row.stamp), 'frame_id': name}, 'temperature': value})
+                sample_messages.temperature(row.stamp, name, value).put(bag)
                 written[name] = value
     if not summary.rows:
         raise SemiparamError(f'{str(path)!r} holds no row of numbers.')
@@ -355,20 +356,11 @@ def _float(cell: str, role: str, where: str) -> float:
         raise SemiparamError(f'{where}: {cell!r} is not a number ({role}).') from None
 
 
-def _write(bag: BagWriter, row: RecordedRow, layout: TableLayout) -> None:
-    names = list(layout.joints)
-    header: dict[str, object] = {'stamp': stamp_fields(row.stamp), 'frame_id': ''}
-    _put(bag, layout_names.JOINT_STATES, row.stamp, {'header': header, 'name': names, 'position': row.position,
-                                                     'velocity': row.velocity, 'effort': row.effort})
+def _messages(row: RecordedRow, layout: TableLayout) -> Iterator[SampleMessage]:
+    yield sample_messages.joint_state(row.stamp, layout.joints, row.position, row.velocity, row.effort)
     if row.acceleration:
-        point = {'positions': row.position, 'velocities': row.velocity, 'accelerations': row.acceleration}
-        _put(bag, layout_names.JOINT_ACCELERATIONS, row.stamp, {'header': header, 'joint_names': names,
-                                                                'points': [point]})
+        yield sample_messages.accelerations(
+            row.stamp, layout.joints, positions=row.position, velocities=row.velocity,
+            accelerations=row.acceleration)
     if row.wrench:
-        force, torque = (dict(zip('xyz', part, strict=True)) for part in (row.wrench[:3], row.wrench[3:]))
-        _put(bag, layout_names.WRENCH, row.stamp, {'header': {**header, 'frame_id': layout.wrench_frame},
-                                                   'wrench': {'force': force, 'torque': torque}})
-
-
-def _put(bag: BagWriter, topic: str, stamp: int, message: dict[str, object]) -> None:
-    bag.write(topic, layout_names.TYPES[topic], message, stamp)
+        yield sample_messages.wrench(row.stamp, layout.wrench_frame, row.wrench)
