@@ -46,7 +46,7 @@ def jazzy_types() -> dict[str, JazzyType]:
 
 
 def full_type(name: str) -> str:
-    """'sensor_msgs/JointState' and 'sensor_msgs/msg/JointState' are the same type; the second form is returned."""
+    """Name of a type in its long form, 'sensor_msgs/msg/JointState'; a short one is completed."""
     package, _, rest = name.partition('/')
     return name if '/' in rest else f'{package}/msg/{rest}'
 

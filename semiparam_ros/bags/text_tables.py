@@ -184,7 +184,7 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
 
 
 def column_indices(layout: TableLayout, header: Sequence[str], where: str) -> dict[str, list[int]]:
-    """Role -> indices from 0 into a row, names looked up in the header line."""
+    """Indices from 0 into a row by role, names looked up in the header line."""
     return {role: [_index(column, header, where) for column in columns] for role, columns in layout.columns.items()}
 
 

@@ -64,7 +64,7 @@ def print_outputs(console: Console, results: Mapping[str, Mapping[str, Any]], na
 
 
 def figure(value: float | None) -> str:
-    """Three significant digits, or a dash where there is no number."""
+    """Text of three significant digits, or a dash where there is no number."""
     if value is None:
         return '-'
     return f'{value:.3g}' if value >= 1e-3 or value == 0.0 else f'{value:.1e}'
@@ -215,7 +215,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
 
 
 def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction, Array], None]:
-    """Appends a line for each prediction of the variant's own."""
+    """Return a function that appends a line for each prediction of the variant's own."""
     def append(prediction: Prediction, widening: Array) -> None:
         if prediction.ready:
             found = external.of(prediction, prediction.sample.outputs - prediction.mean, widening)

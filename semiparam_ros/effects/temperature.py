@@ -22,7 +22,7 @@ from semiparam_ros.effects.friction import JointEffect, ViscousFriction
 from semiparam_ros.effects.sensor import N_CHANNELS, ChannelEffect
 
 REFERENCE_C = 25.0
-"""T0 where none is given [deg C]."""
+"""Reference T0 [deg C] where none is given."""
 LEAST_CHANGE_K = 1.0
 """Change of a temperature [K] over a recording below which no search asks what follows it."""
 

@@ -56,7 +56,8 @@ def motion(body: RigidBody, length: int, seed: int = 0) -> list[Sample]:
 
 
 class Covariance:
-    """P alone, as a symmetric matrix: k = P phi, P -= k k' / (sigma^2 + phi'k). Cheapest, and the least accurate."""
+    """Covariance P alone, as a symmetric matrix: k = P phi, P -= k k' / (sigma^2 + phi'k).
+    Cheapest, and the least accurate."""
 
     def __init__(self, n_features: int) -> None:
         self._covariance = np.asfortranarray(np.eye(n_features))

@@ -129,7 +129,7 @@ def _split(total: int, begin: int, subsets: int, samples: int | None, horizon: i
 
 
 class Trace(NamedTuple):
-    """N predicted samples and the horizon errors of K origins, in N and N m; times [s] since the first sample."""
+    """Trace of N predictions and of K origins' horizon errors [N, N m]; times [s] from the start."""
 
     errors: Array  # (N, n) predicted minus measured
     outputs: Array  # (N, n)

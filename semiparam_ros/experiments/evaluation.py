@@ -98,7 +98,7 @@ class VariantScores:
 
 
 def means(eps: Array, outputs: str) -> tuple[float, ...]:
-    """eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
+    """Indices eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
     if outputs == 'wrench':
         return force_and_torque(eps)
     return (float(np.mean(eps)),)

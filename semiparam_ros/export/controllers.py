@@ -27,7 +27,7 @@ from semiparam_ros.export.xml_edit import number
 
 WORLD = 'world'
 STEEPNESS, STEEPEST = 10.0, 1000.0
-"""fp2 times the largest velocity, where the fit of a friction curve begins and at most."""
+"""Product of fp2 and the largest velocity, at the start of a curve's fit and at most."""
 SPEEDS = 200
 
 
@@ -110,8 +110,8 @@ def _sensor_link(body: RigidBody) -> str:
 
 
 def crisp_friction(found: Identified, remark: str) -> str:
-    """Three vectors in the order of the joints: the curves next to what was identified, up to the
-    largest velocity of each joint.
+    """Parameters of three vectors in the order of the joints: the curves next to what was
+    identified, up to the largest velocity of each joint.
 
     Raises SemiparamError when no friction was identified.
     """

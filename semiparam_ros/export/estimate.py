@@ -42,7 +42,7 @@ KNOWN = 1e8
 
 
 class Estimate(NamedTuple):
-    """theta ~ N(mean, information^-1), in the order of the columns.
+    """Estimate theta ~ N(mean, information^-1), in the order of the columns.
 
     :param how: what it is from, as a phrase. :param top_speed: (n_joints,) largest velocities seen
         [rad/s, m/s]. :param table: samples that judge it.

@@ -64,7 +64,7 @@ class CarriedBody(NamedTuple):
     parameters: Array
     mass_std: float  # [kg]
     start_s: float | None = None
-    """Since when, in seconds after the start of the recording; None: from the beginning."""
+    """Time [s] after the start of the recording when the load appears; None: at its beginning."""
 
     @property
     def mass(self) -> float:
@@ -280,7 +280,7 @@ class _Solution:
 
 
 def root_of(information: Array) -> Array:
-    """R (p, p) with R'R = information, or the nearest that has a root."""
+    """Root R (p, p) with R'R = information, or the nearest that has a root."""
     scale = np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(0.5 * (information + information.T) / np.outer(scale, scale))
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * scale)

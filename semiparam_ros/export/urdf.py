@@ -83,7 +83,7 @@ def changed_links(found: Identified) -> list[str]:
 
 
 def _write(editor: Editor, inertial: Element, parameters: Array) -> None:
-    """New numbers for an inertial, in the axes of its link."""
+    """Write new numbers for an inertial, in the axes of its link."""
     values = inertial_values(CarriedBody('', parameters, 0.0))
     for tag, attributes in values.items():
         element = inertial.find(tag)

@@ -139,5 +139,5 @@ def comment(sentences: str) -> str:
 
 
 def number(value: float) -> str:
-    """Ten digits: finer than anything measured."""
+    """Text of ten digits: finer than anything measured."""
     return f'{value + 0.0:.10g}'

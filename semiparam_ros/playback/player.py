@@ -26,10 +26,11 @@ def checked_rate(rate: float) -> float:
 
 
 class PlayClock:
-    """bag_time(t) = bag_anchor + rate (t - wall_anchor) while running; constant while paused. All times in ns.
+    """Clock: bag_time(t) = bag_anchor + rate (t - wall_anchor) [ns], constant while paused.
 
-    Every change re-anchors at the present instant, so changing the rate never makes the bag time jump, and because
-    due times are computed from the anchor and not from the previous message, a late wake-up does not add up.
+    Every change re-anchors at the present instant, so changing the rate never makes the bag time
+    jump, and because due times are computed from the anchor and not from the previous message, a
+    late wake-up does not add up.
     """
 
     def __init__(self, bag_time: int, rate: float = 1.0, paused: bool = False,

@@ -17,7 +17,7 @@ _SECONDS = 1e-9
 
 
 def describe(playback: Player) -> str:
-    """'paused', '1.5 x' or, unpaced, 'as followed'."""
+    """Pace in words: 'paused', '1.5 x' or, unpaced, 'as followed'."""
     if playback.paused:
         return 'paused'
     return 'as followed' if playback.rate is None else f'{playback.rate:.4g} x'

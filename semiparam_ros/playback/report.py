@@ -35,7 +35,7 @@ class Answers:
 
     @property
     def sentence(self) -> str:
-        """E.g. ``/estimator/residual answered 9 of 10 messages on /wrench; 1 unanswered, ...``"""
+        """Sentence such as ``/estimator/residual answered 9 of 10 messages on /wrench; ...``"""
         text = f'{self.topic} answered {self.answers} of {self.requests} messages on {self.request_topic}'
         if self.unanswered_stamps:
             text += f'; {len(self.unanswered_stamps)} unanswered, the first stamped {_stamp(self.unanswered_stamps[0])}'

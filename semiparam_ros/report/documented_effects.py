@@ -71,7 +71,7 @@ def _values(kind: type[Effect], body: RigidBody) -> str:
 
 
 def _motion(body: RigidBody) -> Samples:
-    """Some motion of every joint, for a kind that looks at it to choose where a search begins."""
+    """Motion of every joint, for a kind that looks at it to choose where a search begins."""
     phase = np.linspace(0.0, 30.0, 400)[:, None] * (1.0 + 0.3 * np.arange(body.n_joints))
     outputs = np.sin(5.0 * phase[:, :1]) * np.ones(body.n_outputs)
     return Samples(np.arange(400) * 50_000_000, np.sin(phase), np.cos(phase), -np.sin(phase), outputs, 0,

@@ -16,7 +16,7 @@ from semiparam_ros.simulation.trajectory import Instants, Trajectory
 from semiparam_ros.simulation.warming import Temperature
 
 Change: TypeAlias = Callable[['World', Instants, Array], Array]
-"""Takes the motion and the outputs (N, n) so far, returns the outputs with one more cause in them."""
+"""Function of a world, its motion and its outputs (N, n) to the outputs with one more cause."""
 
 
 class AttachedBody(NamedTuple):

@@ -40,7 +40,7 @@ class Site:
         return share * self.world.duration if self.start_s is None else self.start_s
 
     def sign(self) -> float:
-        """-1 or 1 at random."""
+        """Sign at random, -1 or 1."""
         return float(self.rng.choice([-1.0, 1.0]))
 
     def joint(self) -> int:
