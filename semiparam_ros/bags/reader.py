@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -88,7 +88,7 @@ def is_bag(path: Path) -> bool:
             magic = file.read(32)
     except OSError as error:
         raise SemiparamError(f'{str(path)!r} cannot be opened: {error.strerror or error}.') from error
-    return is_mcap(path, magic) or is_sqlite(path, magic) or is_ros1(path, magic)
+    return any(fits(path, magic) for fits, _ in _FORMATS)
 
 
 def _open_file(path: Path) -> BagReader:
@@ -96,12 +96,9 @@ def _open_file(path: Path) -> BagReader:
         magic = file.read(32)
     if not magic:
         raise SemiparamError(f'{str(path)!r} is empty: expected a bag.')
-    if is_mcap(path, magic):
-        return McapBag(path)
-    if is_sqlite(path, magic):
-        return _sqlite_bag(path)
-    if is_ros1(path, magic):
-        return _ros1_bag(path)
+    for fits, opened in _FORMATS:
+        if fits(path, magic):
+            return opened(path)
     raise SemiparamError(f'{str(path)!r} is no bag: expected an MCAP file, a rosbag2 directory, a .db3 file or a '
                          'ROS 1 .bag.')
 
@@ -135,8 +132,7 @@ def is_sqlite(path: Path, magic: bytes) -> bool:
 
 
 def is_ros1(path: Path, magic: bytes) -> bool:
-    """Tell whether a file is a ROS 1 bag by its first bytes, or its name where those are damaged.
-    """
+    """Tell whether a file is a ROS 1 bag by its first bytes, or name where those are damaged."""
     return magic.startswith(b'#ROSBAG') or path.suffix == '.bag'
 
 
@@ -150,6 +146,10 @@ def _ros1_bag(path: Path) -> BagReader:
     with _needs_rosbags(path, 'ROS 1 bag'):
         from semiparam_ros.bags.rosbags_reader import Ros1Bag
     return Ros1Bag(path)
+
+
+_FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Callable[[Path], BagReader]], ...] = (
+    (is_mcap, McapBag), (is_sqlite, _sqlite_bag), (is_ros1, _ros1_bag))
 
 
 @contextmanager

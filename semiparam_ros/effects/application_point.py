@@ -7,7 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from semiparam_ros.core.robot.frames import FrameMotion, felt_links, frame_motion
+from semiparam_ros.core.robot.frames import (
+    FrameMotion,
+    felt_links,
+    frame_motion,
+    links_beside,
+    loaded_links,
+)
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.samples import Samples
@@ -21,6 +27,10 @@ class AtPoint(Effect):
     """Effect at a point of a link: the origin of its frame, or x, y and z [m] in that frame."""
 
     parameter_units: ClassVar[Mapping[str, str]] = POINT
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return [link for tip in loaded_links(body) for link in links_beside(body, tip)]
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:

@@ -231,6 +231,12 @@ class Effect:
         size = size_of(body)
         return np.array([CALIBRATED.get(unit, CALIBRATED[''] * plausible(unit, size)) for _, unit in self.calibrations])
 
+    def predicted_load(self, body: RigidBody, samples: Samples) -> Array:
+        """Effort (N,) of joint ``where`` as the rigid body with ``reference`` predicts it."""
+        parameters = np.array(self.reference) if self.reference else body.base_parameters
+        load = body.regressors(samples)[:, channel_index(body, self.where)] @ parameters
+        return np.asarray(load)
+
     def prior_mean(self, body: RigidBody) -> Array:
         """Prior mean (c,) of each coefficient: zero, unless its value was declared."""
         return np.zeros(len(self.coefficients(body)))

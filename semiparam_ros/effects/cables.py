@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.robot.frames import felt_links, frame_motion, links_beside, loaded_links
+from semiparam_ros.core.robot.frames import frame_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -40,11 +40,11 @@ class _Cable(AtPoint):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return (*(link for tip in loaded_links(body) for link in links_beside(body, tip)), *body.joints)
+        return (*super().places(body), *body.joints)
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
-        return (*felt_links(body), *body.joints)
+        return (*super().permitted(body), *body.joints)
 
 
 class CableSpring(_Cable):

@@ -298,11 +298,9 @@ class LoadFriction(_Sliding):
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('load_coefficient', ''),)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        joint = joint_index(body, self.where)
-        parameters = np.array(self.reference) if self.reference else body.base_parameters
-        load = body.regressors(samples)[:, channel_index(body, self.where)] @ parameters
-        direction, memory = self.direction(samples, joint, memory)
-        return on_joint(body, self.where, (np.abs(load) * direction)[:, None]), memory
+        direction, memory = self.direction(samples, joint_index(body, self.where), memory)
+        load = np.abs(self.predicted_load(body, samples))
+        return on_joint(body, self.where, (load * direction)[:, None]), memory
 
 
 def _way(samples: Samples, joint: int) -> Way:

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.robot.frames import felt_links, links_beside, load_regressor, loaded_links, nearest_link
+from semiparam_ros.core.robot.frames import felt_links, load_regressor, loaded_links, nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.samples import Samples
@@ -80,15 +80,7 @@ class Payload(Effect):
             if mass > 0.0 else self
 
 
-class AtAnyLink(AtPoint):
-    """Effect at a point whose search begins at the origin of every link of a body."""
-
-    @classmethod
-    def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return [link for tip in loaded_links(body) for link in links_beside(body, tip)]
-
-
-class ExternalForce(AtAnyLink):
+class ExternalForce(AtPoint):
     """A constant force along the base's axes, at a point of the link."""
 
     kind: ClassVar[str] = 'external_force'
@@ -106,7 +98,7 @@ class ExternalForce(AtAnyLink):
         return self.motion(body, samples).force_map, None
 
 
-class _Drag(AtAnyLink):
+class _Drag(AtPoint):
     """A force against the velocity of a link's point."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)

@@ -18,7 +18,6 @@ from semiparam_ros.effects.base import (
     Coefficient,
     Effect,
     Values,
-    channel_index,
     channel_units,
     on_joint,
 )
@@ -160,9 +159,7 @@ class SensorNonlinearity(Effect):
         return Coefficient('quadratic', '1/(N m)'), Coefficient('cubic', '1/(N^2 m^2)')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        parameters = np.array(self.reference) if self.reference else body.base_parameters
-        channel = channel_index(body, self.where)
-        load = body.regressors(samples)[:, channel] @ parameters
+        load = self.predicted_load(body, samples)
         return on_joint(body, self.where, np.column_stack([load**2, load**3])), None
 
 

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.consistency import (
@@ -79,11 +80,7 @@ class CarriedBody(NamedTuple):
     @property
     def inertia(self) -> Array:
         """Inertia (3, 3) about the centre, in the axes of the link [kg m^2]."""
-        xx, xy, yy, xz, yz, zz = self.parameters[4:]
-        about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        centre = self.centre
-        shift = centre @ centre * np.eye(3) - np.outer(centre, centre)
-        return np.asarray(about_origin - self.mass * shift)
+        return np.asarray(pin.Inertia.FromDynamicParameters(self.parameters).inertia)
 
 
 class Price(NamedTuple):

@@ -6,7 +6,7 @@ import pytest
 from semiparam_ros.cli.bench import MEANING
 from semiparam_ros.experiments.benchmark import SIGMA, Covariance, Dense, Potter
 from support.commands import document, refusal
-from support.recordings import write_arm, write_params
+from support.recordings import write_arm
 
 COLUMNS, FEATURES, OUTPUTS, SAMPLES = 4, 6, 3, 20
 
@@ -60,16 +60,6 @@ def test_bench_refuses_what_it_cannot_time(arguments, capsys):
 
 PEERS = ('river BayesianLinearRegression', 'sklearn SGDRegressor', 'sklearn BayesianRidge, batch',
          'sklearn KernelRidge, batch')
-
-
-@pytest.fixture(scope='module')
-def recording(tmp_path_factory):
-    return write_arm(tmp_path_factory.mktemp('bench') / 'a.mcap', 400)
-
-
-@pytest.fixture(scope='module')
-def params(tmp_path_factory):
-    return write_params(tmp_path_factory.mktemp('bench') / 'arm.yaml')
 
 
 def test_peers_get_the_same_samples_as_ours(recording, params, tmp_path, capsys):

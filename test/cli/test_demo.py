@@ -12,19 +12,9 @@ from semiparam_ros.cli.demo_run import Program, isolated
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings import Settings
 from support.commands import document
-from support.recordings import FRAME, INITIAL, JOINTS, write_arm, write_params
+from support.recordings import FRAME, INITIAL, JOINTS
 
-LENGTH = 400
-
-
-@pytest.fixture(scope='module')
-def recording(tmp_path_factory):
-    return write_arm(tmp_path_factory.mktemp('bags') / 'short.mcap', LENGTH)
-
-
-@pytest.fixture(scope='module')
-def params(tmp_path_factory):
-    return write_params(tmp_path_factory.mktemp('params') / 'arm.yaml')
+LENGTH = 400  # of the recording in conftest.py
 
 
 def run_demo(*arguments):

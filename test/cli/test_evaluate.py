@@ -16,17 +16,7 @@ from semiparam_ros.experiments.evaluation import VariantScores, by_phase, normal
 from semiparam_ros.settings import Settings, dump_params, load_params
 from support import node_helpers
 from support.commands import document, refusal, semiparam
-from support.recordings import FRAME, INITIAL, JOINTS, PERIOD_NS, URDF, write_arm, write_params
-
-
-@pytest.fixture(scope='module')
-def recording(tmp_path_factory):
-    return write_arm(tmp_path_factory.mktemp('bags') / 'a.mcap', 400)
-
-
-@pytest.fixture(scope='module')
-def params(tmp_path_factory):
-    return write_params(tmp_path_factory.mktemp('params') / 'arm.yaml')
+from support.recordings import FRAME, INITIAL, JOINTS, PERIOD_NS, URDF, write_arm
 
 
 @pytest.fixture
