@@ -37,7 +37,7 @@ class AtPoint(Effect):
         return felt_links(body)
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
-        """Tell whether the point is no farther from the link than the arm is long, too."""
+        """Tell whether it may be so, the point no farther from the link than the arm is long."""
         lever = float(np.linalg.norm([self.value(axis) for axis in POINT]))
         return lever <= reach_of(body) and super().conceivable(body, coefficients)
 

@@ -67,7 +67,7 @@ class Payload(Effect):
         return bool(coefficients[0] > 0.0)
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
-        """Tell whether the centre of mass is no farther from the link than the arm is long, too."""
+        """Tell whether it may be so, the centre no farther from the link than the arm is long."""
         reach = float(np.linalg.norm(coefficients[1:4])) <= reach_of(body) * float(coefficients[0])
         return reach and super().conceivable(body, coefficients)
 
