@@ -84,9 +84,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='samples from the end of each window until the draft and then the model of it take over, '
                              'as in the node while it estimates hyperparameters, whose diagnostics tell them; the last '
                              'N holds for all that follow (default 0: at once)')
-    parser.add_argument('--auto', choices=('off', 'report'), default='off',
+    parser.add_argument('--auto', choices=('off', 'report', 'apply'), default='off',
                         help='report: look for changes of the robot, and name them, as the node does with '
-                             'diagnosis.auto; of one variant (default off)')
+                             'diagnosis.auto; apply: and let them predict until they are over; of one variant '
+                             '(default off)')
     options.add_json_option(parser)
     parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
     parser.add_argument('--external-wrench', metavar='FILE', type=Path,
@@ -102,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     options.require_places(args.json, args.plot, args.external_wrench)
     if args.plot:
         picture_format(args.plot)
-    settings = load_params(args.params)
+    settings = replace(load_params(args.params), diagnosis_auto=args.auto)
     variants = chosen_variants(args.variants, settings)
     waits = takeovers(args.takeover_after)
     if args.frozen and not args.train:

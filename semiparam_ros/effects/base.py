@@ -147,6 +147,8 @@ class Effect:
     own_in_each_recording: ClassVar[bool] = False
     """Mark of a cause that each recording has for itself in every model: a sensor's offset."""
     of_sensor: ClassVar[bool] = False
+    from_outside: ClassVar[bool] = False
+    """Mark of what others do to the robot, as a push: told, but no part of the robot."""
     refine_link: ClassVar[bool] = False
     is_load: ClassVar[bool] = False
     """Mark of a carried body: its coefficients are ten inertial parameters in the link's frame."""

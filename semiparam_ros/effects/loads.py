@@ -88,6 +88,7 @@ class ExternalForce(AtPoint):
     sentence: ClassVar[str] = 'something pulls or pushes the link with a constant force'
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'gravity_tilt', 'sensor_offset')
     separated_by: ClassVar[str] = 'faster motion: a load has inertia, a constant force has none'
+    from_outside: ClassVar[bool] = True
     bounded_by_weight: ClassVar[bool] = True
     may_start: ClassVar[bool] = True
 

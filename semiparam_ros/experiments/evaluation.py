@@ -21,6 +21,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import History, batch_of
+from semiparam_ros.online.learner import APPLY
 from semiparam_ros.online.learning import learning_of, observe
 from semiparam_ros.online.model_switcher import sentence_of
 from semiparam_ros.online.renewal import RecentWindow, Renewal, has_draft
@@ -195,6 +196,7 @@ class OfflineLearner:
             raise error
 
         self.changes = ChangeWatch(self.estimator.body, AtOnce(), told, failed)
+        self.changes.applies = self.settings.diagnosis_auto == APPLY
 
     def take(self, bag: LoadedBag, scores: VariantScores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
@@ -226,17 +228,20 @@ class OfflineLearner:
     def step(self, sample: Sample, learning: bool) -> Prediction:
         """One sample: a contact, and a robot at rest, are predicted but not learnt.
 
-        The prediction's mean has what the tools add, its sample has not, as in the node's answers.
+        The prediction's mean has what the tools and applied changes add, its sample has not, as in the node's answers.
         """
-        sample, of_tools = self.tools.taken_off(sample)
+        sample, added = self.tools.taken_off(sample)
+        if self.changes is not None:
+            sample, of_changes = self.changes.applied.taken_off(sample)
+            added = of_changes if added is None else added if of_changes is None else added + of_changes
         prediction = self.estimator.predict(sample)
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
-        learn = learning_of(learning and not contact and prediction.motion.is_news, self.gate)
+        learn = learning_of(learning and not contact and prediction.motion.is_news, self.gate, self.changes)
         if self.changes is not None:
             self.changes.see(self.estimator, prediction, self.history)
         errors = observe(self.estimator, prediction, learn, finish=False)
         self.history.append(sample, learn, prediction.motion.is_news)
-        due = learn and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
+        due = learn > 0 and not self.settings.hyperparameters_sigma and self._renewal.see(self.estimator, prediction)
         if due and (self._successor is None or (self._draft is None and self._renewal.outdates(self._later))):
             if self._successor is not None:
                 self._next_takeover()
@@ -255,7 +260,7 @@ class OfflineLearner:
         if self._successor is not None and self._draft is None and len(self._waiting) == self._takeovers[0]:
             self._take_over()
         self.answered(prediction, self.gate.widening)
-        mean = prediction.mean if of_tools is None else prediction.mean + of_tools
+        mean = prediction.mean if added is None else prediction.mean + added
         return prediction._replace(mean=mean, horizon=errors)
 
     def _draft_takes_over(self, draft: Callable[[], Estimator]) -> None:

@@ -25,6 +25,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
 from semiparam_ros.errors import SemiparamError, listed
+from semiparam_ros.online.applied_effects import AppliedEffects
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.learning import Learning, observe
@@ -33,7 +34,7 @@ from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 21
+FORMAT, VERSION = 'semiparam_ros state', 22
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise', 'forgetting',
@@ -57,7 +58,7 @@ MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'kept',
 """What is measured stays within 1e9, its derivatives within that by a nanosecond."""
 STAMPS = ('stamps', 'origins', 'origin')
 RANGES = {'shares': (0.0, 1.0), 'log_weights': (-math.inf, 0.0), 'inflation': (1e-100, math.inf),
-          'learnt': (0, max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
+          'learnt': (min(Learning), max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
           **dict.fromkeys(('waiting', 'filled', 'start', 'memory', 'compared', 'renewed', 'still'), (0.0, math.inf))}
 """Of arrays by the last part of their names, where only some values make sense."""
 
@@ -73,7 +74,7 @@ Arrays: TypeAlias = dict[str, Array | Stamps | Mask | Codes]
 
 class SavedState(NamedTuple):
     """A learner's model, the settings it was built with, the samples it keeps, the bias (n,) of the tare, the gate,
-    and when the hyperparameters are estimated again."""
+    when the hyperparameters are estimated again, and the effects that are applied beside the model."""
 
     settings: Settings
     estimator: Estimator
@@ -81,6 +82,7 @@ class SavedState(NamedTuple):
     bias: Array
     gate: Memory
     renewal: Memory
+    applied: Memory
 
 
 class Snapshot(NamedTuple):
@@ -160,18 +162,19 @@ def snapshot(state: SavedState) -> Snapshot:
     memory: dict[str, Array] = {}
     gate: dict[str, Array] = {}
     renewal: dict[str, Array] = {}
+    applied: dict[str, Array] = {}
     first, *others = learnt.models
     meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'window_left': first.window_left,
             'passed_over': first.passed_over,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate),
-            'renewal': _as_json(state.renewal, renewal)}
+            'renewal': _as_json(state.renewal, renewal), 'applied': _as_json(state.applied, applied)}
     if others:
         meta['others'] = [{'hyperparameters': asdict(other.hyperparameters), 'window_left': other.window_left,
                            'passed_over': other.passed_over} for other in others]
     groups: dict[str, Mapping[str, Array | Stamps | Mask | Codes]] = {
         'average': learnt.average, **{f'other{index}': _model_arrays(other) for index, other in enumerate(others)},
         **{group: getattr(first, group) for group in MODEL_ARRAYS},
-        'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window,
+        'memory': memory, 'gate': gate, 'renewal': renewal, 'applied': applied, 'window': learnt.window,
         'motion': _stacked(learnt.motion), 'kept': learnt.kept, 'carried': learnt.carried}
     arrays: Arrays = {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
                       'inputs_learnt': learnt.inputs_learnt, 'temperature': learnt.temperature,
@@ -267,8 +270,10 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
             memory = _from_json(meta[name], _group(arrays, name))
             _check_kinds(name, memory, part.state())
             part.restore(memory)
+        applied = AppliedEffects(body)
+        applied.restore(_from_json(meta['applied'], _group(arrays, 'applied')))
         saved = SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate.state(),
-                           renewal.state())
+                           renewal.state(), applied.state())
         _check_nothing_else(arrays, meta, saved)
         _try(saved, gate)
         return saved

@@ -205,7 +205,7 @@ class Lives(RuleBasedStateMachine):
     def tunes(self, forgetting, horizon, noise):
         self.change(forgetting=forgetting, horizon_length=horizon, noise=noise)
 
-    @rule(auto=st.sampled_from(('off', 'report')))
+    @rule(auto=st.sampled_from(('off', 'report', 'apply')))
     def looks_for_changes(self, auto):
         self.change(diagnosis_auto=auto)
 

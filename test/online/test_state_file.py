@@ -106,8 +106,9 @@ SCRATCH = {
 
 
 LAYOUT = {
-    21: {
-        'meta': 'format gate joints known memory newest origin others passed_over renewal settings version window_left',
+    22: {
+        'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings version '
+                'window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar free level '
                 'mean newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',
