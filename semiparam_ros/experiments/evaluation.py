@@ -36,7 +36,7 @@ INDICES = ('eps_force', 'eps_torque', 'eps_centred_force', 'eps_centred_torque')
 EFFORT_INDICES = ('eps_effort', 'eps_centred_effort')
 
 
-class Scores:
+class VariantScores:
     """Figures of one variant over the samples that it predicted, from its first own prediction on.
 
     :param outputs: `wrench` (three forces, three torques) or `effort`.
@@ -79,11 +79,11 @@ class Scores:
         return INDICES if self.outputs == 'wrench' else EFFORT_INDICES
 
     def index_series(self) -> tuple[Array, Array]:
-        """(N,) times of the origins since the start of the first recording [s], and (N, n_indices) values."""
+        """Times (N,) [s] of the origins since the first recording's start; values (N, indices)."""
         return np.array(self._times), np.array(self._indices).reshape(-1, len(self.index_names))
 
     def result(self, series: bool = False) -> dict[str, object]:
-        """All figures by name, in SI units; None where there is nothing to take the mean of."""
+        """Figures by name, in SI units; None where there is nothing to take the mean of."""
         nmse, rmse = normalised_errors(np.array(self._errors), np.array(self._measured))
         known = [value for value in nmse if value is not None]
         figures: dict[str, object] = {'samples': len(self), 'features': self.features, 'nmse': nmse,
@@ -99,7 +99,7 @@ class Scores:
 
 
 def means(eps: Array, outputs: str) -> tuple[float, ...]:
-    """eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
+    """Indices eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
     if outputs == 'wrench':
         return force_and_torque(eps)
     return (float(np.mean(eps)),)
@@ -139,7 +139,7 @@ class AtOnce:
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result],
                urgency: Urgency = Urgency.SHADOW) -> Job:
-        """See :class:`~semiparam_ros.online.worker.Background`."""
+        """Do the job, and hand its result or its exception to ``done``."""
         try:
             result = function(*arguments)
         except Exception as error:
@@ -149,11 +149,11 @@ class AtOnce:
         return self
 
     def later(self, function: Callable[[], None]) -> None:
-        """See :class:`~semiparam_ros.online.worker.Background`."""
+        """Call the function."""
         function()
 
     def cancel(self) -> None:
-        """It is done."""
+        """Do nothing: the job is done."""
 
 
 class OfflineLearner:
@@ -191,14 +191,14 @@ class OfflineLearner:
         self.changes: ChangeWatch | None = None
 
     def look_for_changes(self, told: Callable[[ChangeRecord], None]) -> None:
-        """From now on, as the node does with its ``diagnosis.auto``; ``told`` receives each record."""
+        """Look for changes, as ``diagnosis.auto`` does; ``told`` receives each record."""
         def failed(place: str, error: BaseException) -> None:
             raise error
 
         self.changes = ChangeWatch(self.estimator.body, AtOnce(), told, failed)
         self.changes.applies = self.settings.diagnosis_auto == APPLY
 
-    def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
+    def take(self, bag: LoadedBag, scores: VariantScores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
         scores.start_recording(bag.samples.origin)
         self.begin(bag.samples.origin)
@@ -265,7 +265,7 @@ class OfflineLearner:
         return prediction._replace(mean=mean, horizon=errors)
 
     def _draft_takes_over(self, draft: Callable[[], Estimator]) -> None:
-        """It has learnt what came since the end of the initial window; the hyperparameters are estimated yet."""
+        """Let a draft answer, taught what came since; hyperparameters are estimated yet."""
         self._draft = None
         self._next_takeover()
         if len(self._waiting) == self._takeovers[0]:
@@ -306,7 +306,7 @@ class OfflineLearner:
             self.renewals += 1
 
     def finish(self, training: Sequence[LoadedBag], frozen: bool) -> None:
-        """After training: a model must stand if nothing more is learnt, from however short a window."""
+        """End the training: a model must stand, however short its window, if nothing more comes."""
         if training and not self.estimator.ready and len(self.estimator.window):
             self.estimator.finish_window()
         if not self.estimator.ready and (frozen or not self.settings.learning):

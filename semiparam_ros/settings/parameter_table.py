@@ -147,7 +147,7 @@ def _has_kind(value: object, kind: str) -> bool:
 
 @dataclass(frozen=True)
 class Table:
-    """Field: parameter name with dots as underscores; its metadata: the row.
+    """Table of parameters. Field: name with dots as underscores; its metadata: the row.
 
     ``outputs`` is never ``auto`` here: what it stands for follows from ``sensor_frame``.
     """
