@@ -58,7 +58,7 @@ def test_a_load_is_applied_and_taken_back_and_the_plot_marks_it(tmp_path, capsys
                          '--auto', auto, '--plot', plot)
         errors[auto], changes = found['variants']['P']['nmse_mean'], found['changes']
     assert plot.read_bytes().startswith(b'\x89PNG')
-    assert errors['apply'] < 0.8 * errors['report']
+    assert errors['apply'] < 0.9 * errors['report']
     (change,) = changes
     decisions = [decision['what'] for decision in change['decisions']]
     assert decisions == ['tried beside the model', 'applied', 'taken back']
