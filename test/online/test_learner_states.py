@@ -343,6 +343,12 @@ class Lives(RuleBasedStateMachine):
                 np.testing.assert_allclose([ours.sigma, *ours.output_scale], [theirs.sigma, *theirs.output_scale],
                                            rtol=5e-3)
             fresh = self.given_again(known_of(learner.estimator))
+        assert learner.estimator.origin == fresh.origin, 'time counts from the same moment'
+        for ours, theirs in zip(learner.estimator.ensemble.models, fresh.ensemble.models, strict=True):
+            for name in ('calibration', 'wandering'):  # of a model that weighs little an answer shows nothing
+                if (found := getattr(ours, name)) is not None:
+                    np.testing.assert_allclose(found.table, getattr(theirs, name).table, rtol=1e-6, atol=1e-6)
+            assert ours.window_left == theirs.window_left
         for sample in self.motion[::80]:
             sample = self.now(sample)
             expected, found = fresh.predict(sample), learner.estimator.predict(sample)
@@ -506,6 +512,22 @@ def test_priors_and_friction_are_switched_and_back(tmp_path, monkeypatch):
         save(tmp_path / 's.npz', life.learner.state())
         life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, life.body))
         life.comes_to_rest()
+
+
+def test_a_window_that_follows_a_jump_and_one_without_hyperparameters_has_the_same_time():
+    """A model built later counted time from the start, and so took the jump for time."""
+    life = Lives()
+    life.begin()
+    life.declares(['payload@ft{"start_s": 0.5}'])
+    life.moves_with_a_dead_sensor(5)
+    life.clock_jumps(YEAR_NS)
+    life.moves_with_a_dead_sensor(16)
+    life.background.run()
+    assert not life.given
+    life.moves(40)
+    life.comes_to_rest()
+    life.chooses('SP2-VS')
+    life.comes_to_rest()
 
 
 def test_what_is_rest_is_judged_once_by_the_model_in_force():
