@@ -177,6 +177,7 @@ class History:
 
     def __init__(self, first: int, latest: int, n_joints: int, origin: int | None = None) -> None:
         self._n_joints, self._first, self._latest = n_joints, first, max(latest, 1)
+        self.origin: int | None
         self.discard(origin)
 
     def __len__(self) -> int:
