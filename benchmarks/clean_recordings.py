@@ -14,7 +14,7 @@ from joblib import Parallel, delayed
 from rich.console import Console
 from rich.table import Table
 
-from semiparam_ros.experiments.scoreboard import NOTHING, Plan, Row, case
+from semiparam_ros.experiments.scoreboard import NOTHING, Plan, ScoreboardRow, case
 
 console = Console()
 
@@ -51,7 +51,7 @@ def main() -> None:
     console.print(table)
 
 
-def told(row: Row) -> str:
+def told(row: ScoreboardRow) -> str:
     """The verdict and what was found."""
     places = [f'{kind}@{where}' for kind, where in zip(row['found'], row['found_where'], strict=True)]
     return ' '.join([row['verdict'], *places])

@@ -11,9 +11,11 @@ friction of one joint; a hand that pushes three times for 5 s; and nothing. Seed
 joints and directions.
 
 *Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it
-has the right effect, 30 s after it or when it ends. *Back*: the error that its model leaves after
-the change, over the one before it. *False*: changes told of where there is none, or
-only a push; those that their naming took back are counted apart.
+has the right effect, 30 s after it or when it ends. *Back*: within 30 s of the change, the
+error of the predictions is, until the next change and for five seconds at least, within 1.3 times its
+floor: that of the same robot which never changes, or was changed from the beginning; and after how
+long (median). *False*: changes told of where there is
+none, or only a push; those that their naming took back are counted apart.
 """
 
 from __future__ import annotations
@@ -51,6 +53,8 @@ from semiparam_ros.simulation.simulate import simulate
 SECONDS, AT = 240.0, (0.55, 0.7, 0.85)
 """Of a simulated recording; changes as shares of a recording."""
 NOTICED_S, NAMED_S, PUSH_S = 3.0, 30.0, 5.0
+BACK, BACK_S = 1.3, 5.0
+"""So near its floor, for so long at least, an error is back."""
 CHANGES = ('load', 'offset', 'friction', 'push', 'none')
 MEASURED = {
     'UR3 measured': (('id1', 'id2'), Settings(outputs='effort')),
@@ -94,6 +98,8 @@ class Case(NamedTuple):
     samples: Samples
     times: tuple[float, ...]
     mass: float
+    always: Samples
+    """The same with the change from the beginning to the end."""
 
 
 class Figures(NamedTuple):
@@ -104,7 +110,8 @@ class Figures(NamedTuple):
     named: int
     delays: list[float]  # [s] until a change was told
     mass_errors: list[float]  # as shares
-    back: list[float]
+    back: int
+    back_s: list[float]  # [s] after the change
     false: int
     retracted: int
     hours: float
@@ -200,26 +207,31 @@ def case_of(robot: Robot, change: str, seed: int) -> Case:
     times = tuple(share * float(samples.time[-1]) for share in AT)
     time, n = samples.time, samples.outputs.shape[1]
     spread, mass, added = samples.outputs.std(axis=0), 0.0, np.zeros_like(samples.outputs)
+    always = added
     if change == 'load':
         mass = robot.mass * rng.uniform(0.6, 1.4)
         on = ((time >= times[0]) & (time < times[1])) | (time >= times[2])
-        added = on[:, None] * weight(robot, mass, rng)
+        always = weight(robot, mass, rng)
+        added = on[:, None] * always
     elif change == 'offset':
         jump = rng.choice([-0.5, 0.5], n) * spread
         if robot.settings.outputs == 'effort':
             jump *= np.arange(n) == rng.integers(n)
-        added, times = (time >= times[0])[:, None] * jump, times[:1]
+        always, times = np.broadcast_to(jump, added.shape), times[:1]
+        added = (time >= times[0])[:, None] * always
     elif change == 'friction':
         joint = int(rng.integers(n))
-        added[:, joint] = (
-            0.3 * spread[joint] * np.tanh(samples.velocity[:, joint] / 0.02) * (time >= times[0])
-        )
-        times = times[:1]
+        always = np.zeros_like(added)
+        always[:, joint] = 0.3 * spread[joint] * np.tanh(samples.velocity[:, joint] / 0.02)
+        added, times = (time >= times[0])[:, None] * always, times[:1]
     elif change == 'push':
         added, times = pushes(robot, times, rng), ()
     else:
         times = ()
-    return Case(replace(samples, outputs=samples.outputs + added), times, mass)
+    changed, unchanging = (
+        replace(samples, outputs=samples.outputs + each) for each in (added, always)
+    )
+    return Case(changed, times, mass, unchanging)
 
 
 def weight(robot: Robot, mass: float, rng: np.random.Generator) -> Array:
@@ -247,34 +259,60 @@ def pushes(robot: Robot, times: tuple[float, ...], rng: np.random.Generator) -> 
     return robot.arm.load_of_force(robot.arm.pose(robot.arm.tip, position), force, position)
 
 
-def run(robot: Robot, case: Case) -> tuple[list[ChangeRecord], Array]:
-    """Every record that was told, and (N,) whether the state was another than usual."""
+def run(robot: Robot, samples: Samples) -> tuple[list[ChangeRecord], Array, Array]:
+    """Every record that was told, (N,) whether the state was another than usual, and (N,) mean
+    squared errors of the predictions over the outputs' variance."""
     learner, told, unusual = (
         OfflineLearner(robot.settings, [], lambda: None),
         list[ChangeRecord](),
         list[bool](),
     )
     learner.look_for_changes(told.append)
-    learner.begin(case.samples.origin)
-    for sample in case.samples:
-        learner.step(sample, learning=True)
-        unusual.append(learner.changes is not None and learner.changes.state in STATES[3:])
-    return told, np.array(unusual)
+    learner.begin(samples.origin)
+    predicted = []
+    for sample in samples:
+        predicted.append(learner.step(sample, learning=True).mean)
+        unusual.append(learner.changes is not None and learner.changes.state in STATES[3:5])
+    spread = robot.samples.outputs.std(axis=0)
+    left = (np.array(predicted) - samples.outputs) / spread
+    return told, np.array(unusual), np.mean(left**2, axis=1)
+
+
+def back_after(time: Array, squares: Array, floor: Array, at: float, until: float) -> float:
+    """[s] after ``at`` from which on the squared error (N,) stays within ``BACK`` times its floor
+    (N,) until ``until`` and for the next ``BACK_S``; inf where it does not."""
+    for start in np.arange(at, min(at + NAMED_S, until - BACK_S), 0.25):
+        spans = [(time >= start) & (time < end) for end in (start + BACK_S, until)]
+        if all(squares[span].mean() <= BACK**2 * floor[span].mean() for span in spans):
+            return float(start - at)
+    return float('inf')
 
 
 def judged(robot: Robot, change: str, seed: int) -> Figures:
     """One case."""
     case = case_of(robot, change, seed)
-    told, unusual = run(robot, case)
+    told, unusual, squares = run(robot, case.samples)
+    floors = [
+        run(with_auto(robot, 'off'), each)[2] for each in (robot.samples, case.always)[: 2 * bool(case.times)]
+    ]
     time, origin = case.samples.time, case.samples.origin
 
     def seconds(stamp: int | None) -> float:
         return np.nan if stamp is None else (stamp - origin) * 1e-9
 
     noticed = named = 0
-    delays, errors, back, right = list[float](), list[float](), list[float](), set[int]()
+    delays, errors, right = list[float](), list[float](), set[int]()
+    ends = [*case.times[1:], float(time[-1])]
+    back_s = [
+        back_after(time, squares, floors[1 - number % 2], at, end)
+        for number, (at, end) in enumerate(zip(case.times, ends, strict=False))
+    ]
+    decided = [
+        seconds(decision.stamp) for record in told for decision in record.decisions[-1:]
+    ]
     for number, at in enumerate(case.times):
-        noticed += bool(unusual[(time >= at) & (time < at + NOTICED_S)].any())
+        soon = any(at <= when < at + NOTICED_S for when in decided)
+        noticed += soon or bool(unusual[(time >= at) & (time < at + NOTICED_S)].any())
         if change == 'load' and number == 1:  # it is put down
             near = [record for record in told if abs(seconds(record.change.ended) - at) < NAMED_S]
             named += bool(near)
@@ -292,7 +330,6 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
         named += bool(found)
         if found and found[-1].named is not None:
             last = found[-1].named
-            back.append(last.after['nmse_mean'] / last.before['nmse_mean'])
             errors += (
                 [abs(last.parameters['mass'].value / case.mass - 1.0)] if change == 'load' else []
             )
@@ -305,7 +342,8 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
         named,
         delays,
         errors,
-        back,
+        int(np.isfinite(back_s).sum()),
+        back_s,
         len(wrong) - sum(wrong),
         sum(wrong),
         hours,
@@ -325,7 +363,7 @@ def summed(rows: list[Figures]) -> list[str]:
 
     flat = [
         [value for row in rows for value in getattr(row, name)]
-        for name in ('delays', 'mass_errors', 'back')
+        for name in ('delays', 'mass_errors', 'back_s')
     ]
     worst = f' ({max(flat[1]):.0%})' if flat[1] else ''
     mass = f'{np.median(flat[1]):.1%}{worst}' if flat[1] else '-'
@@ -334,10 +372,16 @@ def summed(rows: list[Figures]) -> list[str]:
         median(flat[0]),
         share(sum(row.named for row in rows)),
         mass,
+        share(sum(row.back for row in rows)),
         median(flat[2]),
         f'{sum(row.false for row in rows)} in {sum(row.hours for row in rows):.2f} h',
         str(sum(row.retracted for row in rows)),
     ]
+
+
+def with_auto(robot: Robot, auto: str) -> Robot:
+    """The same with ``diagnosis.auto``."""
+    return robot._replace(settings=replace(robot.settings, diagnosis_auto=auto))
 
 
 def main() -> int:
@@ -353,6 +397,7 @@ def main() -> int:
     parser.add_argument('--first-seed', type=int, default=1)
     parser.add_argument('--changes', nargs='+', choices=CHANGES, default=list(CHANGES))
     parser.add_argument('--no-icub', action='store_true', help='without the simulated iCub')
+    parser.add_argument('--auto', choices=('report', 'apply'), default='report')
     parser.add_argument('--json')
     given = parser.parse_args()
     robots: dict[str, Callable[[int], Robot]] = (
@@ -370,6 +415,7 @@ def main() -> int:
         'named',
         'mass error',
         'back',
+        'after [s]',
         'false',
         'taken back',
     )
@@ -380,7 +426,9 @@ def main() -> int:
                 continue  # a sensor at the wrist does not feel it
             seeds = range(given.first_seed, given.first_seed + given.seeds)
             only = 1 if change == 'none' and name in MEASURED else None  # nothing is drawn
-            rows = [judged(robot(seed), change, seed) for seed in seeds[:only]]
+            rows = [
+                judged(with_auto(robot(seed), given.auto), change, seed) for seed in seeds[:only]
+            ]
             everything[f'{name}, {change}'] = [row._asdict() for row in rows]
             table.add_row(name, change, *summed(rows))
             print(name, change, *summed(rows), sep=' | ', flush=True)

@@ -68,7 +68,7 @@ _MODULES = {
     'load_params': 'semiparam_ros.settings.files',
     'load_samples': 'semiparam_ros.bags.loading',
 }
-"""Where each public name is defined; read when it is first asked for (PEP 562)."""
+"""Modules that define the public names, read when one is first asked for (PEP 562)."""
 
 
 def __getattr__(name: str) -> object:

@@ -64,12 +64,12 @@ def remove_leftovers(path: str | os.PathLike[str]) -> None:
 
 
 def _prefix(path: Path) -> str:
-    """Hidden, and short enough for a long name."""
+    """Prefix of the neighbours: hidden, and short enough for a long name."""
     return f'.{path.name[:100]}.'
 
 
 def _require_replaceable(path: Path) -> None:
-    """A rename would put a plain file in the place of a folder, a device or a pipe."""
+    """Raise OSError where a rename would replace a folder, a device or a pipe."""
     if '\0' in str(path):
         raise OSError(None, 'its name holds a null character')
     if path.is_dir() or not path.name:
@@ -79,7 +79,7 @@ def _require_replaceable(path: Path) -> None:
 
 
 def _keep_name(folder: Path) -> None:
-    """The new name is on the disk once its folder is."""
+    """Write a folder to the disk, and with it the new name in it."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -13,8 +13,8 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import hypothesis
 import pytest
 
-from semiparam_ros.cli.main import main
 from support.browser import browse  # noqa: F401  (fixtures)
+from support.commands import semiparam
 from support.estimates import Estimates
 from support.mcap_core import node_modules  # noqa: F401  (fixtures)
 
@@ -29,6 +29,8 @@ estimator:
     variant: P
     robot_description_file: {urdf}
 '''
+UR3_JOINTS = ('Base=shoulder_pan_joint,Shoulder=shoulder_lift_joint,Elbow=elbow_joint,Wrist 1=wrist_1_joint,'
+              'Wrist 2=wrist_2_joint,Wrist 3=wrist_3_joint')
 
 # A busy machine is no failure: the search is bounded by the number of examples, not by the clock.
 hypothesis.settings.register_profile('steady', deadline=None)
@@ -154,9 +156,19 @@ def measured_icub(shared_data, repository, tmp_path_factory) -> Path:
     """A folder with both tables of the measured iCub arm, `train.mcap` and `test.mcap`, and its `icub.yaml`."""
     folder, source = tmp_path_factory.mktemp('icub'), shared_data / 'icub_arm'
     for name in ('train', 'test'):
-        assert main(['convert', str(source / f'icubdyn_{name}.dat'), str(folder / f'{name}.mcap'),
-                     '--columns', str(repository / 'config/icub_table.yaml')]) == 0
+        assert semiparam('convert', source / f'icubdyn_{name}.dat', folder / f'{name}.mcap',
+                         '--columns', repository / 'config/icub_table.yaml') == 0
     (folder / 'icub.yaml').write_text(ICUB.format(urdf=source / 'iCubGenova01.urdf'))
+    return folder
+
+
+@pytest.fixture(scope='session')
+def measured_ur3(shared_data, tmp_path_factory) -> Path:
+    """A folder with the two recordings of the measured UR3 arm, `id1.mcap` and `id2.mcap`, its description in each."""
+    folder, source = tmp_path_factory.mktemp('ur3'), shared_data / 'ur3_arm'
+    for name in ('id1', 'id2'):
+        assert semiparam('convert', source / f'{name}.bag', folder / f'{name}.mcap', '--topic', '/arm=/joint_states',
+                         '--joint', UR3_JOINTS, '--effort-sign', -1, '--robot-description', source / 'ur3.urdf') == 0
     return folder
 
 

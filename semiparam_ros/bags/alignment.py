@@ -11,24 +11,24 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Collection, Sequence
 from math import isfinite, nan
-from typing import Protocol
 
 import numpy as np
 
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample
+from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.stamps import NANOSECONDS, in_seconds
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed, shortened
 
 CAPACITY = 20_000
 LARGEST = 1e9
-"""No robot has such an angle [rad], speed, acceleration, force [N] or torque [N m]; memory that was never written does,
-and one such value would leave nothing of a model."""
+"""Largest angle [rad], speed, acceleration, force [N] or torque [N m] believed: memory that was
+never written holds more, and one such value would leave nothing of a model."""
 END_OF_TIME_NS = 2**31 * NANOSECONDS
 """The seconds of a header have 32 bits. One with more nanoseconds than a second has can be beyond that."""
 HELD_FROM_NS = 1_000_000_000
-"""How long after its stamp a temperature counts. It comes too seldom to be waited for; by then it has come, however the
-topics interleave, and none changes so fast."""
+"""Time after its stamp from which a temperature counts. It comes too seldom to be waited for; by
+then it has come, however the topics interleave, and none changes so fast."""
 
 
 class Track:
@@ -38,7 +38,7 @@ class Track:
     """
 
     def __init__(self, longest_gap_ns: int) -> None:
-        """:param longest_gap_ns: two rows further apart are not interpolated."""
+        """Make an empty track that interpolates over gaps of at most ``longest_gap_ns``."""
         self._longest_gap = longest_gap_ns
         self._stamps: deque[int] = deque()
         self._rows: deque[Array] = deque()
@@ -62,7 +62,7 @@ class Track:
         self._rows.clear()
 
     def decided(self, stamp: int) -> bool:
-        """Whether no further row can change what :meth:`at` returns for ``stamp``; forgets rows before it."""
+        """Tell whether no later row can change :meth:`at` for ``stamp``; forget rows before it."""
         stamps = self._stamps
         while len(stamps) > 1 and stamps[1] <= stamp:
             self.forget_oldest()
@@ -82,7 +82,7 @@ class Track:
         return row + (stamp - first) / (second - first) * (self._rows[1] - row)
 
 
-class Held:
+class ZeroOrderHold:
     """A value that comes seldom: it counts from ``HELD_FROM_NS`` after its stamp on, until the next one does."""
 
     def __init__(self) -> None:
@@ -108,16 +108,6 @@ class Held:
         self._coming.clear()
 
 
-class Differentiator(Protocol):
-    """A causal estimate of rates, such as ``core.signals.differentiation.CausalDifferentiator``."""
-
-    def update(self, stamp: int, values: Array, /) -> Array:
-        """(n_joints,) rates [1/s] of the values at ``stamp`` [ns]."""
-
-    def reset(self) -> None:
-        """Forget the past."""
-
-
 class SampleStream:
     """Turns messages into samples, one message at a time.
 
@@ -131,19 +121,27 @@ class SampleStream:
     """
 
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
-                 tolerance_s: float = 0.02, differentiator: Differentiator | None = None,
+                 tolerance_s: float = 0.02, differentiator: CausalDifferentiator | None = None,
                  measured_accelerations: bool = False, capacity: int | None = CAPACITY,
-                 velocity_filter: Differentiator | None = None, output_joints: Collection[str] = (),
+                 velocity_filter: CausalDifferentiator | None = None, output_joints: Collection[str] = (),
                  temperatures: Collection[str] = ()) -> None:
-        """:param joints: names in the order of the samples' columns; messages may order theirs in any way.
+        """Make a stream without messages.
+
+        :param joints: names in the order of the samples' columns; messages may order theirs in any
+            way.
         :param outputs: 'wrench' or 'effort'.
         :param sensor_frame: frame_id that wrenches must have; '' takes any.
-        :param tolerance_s: largest distance [s] from a wrench to the nearer of the joint states it lies between.
-        :param differentiator: gives the accelerations, unless ``measured_accelerations`` come on their own topic.
+        :param tolerance_s: largest distance [s] from a wrench to the nearer of the joint states it
+            lies between.
+        :param differentiator: gives the accelerations, unless ``measured_accelerations`` come on
+            their own topic.
         :param capacity: messages of a topic kept while another is silent; None keeps all.
-        :param velocity_filter: gives the velocities of joint states that leave them empty; None refuses such.
-        :param output_joints: those of the joints whose efforts are the outputs; all of them unless given.
-        :param temperatures: joints whose temperatures are measured; with a wrench, the frame_id of its sensor's alone.
+        :param velocity_filter: gives the velocities of joint states that leave them empty; None
+            refuses such.
+        :param output_joints: those of the joints whose efforts are the outputs; all of them unless
+            given.
+        :param temperatures: joints whose temperatures are measured; with a wrench, its sensor's
+            frame_id.
         """
         if outputs not in ('wrench', 'effort'):
             raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
@@ -160,8 +158,9 @@ class SampleStream:
         self._velocity_filter = velocity_filter
         self._capacity = capacity
         sources = self.joints if self._effort else tuple(temperatures)
-        self._temperatures = {name: Held() for name in sources if name in temperatures}
-        self._of_sources = [self._temperatures.get(name, Held()) for name in sources] if temperatures else []
+        self._temperatures = {name: ZeroOrderHold() for name in sources if name in temperatures}
+        self._of_sources = [self._temperatures.get(name, ZeroOrderHold())
+                            for name in sources] if temperatures else []
         gap = round(2e9 * tolerance_s)
         self._states, self._accelerations = Track(gap), Track(gap)
         self._followers = ([] if self._effort else [(self._states, 'joint state')]) \
@@ -178,7 +177,7 @@ class SampleStream:
 
     @property
     def takes_accelerations(self) -> bool:
-        """Whether samples wait for measured accelerations."""
+        """Tell whether samples wait for measured accelerations."""
         return self._differentiator is None
 
     def reset(self) -> None:
@@ -259,7 +258,7 @@ class SampleStream:
         return []
 
     def _order(self, what: str, stamp: int, names: Sequence[str]) -> list[int] | None:
-        """Where our joints are among ``names``. Names hardly ever change, so the last answer is kept."""
+        """Indices of our joints in ``names``; the last answer is kept, for names hardly change."""
         known = self._orders.get(what)
         if known is not None and known[0] == names:
             return known[1]
@@ -287,7 +286,7 @@ class SampleStream:
         return True
 
     def _acceptable(self, what: str, stamp: int, values: Sequence[float]) -> bool:
-        """Whether values are possible and the stamp is later than the topic's last one, which it then becomes."""
+        """Tell whether values are possible and the stamp the topic's latest, which it becomes."""
         # One NaN or infinity makes the sum one too: four times faster than asking each value.
         if not isfinite(sum(values)):
             self._refuse('not_finite', f'{what} at {in_seconds(stamp)} s holds a value that is not finite.')

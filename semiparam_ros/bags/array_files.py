@@ -1,4 +1,4 @@
-"""Named arrays as the columns of one table: files of numpy and MATLAB, and folders with one text table for each."""
+"""Arrays with names as the columns of one table: numpy and MATLAB files, folders of text tables."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Cells = Iterator[tuple[int, list[str]]]
 
 
 def is_table_folder(path: Path) -> bool:
-    """Whether a path is a folder of text tables rather than a bag."""
+    """Tell whether a path is a folder of text tables rather than a bag."""
     return path.is_dir() and not (path / 'metadata.yaml').exists() and bool(_tables(path))
 
 
 def holds_arrays(path: Path) -> bool:
-    """Whether :func:`array_lines` reads this path."""
+    """Tell whether :func:`array_lines` reads this path."""
     return path.suffix.lower() in SUFFIXES or is_table_folder(path)
 
 

@@ -1,4 +1,4 @@
-"""What every bag offers, whatever its format: topics, times, messages in an order, and an account of damage."""
+"""Bags of any format: topics, times, messages in an order, and an account of damage."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class BagReader(ABC):
     @property
     @abstractmethod
     def losses(self) -> Losses:
-        """What cannot be read. Complete whenever asked: parts not read so far are checked first."""
+        """Account of what cannot be read: parts not read so far are checked first."""
 
     @abstractmethod
     def close(self) -> None:

@@ -21,11 +21,11 @@ _TRAJECTORY = layout.TYPES[layout.JOINT_ACCELERATIONS]
 
 @dataclass(frozen=True)
 class Edits:
-    """What is changed on the way.
+    """Changes to messages on the way into a new bag.
 
-    ``topics``: old name -> new name, and only these are taken; empty takes all. ``joints``: old name -> new name,
-    where one * in both stands for any text. ``effort_factors``: new name of a joint -> factor. ``stamps_from_log``
-    puts the log time into every header.
+    ``topics``: old name -> new name, and only these are taken; empty takes all. ``joints``: old
+    name -> new name, where one * in both stands for any text. ``effort_factors``: new name of a
+    joint -> factor. ``stamps_from_log`` puts the log time into every header.
     """
 
     topics: Mapping[str, str] = field(default_factory=dict)
@@ -37,7 +37,7 @@ class Edits:
     stamps_from_log: bool = False
 
     def concern(self, type_name: str) -> bool:
-        """Whether messages of this type change; others are copied byte by byte."""
+        """Tell whether messages of this type change; others are copied byte by byte."""
         named = bool(self.joints) or self.stamps_from_log
         turned = self.wrench_sign != 1.0 or bool(self.wrench_frame) or self.stamps_from_log
         scaled = self.effort_sign != 1.0 or bool(self.effort_factors)

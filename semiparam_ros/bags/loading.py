@@ -44,20 +44,21 @@ class LoadedBag(NamedTuple):
     last_fault: str
     losses: Losses
     stretches: tuple[int, ...]
-    """How many samples each stretch holds that was read of it; one stretch where all was read."""
+    """Number of samples of each stretch that was read; one stretch where all was read."""
 
 
 STRETCHES = 24
 WARM_UP_NS = 1_000_000_000
-"""What filters have of each stretch before its first sample counts."""
+"""Time [ns] of each stretch that filters have before its first sample counts."""
 
 
 def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics | None = None,
                  most: Callable[[float], int] | None = None) -> LoadedBag:
-    """Every sample of the bag at ``path``, equal to those the node makes from the same messages.
+    """Read the samples of a bag, equal to those that the node makes from the same messages.
 
-    :param most: how many samples to read at most, given their rate [Hz]; of a longer bag ``STRETCHES`` equally long
-        stretches are read, evenly spread over it, and the rest is passed over.
+    :param most: how many samples to read at most, given their rate [Hz]; of a longer bag
+        ``STRETCHES`` equally long stretches are read, evenly spread over it, and the rest is passed
+        over.
 
     A bag without a topic that ``settings`` need, or with no sample at all, raises SemiparamError.
     """
@@ -95,7 +96,8 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
 
 
 def measured_accelerations(settings: Table, published: bool) -> bool:
-    """Whether accelerations are taken from their topic, by ``acceleration.source`` and whether it is published."""
+    """Tell whether accelerations come from their topic, by ``acceleration.source`` and what is
+    published."""
     return settings.acceleration_source == 'measured' or (settings.acceleration_source == 'auto' and published)
 
 
@@ -161,8 +163,8 @@ def _windows(bag: BagReader, count: int, most: Callable[[float], int] | None) ->
 
 def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collection[str], start: int | None = None,
           end: int | None = None) -> tuple[str, list[Sample]]:
-    """(frame of the wrenches, samples) of the messages on some topics in the order in which they were recorded, from a
-    log time [ns] on and before another; None: all."""
+    """Read (frame of the wrenches, samples) from the messages of some topics in the order recorded,
+    from one log time [ns] on and before another; None: all."""
     kinds = {topics.joint_states: readings.JOINT_STATE, topics.wrench: readings.WRENCH,
              topics.accelerations: readings.ACCELERATIONS, topics.temperature: readings.TEMPERATURE}
     samples: list[Sample] = []

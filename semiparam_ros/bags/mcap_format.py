@@ -52,7 +52,8 @@ class Damage(Exception):
 
 
 class Chunk(NamedTuple):
-    """Where a chunk lies and how it is packed; log times [ns]; ``end`` is the offset just behind the record."""
+    """Place and packing of a chunk; log times [ns]; ``end`` is the offset just behind the record.
+    """
 
     offset: int
     end: int
@@ -75,7 +76,8 @@ class Entry(NamedTuple):
 
 
 def record_at(buffer: Buffer, offset: int, limit: int) -> tuple[int, int, int]:
-    """(opcode, start of the body, end of the record) at ``offset``; Damage when it does not fit below ``limit``."""
+    """Opcode, start of the body and end of the record at ``offset``; Damage if it passes ``limit``.
+    """
     if offset + 9 > limit:
         raise Damage('the file ends inside a record')
     opcode, length = _PREFIX.unpack_from(buffer, offset)
@@ -276,7 +278,7 @@ def _footer(buffer: Buffer) -> Footer:
 
 
 def _covers(definitions: Definitions, chunks: list[ChunkIndex], statistics: Statistics) -> bool:
-    """Whether every message can be found and named by the summary alone."""
+    """Tell whether every message can be found and named by the summary alone."""
     channels, schemas = definitions.channels, definitions.schemas
     named = all(channel in channels for channel in statistics.channel_message_counts)
     defined = all(channel.schema_id in schemas for channel in channels.values() if channel.schema_id)

@@ -129,5 +129,5 @@ def _topics(index: Index) -> dict[str, TopicInfo]:
 
 
 def is_mcap(path: Path, magic: bytes) -> bool:
-    """Whether a file is MCAP by its first bytes, or by its name where those are damaged."""
+    """Tell whether a file is MCAP by its first bytes, or by its name where those are damaged."""
     return magic.startswith(MAGIC) or '.mcap' in path.name

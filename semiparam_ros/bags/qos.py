@@ -18,7 +18,8 @@ _LIVELINESS = {0: 'system_default', 1: 'automatic', 2: 'manual_by_node', 3: 'man
 
 @dataclass(frozen=True)
 class Qos:
-    """What a publisher offered, with rosbag2's names for the policies; durations in ns (``INFINITE_NS``: none)."""
+    """Quality of service that a publisher offered, with rosbag2's names for the policies; durations
+    in ns (``INFINITE_NS``: none)."""
 
     history: str = 'keep_last'
     depth: int = 10
@@ -31,7 +32,7 @@ class Qos:
 
     @property
     def latched(self) -> bool:
-        """Whether late subscribers receive the last message."""
+        """Tell whether late subscribers receive the last message."""
         return self.durability == 'transient_local'
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,8 @@ class MergedBag(BagReader):
     """Readers merged by time; where times are equal, the order of ``readers`` decides. It closes them."""
 
     def __init__(self, path: str | os.PathLike[str], readers: Sequence[BagReader]) -> None:
-        """:param path: what the bag is called in sentences. Different types of one topic raise SemiparamError."""
+        """Merge readers; a topic of two types raises SemiparamError, which calls the bag ``path``.
+        """
         super().__init__(path)
         self.readers = tuple(readers)
         filled = [reader for reader in self.readers if reader.message_count]
@@ -78,7 +79,8 @@ def open_bag(path: str | os.PathLike[str]) -> BagReader:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether :func:`open_bag` is meant for this path: a directory, or a file by its first bytes or its name."""
+    """Tell whether :func:`open_bag` takes this path: a directory, or a file by first bytes or name.
+    """
     if path.is_dir():
         return True
     try:
@@ -86,7 +88,7 @@ def is_bag(path: Path) -> bool:
             magic = file.read(32)
     except OSError as error:
         raise SemiparamError(f'{str(path)!r} cannot be opened: {error.strerror or error}.') from error
-    return is_mcap(path, magic) or is_sqlite(path, magic) or is_ros1(path, magic)
+    return any(fits(path, magic) for fits, _ in _FORMATS)
 
 
 def _open_file(path: Path) -> BagReader:
@@ -94,12 +96,9 @@ def _open_file(path: Path) -> BagReader:
         magic = file.read(32)
     if not magic:
         raise SemiparamError(f'{str(path)!r} is empty: expected a bag.')
-    if is_mcap(path, magic):
-        return McapBag(path)
-    if is_sqlite(path, magic):
-        return _sqlite_bag(path)
-    if is_ros1(path, magic):
-        return _ros1_bag(path)
+    for fits, opened in _FORMATS:
+        if fits(path, magic):
+            return opened(path)
     raise SemiparamError(f'{str(path)!r} is no bag: expected an MCAP file, a rosbag2 directory, a .db3 file or a '
                          'ROS 1 .bag.')
 
@@ -120,7 +119,7 @@ def _open_directory(path: Path) -> BagReader:
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    """What metadata.yaml says; nothing where it is missing or damaged, since the files themselves tell enough."""
+    """Content of metadata.yaml; nothing where it is missing or damaged: the files tell enough."""
     try:
         return dict(yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information'])
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError):
@@ -128,12 +127,12 @@ def _metadata(path: Path) -> dict[str, Any]:
 
 
 def is_sqlite(path: Path, magic: bytes) -> bool:
-    """Whether a file is sqlite by its first bytes, or by its name where those are damaged."""
+    """Tell whether a file is sqlite by its first bytes, or by its name where those are damaged."""
     return magic.startswith(b'SQLite format 3\x00') or path.suffix == '.db3'
 
 
 def is_ros1(path: Path, magic: bytes) -> bool:
-    """Whether a file is a ROS 1 bag by its first bytes, or by its name where those are damaged."""
+    """Tell whether a file is a ROS 1 bag by its first bytes, or name where those are damaged."""
     return magic.startswith(b'#ROSBAG') or path.suffix == '.bag'
 
 
@@ -147,6 +146,10 @@ def _ros1_bag(path: Path) -> BagReader:
     with _needs_rosbags(path, 'ROS 1 bag'):
         from semiparam_ros.bags.rosbags_reader import Ros1Bag
     return Ros1Bag(path)
+
+
+_FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Callable[[Path], BagReader]], ...] = (
+    (is_mcap, McapBag), (is_sqlite, _sqlite_bag), (is_ros1, _ros1_bag))
 
 
 @contextmanager

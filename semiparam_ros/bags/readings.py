@@ -1,4 +1,4 @@
-"""What a stream of samples needs of a message, whether it came from a bag or over DDS."""
+"""Readings: what a stream of samples needs of a message, whether from a bag or over DDS."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ class Reading(NamedTuple):
 
 
 def of_joint_state(message: Any) -> Reading:
-    """Of a sensor_msgs/JointState."""
+    """Reading of a sensor_msgs/JointState."""
     header = message.header
     return Reading(stamp_ns(header.stamp), header.frame_id,
                    (message.name, message.position, message.velocity, message.effort))
 
 
 def of_wrench(message: Any) -> Reading:
-    """Of a geometry_msgs/WrenchStamped."""
+    """Reading of a geometry_msgs/WrenchStamped."""
     header, force, torque = message.header, message.wrench.force, message.wrench.torque
     values = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
     return Reading(stamp_ns(header.stamp), header.frame_id, (header.frame_id, values))
 
 
 def of_accelerations(message: Any) -> Reading:
-    """Of a trajectory_msgs/JointTrajectory with one point; without one its accelerations count as missing."""
+    """Reading of a trajectory_msgs/JointTrajectory with one point, else without accelerations."""
     values = message.points[0].accelerations if len(message.points) == 1 else ()
     header = message.header
     return Reading(stamp_ns(header.stamp), header.frame_id, (message.joint_names, values))
 
 
 def of_temperature(message: Any) -> Reading:
-    """Of a sensor_msgs/Temperature."""
+    """Reading of a sensor_msgs/Temperature."""
     header = message.header
     return Reading(stamp_ns(header.stamp), header.frame_id, (header.frame_id, message.temperature))
 

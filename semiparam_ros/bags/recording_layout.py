@@ -1,4 +1,4 @@
-"""Where a recording of this package keeps what: topic names and message types."""
+"""Layout of this package's recordings: topic names and message types."""
 
 from __future__ import annotations
 

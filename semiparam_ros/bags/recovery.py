@@ -89,7 +89,7 @@ class _Scan:
             self._close_run()
 
     def _add_chunk(self, chunk: Chunk) -> bool:
-        """Whether the chunk is readable; a lost one is entered in the account."""
+        """Add a chunk and return whether it is readable; a lost one is entered in the account."""
         self._close_run()
         self.index.chunks += 1
         self._lost_chunk = False
@@ -127,7 +127,7 @@ class _Scan:
             self._indexed_loss += (len(body) - 6) // 16
 
     def _search(self, offset: int) -> int | None:
-        """Where reading can go on from a broken record; the bytes between are lost."""
+        """Find where reading can go on from a broken record; the bytes between are lost."""
         self._close_run()
         self._broken = True
         following = _next_chunk(self.buffer, offset)

@@ -30,7 +30,8 @@ class Ros1Types:
     """The types of one bag. A type that Jazzy has too is migrated to it, others keep their own definition."""
 
     def __init__(self, definitions: dict[str, str]) -> None:
-        """:param definitions: type name (in ROS 2 form) -> text, as the bag's connections hold them."""
+        """Register ``definitions``, texts by type name in ROS 2 form, as the bag's connections hold
+        them."""
         self._source = get_typestore(Stores.EMPTY)
         for type_name, text in definitions.items():
             self._source.register(get_types_from_msg(text, type_name))
@@ -41,7 +42,7 @@ class Ros1Types:
         self._to_cdr: dict[str, Callable[[bytes], Any]] = {}
 
     def ros2_name(self, type_name: str) -> str:
-        """Most names stay; a few types moved to another package."""
+        """Name of a type in ROS 2: most stay, a few types moved to another package."""
         return str(STATIC_MSGTYPE_RENAMES.get(type_name, type_name))
 
     def schema(self, type_name: str) -> Schema:
@@ -69,7 +70,7 @@ class Ros1Types:
 
 
 class _RosbagsBag(BagReader):
-    """What the two formats share: the readers of ``rosbags`` have the same shape."""
+    """Bag that a reader of ``rosbags`` opens, whose two formats have the same shape."""
 
     kind: str
 
@@ -105,7 +106,8 @@ class _RosbagsBag(BagReader):
 
     @property
     def losses(self) -> Losses:
-        """These formats have no checksums and cannot be read past damage, so only undecodable messages are known."""
+        """Account of undecodable messages: these formats have no checksums and end at any damage.
+        """
         if self._saved is None:
             self._saved = sum(1 for _ in self._log_order(self.topics.keys(), None, None))
         return Losses(str(self.path), self._saved, self.message_count, undecodable=dict(self._undecodable))

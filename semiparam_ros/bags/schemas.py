@@ -46,13 +46,13 @@ def jazzy_types() -> dict[str, JazzyType]:
 
 
 def full_type(name: str) -> str:
-    """'sensor_msgs/JointState' and 'sensor_msgs/msg/JointState' are the same type; the second form is returned."""
+    """Name of a type in its long form, 'sensor_msgs/msg/JointState'; a short one is completed."""
     package, _, rest = name.partition('/')
     return name if '/' in rest else f'{package}/msg/{rest}'
 
 
 def is_jazzy_type(type_name: str) -> bool:
-    """Whether ROS 2 Jazzy's common interfaces define ``type_name``."""
+    """Tell whether ROS 2 Jazzy's common interfaces define ``type_name``."""
     return full_type(type_name) in jazzy_types()
 
 
@@ -110,7 +110,7 @@ def encoder(type_name: str, schema: Schema = UNKNOWN) -> Encoder:
 
 @cache
 def has_header(type_name: str, schema: Schema = UNKNOWN) -> bool:
-    """Whether messages of this type begin with a std_msgs/Header, whose stamp is then bytes 4 to 12."""
+    """Tell whether messages begin with a std_msgs/Header, whose stamp is then bytes 4 to 12."""
     fields = (line.split() for line in (message_text(type_name, schema) or '').splitlines())
     first = next((words for words in fields if len(words) > 1 and not words[0].startswith('#')
                   and '=' not in ''.join(words)), [''])

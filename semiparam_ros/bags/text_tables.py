@@ -12,11 +12,12 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from semiparam_ros.bags import recording_layout as layout_names
+from semiparam_ros.bags import sample_messages
 from semiparam_ros.bags.array_files import array_lines, holds_arrays, raise_unmatched
 from semiparam_ros.bags.conversion import write_description
+from semiparam_ros.bags.sample_messages import SampleMessage
 from semiparam_ros.bags.writer import BagWriter
-from semiparam_ros.core.stamps import NANOSECONDS, stamp_fields
+from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.yaml_file import read_yaml
 
@@ -29,13 +30,14 @@ _LATEST_STAMP = 2**31 * NANOSECONDS  # a builtin_interfaces/Time has 31 bits of 
 
 @dataclass(frozen=True)
 class TableLayout:
-    """``columns``: role -> columns, each a number from 1 or a name of the header line.
+    """Layout of a table; ``columns``: role -> columns, each a number from 1 or a name of the header
+    line.
 
-    Roles: 'time', 'position', 'velocity', 'acceleration', 'effort' (one column for each joint), 'force', 'torque'
-    (three each), 'temperature' [deg C] (one for each of ``temperatures``, which the messages have as frame_id; not a
-    number where there is none). Without 'time', rows are ``period`` [s] apart and the first has the stamp ``start``
-    [s]. Signs multiply what the file holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or
-    -1).
+    Roles: 'time', 'position', 'velocity', 'acceleration', 'effort' (one column for each joint),
+    'force', 'torque' (three each), 'temperature' [deg C] (one for each of ``temperatures``, which
+    the messages have as frame_id; not a number where there is none). Without 'time', rows are
+    ``period`` [s] apart and the first has the stamp ``start`` [s]. Signs multiply what the file
+    holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or -1).
     """
 
     joints: tuple[str, ...] = ()
@@ -51,14 +53,14 @@ class TableLayout:
     temperatures: tuple[str, ...] = ()
 
     def checked(self) -> TableLayout:
-        """Itself, or SemiparamError for the first thing that is missing or contradicts."""
+        """Return the layout; SemiparamError says the first thing that is missing or contradicts."""
         sentence = next(_complaints(self), None)
         if sentence:
             raise SemiparamError(sentence)
         return self
 
     def merged(self, values: Mapping[str, object], where: str) -> TableLayout:
-        """This layout with ``values`` (names as in a YAML file) in place of its own.
+        """Return the layout with ``values`` (names as in a YAML file) in place of its own.
 
         :param where: names the origin of the values in errors. 'rate' [Hz] may stand for 'period'.
         """
@@ -106,7 +108,7 @@ def parse_columns(text: object) -> tuple[int | str, ...]:
 
 
 def _converted(name: str, value: Any, where: str) -> Any:
-    """``value`` as the field of this name wants it."""
+    """Convert ``value`` to what the field of this name holds."""
     if name in ('joints', 'temperatures'):
         return tuple(value.split(',') if isinstance(value, str) else map(str, value or ()))
     if name == 'columns':
@@ -182,12 +184,12 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
 
 
 def column_indices(layout: TableLayout, header: Sequence[str], where: str) -> dict[str, list[int]]:
-    """Role -> indices from 0 into a row, names looked up in the header line."""
+    """Indices from 0 into a row by role, names looked up in the header line."""
     return {role: [_index(column, header, where) for column in columns] for role, columns in layout.columns.items()}
 
 
 def _parts(column: int | str, header: Sequence[str]) -> list[int | str]:
-    """Every column of the array that is named, or the column."""
+    """Columns of the array that is named, or the column itself."""
     return [name for name in header if name.rpartition(':')[0] == column] or [column]
 
 
@@ -199,7 +201,7 @@ def _index(column: int | str, header: Sequence[str], where: str) -> int:
     return list(header).index(column)
 
 
-class Row(NamedTuple):
+class RecordedRow(NamedTuple):
     """One row in SI units; roles that the table does not have are empty."""
 
     stamp: int
@@ -212,8 +214,9 @@ class Row(NamedTuple):
 
 
 @dataclass
-class Summary:
-    """What was converted: rows, the first and last stamp [ns], rows with a number that is not finite."""
+class ConversionAccount:
+    """Account of a conversion: rows, first and last stamp [ns], rows with a number that is not
+    finite."""
 
     rows: int = 0
     start_ns: int = 0
@@ -223,14 +226,15 @@ class Summary:
 
 
 def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWriter,
-                  robot_description: str | None = None, progress: Callable[[int], None] = lambda done: None) -> Summary:
+                  robot_description: str | None = None,
+                  progress: Callable[[int], None] = lambda done: None) -> ConversionAccount:
     """Write every row of a table as messages of one stamp; returns what was converted.
 
     :param robot_description: a URDF that travels in the bag.
     :param progress: called with the number of bytes read so far, of a text table.
     A line that does not fit the layout raises SemiparamError naming line and column.
     """
-    summary, written = Summary(), dict[str, float]()
+    summary, written = ConversionAccount(), dict[str, float]()
     for row in read_rows(path, layout, progress):
         summary.not_increasing += summary.rows > 0 and row.stamp <= summary.end_ns
         summary.rows += 1
@@ -240,11 +244,11 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
                 write_description(bag, robot_description, row.stamp)
         summary.end_ns = row.stamp
         summary.not_finite += not all(math.isfinite(value) for part in row[1:6] for value in part)
-        _write(bag, row, layout)
+        for message in _messages(row, layout):
+            message.put(bag)
         for name, value in zip(layout.temperatures, row.temperature, strict=False):
             if math.isfinite(value) and value != written.get(name):
-                _put(bag, layout_names.TEMPERATURE, row.stamp, {
-                    'header': {'stamp': stamp_fields(row.stamp), 'frame_id': name}, 'temperature': value})
+                sample_messages.temperature(row.stamp, name, value).put(bag)
                 written[name] = value
     if not summary.rows:
         raise SemiparamError(f'{str(path)!r} holds no row of numbers.')
@@ -252,7 +256,7 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
 
 
 def read_rows(path: str | os.PathLike[str], layout: TableLayout,
-              progress: Callable[[int], None] = lambda done: None) -> Iterator[Row]:
+              progress: Callable[[int], None] = lambda done: None) -> Iterator[RecordedRow]:
     """The rows of a table. Blank lines and those that begin with # or % are passed by; names may stand in line 1."""
     name = repr(str(path))
     arrays = holds_arrays(Path(path))
@@ -280,7 +284,7 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
 
 
 def _lines(path: Path, progress: Callable[[int], None] = lambda done: None) -> Iterator[tuple[int, list[str]]]:
-    """(number of the line, its cells)."""
+    """Number and cells of each line."""
     read = 0
     try:
         with path.open('rb') as file:
@@ -312,7 +316,7 @@ def _is_number(cell: str) -> bool:
 
 
 class _Units:
-    """From the units and signs of the file to SI units."""
+    """Conversion from the units and signs of the file to SI units."""
 
     def __init__(self, layout: TableLayout) -> None:
         angle = math.pi / 180.0 if layout.degrees else 1.0
@@ -320,7 +324,7 @@ class _Units:
                          'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
         self._layout = layout
 
-    def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> Row:
+    def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> RecordedRow:
         """The ``number``-th row (from 0) from its cells by role."""
         scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
                   for role, factor in self._factors.items()}
@@ -328,11 +332,11 @@ class _Units:
             scaled['effort'] = [value * self._layout.effort_factors.get(joint, 1.0)
                                 for joint, value in zip(self._layout.joints, scaled['effort'], strict=True)]
         stamp = self._stamp(cells['time'][0] if 'time' in cells else None, number, where)
-        return Row(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'], scaled['effort'],
-                   scaled['force'] + scaled['torque'], scaled['temperature'])
+        return RecordedRow(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'],
+                           scaled['effort'], scaled['force'] + scaled['torque'], scaled['temperature'])
 
     def _stamp(self, cell: str | None, number: int, where: str) -> int:
-        """[ns]. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
+        """Stamp [ns] of a row. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
         if cell is None:
             # Multiplied, not added up: rounding must not pile up over a long recording.
             time = (Decimal(str(self._layout.start)) + number * Decimal(str(self._layout.period))) * NANOSECONDS
@@ -352,20 +356,11 @@ def _float(cell: str, role: str, where: str) -> float:
         raise SemiparamError(f'{where}: {cell!r} is not a number ({role}).') from None
 
 
-def _write(bag: BagWriter, row: Row, layout: TableLayout) -> None:
-    names = list(layout.joints)
-    header: dict[str, object] = {'stamp': stamp_fields(row.stamp), 'frame_id': ''}
-    _put(bag, layout_names.JOINT_STATES, row.stamp, {'header': header, 'name': names, 'position': row.position,
-                                                     'velocity': row.velocity, 'effort': row.effort})
+def _messages(row: RecordedRow, layout: TableLayout) -> Iterator[SampleMessage]:
+    yield sample_messages.joint_state(row.stamp, layout.joints, row.position, row.velocity, row.effort)
     if row.acceleration:
-        point = {'positions': row.position, 'velocities': row.velocity, 'accelerations': row.acceleration}
-        _put(bag, layout_names.JOINT_ACCELERATIONS, row.stamp, {'header': header, 'joint_names': names,
-                                                                'points': [point]})
+        yield sample_messages.accelerations(
+            row.stamp, layout.joints, positions=row.position, velocities=row.velocity,
+            accelerations=row.acceleration)
     if row.wrench:
-        force, torque = (dict(zip('xyz', part, strict=True)) for part in (row.wrench[:3], row.wrench[3:]))
-        _put(bag, layout_names.WRENCH, row.stamp, {'header': {**header, 'frame_id': layout.wrench_frame},
-                                                   'wrench': {'force': force, 'torque': torque}})
-
-
-def _put(bag: BagWriter, topic: str, stamp: int, message: dict[str, object]) -> None:
-    bag.write(topic, layout_names.TYPES[topic], message, stamp)
+        yield sample_messages.wrench(row.stamp, layout.wrench_frame, row.wrench)

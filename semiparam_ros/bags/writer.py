@@ -1,7 +1,9 @@
-"""Writing MCAP bags that rosbag2, Foxglove and every other reader of the ros2 profile understands.
+"""Writer of MCAP bags that rosbag2, Foxglove and every other reader of the ros2 profile
+understands.
 
-Equal calls give equal bytes: no clock, no random number and no library version enters the file. (The zstd library
-does: another version of it may compress the same messages to other bytes. ``compression='none'`` avoids that.)
+Equal calls give equal bytes: no clock, no random number and no library version enters the file.
+(The zstd library does: another version of it may compress the same messages to other bytes.
+``compression='none'`` avoids that.)
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ class BagWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], compression: str = 'zstd', chunk_bytes: int = CHUNK_BYTES) -> None:
-        """:param compression: 'zstd', 'lz4' or 'none'.  A path that cannot be written raises SemiparamError."""
+        """Open the file, SemiparamError where that fails; ``compression``: 'zstd', 'lz4' or 'none'.
+        """
         if compression not in _COMPRESSION:
             raise SemiparamError(f'bag compression {compression!r} is unknown: expected one of {list(_COMPRESSION)}.')
         self.path = Path(path)

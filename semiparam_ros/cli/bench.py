@@ -1,5 +1,4 @@
-"""`semiparam bench`: what one sample costs, side by side with the recursions that one might use instead; and how our
-variants do beside learners of other packages."""
+"""Command `semiparam bench`: times beside other recursions, scores beside other learners."""
 
 from __future__ import annotations
 
@@ -12,15 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from semiparam_ros.cli.options import (
-    add_json_option,
-    add_params_option,
-    console,
-    output,
-    progress_bar,
-    require_places,
-    write_json,
-)
+from semiparam_ros.cli import options
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -58,7 +49,7 @@ class Case(NamedTuple):
 
 
 class Contender(NamedTuple):
-    """Something that learns one sample, and how many samples of it a round takes."""
+    """Contender that learns one sample, and how many samples of it a round takes."""
 
     learn: Callable[[Case], object]
     samples: int
@@ -72,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='rounds in which the contenders take turns (default 15)')
     parser.add_argument('--urdf', metavar='FILE', type=Path, help='another arm than the bundled iCub arm')
     parser.add_argument('--frame', metavar='NAME', default=FRAME, help=f'its sensor frame (default {FRAME})')
-    add_json_option(parser)
-    add_params_option(parser)
+    options.add_json_option(parser)
+    options.add_params_option(parser)
     parser.add_argument('--peers', metavar='BAG', nargs='?', const=BUNDLED,
                        help='predict, then learn, this recording (default: the bundled one) with our variants and with '
                             'learners of river and scikit-learn: errors and times in one table')
@@ -85,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     """Time every contender for every D in this one process, on one thread."""
     # Before numpy loads: several threads would favour the large dense recursion and hide what a node can afford.
     os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')
-    require_places(args.json)
+    options.require_places(args.json)
     if args.rounds < 1 or any(count < 2 or count % 2 for count in args.features or ()):
         raise SemiparamError('expected at least one round, and even numbers of features from 2 on.')
     if args.variants and not args.peers:
@@ -94,26 +85,27 @@ def run(args: argparse.Namespace) -> int:
 
 
 def timing(args: argparse.Namespace) -> int:
-    """Every contender for every D."""
+    """Time every contender for every D."""
     from semiparam_ros.core.compiled import AVAILABLE
     from semiparam_ros.experiments.benchmark import arm
 
     if not AVAILABLE:
-        console.print('numba is not installed: SPK runs on numpy alone.')
+        options.console.print('numba is not installed: SPK runs on numpy alone.')
     body = arm(args.urdf or ARM, args.frame)
-    with progress_bar() as progress:
+    with options.progress_bar() as progress:
         counts = args.features or [200, 500, 1000]
         task = progress.add_task('timing', total=args.rounds * len(counts))
         sizes = [size(body, count, args.rounds, lambda: progress.advance(task)) for count in counts]
     show(sizes)
     if args.json:
-        write_json(args.json, {'command': 'bench', 'threads': 1, 'compiled': AVAILABLE, 'outputs': body.n_outputs,
-                               'inputs': 3 * body.n_joints, 'meaning': MEANING, 'sizes': sizes})
+        options.write_json(args.json, {
+            'command': 'bench', 'threads': 1, 'compiled': AVAILABLE, 'outputs': body.n_outputs,
+            'inputs': 3 * body.n_joints, 'meaning': MEANING, 'sizes': sizes})
     return 0
 
 
 def beside_peers(args: argparse.Namespace) -> int:
-    """Our variants and other packages' learners on one recording."""
+    """Score our variants and other packages' learners on one recording."""
     from semiparam_ros.cli.evaluate import chosen_variants, load_bags
     from semiparam_ros.experiments.peers import compare_with_peers
     from semiparam_ros.settings import load_params
@@ -125,27 +117,25 @@ def beside_peers(args: argparse.Namespace) -> int:
         raise SemiparamError(f'--features holds {len(counts)} numbers; expected one with --peers.')
     settings = replace(settings, features_count=counts[0])
     bag = load_bags([resolved(args.peers)], settings)[0]
-    with progress_bar() as progress:
+    with options.progress_bar() as progress:
         task = progress.add_task('learning', total=None)
         scores = compare_with_peers(settings, bag.samples, bag.robot_description,
                                     chosen_variants(args.variants or ['all'], settings),
                                     lambda: progress.advance(task))
     show_scores(scores)
     if args.json:
-        write_json(args.json, {'command': 'bench', 'threads': 1, 'bag': args.peers, 'features': counts[0],
-                               'learners': [score._asdict() for score in scores]})
+        options.write_json(args.json, {
+            'command': 'bench', 'threads': 1, 'bag': args.peers, 'features': counts[0],
+            'learners': [score._asdict() for score in scores]})
     return 0
 
 
 def show_scores(scores: Sequence[Score]) -> None:
     """One row for each learner, ours first."""
-    from rich import box
-    from rich.table import Table
-
     from semiparam_ros.cli.evaluate import figure
     from semiparam_ros.experiments.peers import REFITTED_EVERY, REFITTED_ON
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table = options.plain_table()
     table.add_column('learner')
     table.add_column('sees')
     for heading in ('nMSE', 'us', 'window s'):
@@ -153,13 +143,13 @@ def show_scores(scores: Sequence[Score]) -> None:
     for score in scores:
         table.add_row(score.learner, score.sees, figure(score.nmse_mean), f'{score.microseconds:.0f}',
                       f'{score.window_s:.2f}')
-    output.print(table)
+    options.output.print(table)
     for line in ('predict, then learn, from the end of the initial window on; one thread',
                  'nMSE: squared error over the variance of each output, mean over the outputs',
                  'us: prediction and learning of a sample, mean',
                  'window s: learning the initial window, of ours with the hyperparameters',
                  f'batch: fitted anew every {REFITTED_EVERY} samples, to the latest {REFITTED_ON}'):
-        output.print(line, soft_wrap=True)
+        options.tell(line)
 
 
 def size(body: RigidBody, count: int, rounds: int, tick: Callable[[], None]) -> dict[str, Any]:
@@ -188,7 +178,7 @@ def case(model: Estimator, sample: Sample) -> Case:
 
 
 def contenders(model: Estimator, count: int) -> dict[str, Contender]:
-    """Ours and the others at D = ``count``; the dense one takes so long that one sample a round is enough."""
+    """Contenders at D = ``count``; the dense one is so slow that one sample a round is enough."""
     from semiparam_ros.experiments.benchmark import Covariance, Dense, Potter
 
     covariance, potter = Covariance(count), Potter(count)
@@ -240,7 +230,7 @@ def show(sizes: Sequence[dict[str, Any]]) -> None:
         table.add_row(name, *(f'{row[key]:.3g}' for row in sizes))
     table.add_section()
     table.add_row('evidence of 1000 samples [s]', *(f'{row["evidence_seconds"]:.2f}' for row in sizes))
-    output.print(table)
+    options.output.print(table)
     for name, meaning in MEANING.items():
-        output.print(f'{name}: {meaning}', soft_wrap=True)
-    output.print('evidence: log marginal likelihood of the initial window and its gradient, once', soft_wrap=True)
+        options.tell(f'{name}: {meaning}')
+    options.tell('evidence: log marginal likelihood of the initial window and its gradient, once')

@@ -1,4 +1,4 @@
-"""`semiparam compare TRAIN TEST`: the paper's experiment on any pair of recordings, as one HTML page."""
+"""Command `semiparam compare TRAIN TEST`: the paper's experiment on two recordings, as one page."""
 
 from __future__ import annotations
 
@@ -8,20 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from semiparam_ros.atomic_write import write_text
+from semiparam_ros.cli import options
 from semiparam_ros.cli.fit import add_estimation_options, estimation_of
-from semiparam_ros.cli.options import (
-    add_json_option,
-    add_params_option,
-    console,
-    output,
-    progress_bar,
-    require_counts,
-    require_places,
-    write_json,
-)
 
 if TYPE_CHECKING:
-    from semiparam_ros.experiments.comparison import Comparison, Scenario
+    from semiparam_ros.experiments.comparison import Comparison, ComparisonScenario
 
 SHORT = {'first 60 s': '< 60 s', 'after 30 s': '> 30 s', 'learning': 'learn', 'frozen': 'frozen'}
 """Details of columns as a terminal has room for them; the others are on the page."""
@@ -34,12 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('train', metavar='TRAIN', type=Path,
                         help='recording whose start gives the hyperparameters and whose rest is learnt')
     parser.add_argument('test', metavar='TEST', type=Path, help='recording that is then predicted, in subsets')
-    add_params_option(parser)
+    options.add_params_option(parser)
     parser.add_argument('--variant', metavar='V', action='append', dest='variants',
                         help='compare only this one; may be repeated (default: all seven)')
     parser.add_argument('--output', '-o', metavar='FILE.html', type=Path, default=Path('comparison.html'),
                         help='page to write (default: comparison.html)')
-    add_json_option(parser)
+    options.add_json_option(parser)
     split = parser.add_argument_group('scenario')
     split.add_argument('--subsets', metavar='N', type=int, default=5,
                        help='parts of TEST, each started from the model that TRAIN left (default: 5)')
@@ -61,28 +52,29 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.experiments.parallel import workers
     from semiparam_ros.report.comparison_page import as_dictionary, page
 
-    require_places(args.output, args.json)
+    options.require_places(args.output, args.json)
     scenario = scenario_of(args)
-    with workers(args.jobs, args.scheduler), progress_bar() as bar:
+    with workers(args.jobs, args.scheduler), options.progress_bar() as bar:
         task = bar.add_task('comparing', total=steps(scenario))
         comparison = compare(scenario, lambda: bar.advance(task))
     command = shlex.join(['semiparam', 'compare', *command_line(args)])
     text = page(comparison, args.train.name, args.test.name, command)
     if args.json:
-        write_json(args.json, {'train': str(args.train), 'test': str(args.test), **as_dictionary(comparison)})
+        options.write_json(args.json, {'train': str(args.train), 'test': str(args.test),
+                                       **as_dictionary(comparison)})
     write_text(args.output, text)
     show(comparison)
-    output.print(f'page: {args.output}', soft_wrap=True)
+    options.tell(f'page: {args.output}')
     return 0
 
 
-def scenario_of(args: argparse.Namespace) -> Scenario:
+def scenario_of(args: argparse.Namespace) -> ComparisonScenario:
     """The checked scenario of the command line."""
     from semiparam_ros.cli.evaluate import chosen_variants, load_bags
     from semiparam_ros.experiments.comparison import scenario_from
     from semiparam_ros.settings import load_params
 
-    require_counts(args, 'seeds')
+    options.require_counts(args, 'seeds')
     settings = load_params(args.params)
     estimation = estimation_of(args)
     variants = chosen_variants(args.variants or ['all'], settings)
@@ -94,7 +86,7 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
 
 
 def command_line(args: argparse.Namespace) -> list[str]:
-    """What to type to get the same page again; the number of processes changes nothing."""
+    """Words that give the same page again; the number of processes changes nothing."""
     words = [str(args.train), str(args.test)]
     for option, value in (('--params', args.params), ('--subset-samples', args.subset_samples),
                           ('--train-samples', args.train_samples)):
@@ -113,24 +105,19 @@ def command_line(args: argparse.Namespace) -> list[str]:
 
 def show(comparison: Comparison) -> None:
     """The main columns of the table, the findings and the verdict, for a terminal of 80 columns."""
-    from rich import box
-    from rich.table import Table
-
     from semiparam_ros.experiments.comparison import verdict
     from semiparam_ros.report.comparison_page import cells, columns
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column('\nvariant', no_wrap=True)
     chosen = [column for column in columns(comparison)
               if column.detail in SHORT and column.heading != 'log density']
-    for column in chosen:
-        table.add_column(f'{column.heading}\n{SHORT[column.detail]}', justify='right', no_wrap=True)
+    table = options.plain_table('\nvariant', [f'{column.heading}\n{SHORT[column.detail]}'
+                                              for column in chosen])
     for variant in comparison.figures:
         table.add_row(variant, *(cells(comparison, column)[variant].text for column in chosen))
-    output.print(table)
+    options.output.print(table)
     for finding in comparison.findings:
         word = 'open' if finding.holds is None else 'holds' if finding.holds else 'does not hold'
-        output.print(f'{word}: {finding.statement} {finding.evidence}')
-    output.print(verdict(comparison.figures, comparison.findings))
+        options.output.print(f'{word}: {finding.statement} {finding.evidence}')
+    options.output.print(verdict(comparison.figures, comparison.findings))
     if len(comparison.scenario.seeds) == 1:
-        console.print('One feature draw proves little: --seeds 3 shows the spread.')
+        options.console.print('One feature draw proves little: --seeds 3 shows the spread.')

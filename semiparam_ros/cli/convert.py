@@ -1,4 +1,4 @@
-"""`semiparam convert`: a table, a bag of another format or a damaged bag becomes an MCAP bag."""
+"""Command `semiparam convert`: a table, a damaged bag or one of another format becomes MCAP."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _from_bag(args: argparse.Namespace, description: str | None) -> list[str]:
 
 
 def _pairs(texts: Sequence[str], optional: bool = False) -> dict[str, str]:
-    """'OLD=NEW' texts as a dict; with ``optional`` a lone 'OLD' keeps its name."""
+    """Dictionary of 'OLD=NEW' texts; with ``optional`` a lone 'OLD' keeps its name."""
     pairs = {}
     for text in texts:
         old, equals, new = (part.strip() for part in text.partition('='))

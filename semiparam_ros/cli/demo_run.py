@@ -1,6 +1,5 @@
-"""What `make demo` does: programs started as in three terminals, real DDS, what was published judged, compared,
-diagnosed.
-"""
+"""Demonstration of `make demo`: programs started as in three terminals, real DDS, what was
+published judged, compared and diagnosed."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.experiments.evaluation import Scores, update_times
+from semiparam_ros.experiments.evaluation import VariantScores, update_times
 from semiparam_ros.report.horizon_figure import plot_indices
 from semiparam_ros.settings import Settings, load_params
 
@@ -65,7 +64,7 @@ class Program:
             stream.close()
 
     def wait_for(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
-        """Until the condition holds; raises SemiparamError when the program ends or the time is over before."""
+        """Wait for the condition; SemiparamError when the program or the time ends before."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             if self._process.poll() is not None:
@@ -76,7 +75,7 @@ class Program:
             time.sleep(POLL_S)
 
     def has_logged(self, text: str) -> bool:
-        """Whether its log holds a text."""
+        """Tell whether the program's log holds a text."""
         return self.log is not None and text in self.log.read_text(errors='replace')
 
     def check_running(self) -> None:
@@ -177,15 +176,15 @@ def play(args: argparse.Namespace, environment: dict[str, str], seam: float) -> 
 
 
 def say_pace(args: argparse.Namespace, bag: LoadedBag) -> None:
-    """How fast it went, by the account of the replay."""
+    """Say how fast it went, by the account of the replay."""
     seconds = sum(json.loads((args.output / name).read_text())['duration_s'] for name in ('window.json', 'replay.json'))
     recorded = float(bag.samples.time[-1])
     say(f'{recorded:.0f} s of recording in {seconds:.0f} s, {recorded / seconds:.0f} times real time; '
         f'all {len(bag.samples)} samples answered.')
 
 
-def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> Scores:
-    """What the node published, against the recording; a sample without its answer raises SemiparamError."""
+def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> VariantScores:
+    """Score what the node published; a sample without its answer raises SemiparamError."""
     residuals, horizons = published(path)
     samples, first = bag.samples, gathered_from(bag.samples, settings.initial_samples).end
     lost = [stamp for stamp in samples.stamps.tolist() if stamp not in residuals]
@@ -195,7 +194,7 @@ def live_scores(path: Path, bag: LoadedBag, settings: Settings) -> Scores:
     if len(samples) <= first:
         raise SemiparamError(f'the recording holds {len(samples)} samples; expected more than the initial window of '
                              f'{first} (parameter initial.samples).')
-    scores = Scores(settings.outputs)
+    scores = VariantScores(settings.outputs)
     scores.start_recording(samples.origin)
     for sample in samples[first:]:
         scores.add(sample.outputs, sample.outputs - residuals[sample.stamp])
@@ -223,17 +222,17 @@ def published(path: Path) -> tuple[dict[int, Array], list[HorizonErrors]]:
 
 
 def answer_times(path: Path, first: int) -> dict[str, float] | None:
-    """From one answer to the next [ms], from the ``first`` on: receiving, predicting, learning and publishing.
+    """Times from one answer to the next [ms], from the ``first`` on, with all that a node does.
 
-    The replay keeps samples waiting, so that there is no idle time between two answers. (The latency that the node's
-    diagnostics tell would be that of the queue.)
+    The replay keeps samples waiting, so that there is no idle time between two answers. (The
+    latency that the node's diagnostics tell would be that of the queue.)
     """
     with open_bag(path) as bag:
         arrivals = np.array([message.log_time for message in bag.messages([RESIDUAL])])
     return update_times(1e-9 * np.diff(arrivals[first:]))
 
 
-def report(args: argparse.Namespace, scores: dict[str, Scores], results: dict[str, dict[str, Any]]) -> None:
+def report(args: argparse.Namespace, scores: dict[str, VariantScores], results: dict[str, dict[str, Any]]) -> None:
     """The table, and the files beside it."""
     print_scores(output, results)
     say(f'{" and ".join(COMPARED)}: the same recording through `semiparam evaluate`, without DDS.')
@@ -245,7 +244,7 @@ def report(args: argparse.Namespace, scores: dict[str, Scores], results: dict[st
 
 
 def diagnose(args: argparse.Namespace) -> None:
-    """What does the model lack on a recording with something undeclared?"""
+    """Diagnose what the model lacks on a recording with something undeclared."""
     if not args.undeclared.exists():
         return
     say(f'semiparam diagnose {args.undeclared.name}')

@@ -1,4 +1,4 @@
-"""`semiparam diagnose BAG...`: what the model lacks, and what adding it brings."""
+"""Command `semiparam diagnose BAG...`: what the model lacks, and what adding it brings."""
 
 from __future__ import annotations
 
@@ -8,23 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from semiparam_ros.atomic_write import write_text
-from semiparam_ros.cli.options import (
-    add_json_option,
-    add_params_option,
-    console,
-    output,
-    progress_bar,
-    require_counts,
-    require_places,
-    write_json,
-)
+from semiparam_ros.cli import options
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.core.samples import Samples
     from semiparam_ros.diagnosis.diagnose import Diagnosis
     from semiparam_ros.effects import Effect
-    from semiparam_ros.experiments.variants_with_effects import VariantFigures
+    from semiparam_ros.experiments.variants_with_effects import VariantErrors
     from semiparam_ros.settings import Settings
 
 HELP = 'Find what the model lacks in a recording, name the effect, add it, and show the error before and after.'
@@ -35,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bags', metavar='BAG', nargs='*', type=Path,
                         help='recording (.mcap, rosbag2 directory, .db3, ROS 1 .bag); of several, each has an offset '
                         'of its wrench, and an effect may be in some of them alone')
-    add_params_option(parser)
+    options.add_params_option(parser)
     parser.add_argument('--judge', metavar='BAG', type=Path,
                         help='judge before and after on this recording; otherwise on blocks left out of the fit')
     parser.add_argument('--in', metavar=('BAG', 'EFFECT'), nargs=2, action='append', default=[], dest='inside',
@@ -51,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='also learn these variants with and without the effects, and judge them')
     parser.add_argument('--jobs', metavar='N', type=int, default=2,
                         help='variants, or diagnoses of the scoreboard, at a time (default: 2)')
-    add_json_option(parser)
+    options.add_json_option(parser)
     scoreboard = parser.add_argument_group('scoreboard')
     scoreboard.add_argument('--benchmark', action='store_true',
                             help='diagnose simulated recordings with known hidden effects instead of a bag')
@@ -70,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose one recording, or the simulator's."""
-    require_places(args.json, args.output, args.html)
-    require_counts(args, 'jobs', 'seeds')
+    options.require_places(args.json, args.output, args.html)
+    options.require_counts(args, 'jobs', 'seeds')
     if args.benchmark:
         return _benchmark(args)
     if not args.bags:
@@ -87,14 +78,14 @@ def run(args: argparse.Namespace) -> int:
     result = diagnosis.as_dict() | {'command': 'diagnose', 'bag': named, 'variants': variants}
     show(diagnosis, variants, str(args.output or ''))
     if args.json:
-        write_json(args.json, result)
+        options.write_json(args.json, result)
     if args.output:
         write_parameters(args.output, settings, diagnosis)
     if args.html:
         from semiparam_ros.report.diagnosis_page import diagnosis_page
         write_text(args.html, diagnosis_page(diagnosis, variants, named, str(args.output or '')))
     for path in filter(None, (args.json, args.output, args.html)):
-        output.print(f'written: {path}', soft_wrap=True)
+        options.tell(f'written: {path}')
     return 0
 
 
@@ -119,8 +110,9 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     judges = load_bags([args.judge], settings, most_samples) if args.judge else []
     for path, bag in zip([*args.bags, args.judge], [*bags, *judges], strict=False):
         if len(bag.stretches) > 1:
-            console.print(f'{path} is long: {len(bag.stretches)} stretches of it are looked at, {len(bag.samples)} '
-                          f'samples evenly spread over {bag.samples.time[-1]:.0f} s.')
+            options.console.print(
+                f'{path} is long: {len(bag.stretches)} stretches of it are looked at, '
+                f'{len(bag.samples)} samples evenly spread over {bag.samples.time[-1]:.0f} s.')
     body = build_rigid_body(settings, bags[0].robot_description)
     recordings, judging = ([in_whole_groups(bag.samples, bag.stretches) for bag in some] for some in (bags, judges))
     samples = recordings[0] if len(recordings) == 1 else Samples.joined(recordings)
@@ -128,7 +120,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     long = any(len(bag.stretches) > 1 for bag in (*bags, *judges))
     train_mask = None if args.split is None else leading_split(len(samples), args.split)
     effects = [*declared_effects(settings), *declared_inside(args, samples)]
-    with progress_bar() as bar:
+    with options.progress_bar() as bar:
         task = bar.add_task('reading', total=100)
         return diagnose(body, samples, effects, train_mask, other,
                         args.kinds,
@@ -168,55 +160,50 @@ def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> No
                 remarks={'effects': [remarks(diagnosis, effect) for effect in standing.values()]})
 
 
-def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, VariantFigures]:
+def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, VariantErrors]:
     if not args.variants:
         return {}
     from semiparam_ros.cli.evaluate import chosen_variants
     from semiparam_ros.experiments.variants_with_effects import evaluate_variants
 
-    with progress_bar() as bar:
+    with options.progress_bar() as bar:
         task = bar.add_task('variants', total=None)
         return evaluate_variants(settings, diagnosis, chosen_variants(args.variants, settings), args.jobs,
                                  lambda done, total: bar.update(task, completed=done, total=total))
 
 
-def show(diagnosis: Diagnosis, variants: dict[str, VariantFigures], written: str = '') -> None:
+def show(diagnosis: Diagnosis, variants: dict[str, VariantErrors], written: str = '') -> None:
     """Print the report. :param written: the parameter file that declares what was found; '' for none."""
-    from rich import box
-    from rich.table import Table
-
     from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
     from semiparam_ros.report.diagnosis_page import variant_rows
 
     if diagnosis.findings:
-        found = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+        found = options.plain_table()
         for heading in ('where', 'effect', 'values', 'when'):
             found.add_column(heading, overflow='fold')
         last = ''
         for row in table_rows(diagnosis):
             found.add_row('' if row.where == last else row.where, *row[1:])
             last = row.where
-        output.print(found)
-        output.print()
+        options.output.print(found)
+        options.output.print()
     for line in text_report(diagnosis):
-        output.print(line, soft_wrap=True)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column('\noutput', no_wrap=True)
-    for heading in ('nMSE\nbefore', '\nafter', 'RMSE\nbefore', '\nafter', 'noise\nfloor'):
-        table.add_column(heading, justify='right', no_wrap=True)
+        options.tell(line)
+    table = options.plain_table('\noutput', ('nMSE\nbefore', '\nafter', 'RMSE\nbefore', '\nafter',
+                                             'noise\nfloor'))
     rows = zip(diagnosis.first.body.output_names, diagnosis.first.body.output_units, diagnosis.before.nmse,
                diagnosis.after.nmse, diagnosis.before.rmse, diagnosis.after.rmse, diagnosis.noise_floor_rmse,
                strict=True)
     for name, unit, *figures, floor in rows:
         table.add_row(f'{name} [{unit}]', *(f'{value:.4f}' for value in figures), f'{floor:.4f}')
-    output.print(table)
+    options.output.print(table)
     for name, before, after, lower in variant_rows(variants):
-        output.print(f'{name}: held-out nMSE {before:.5f} without the effects, {after:.5f} with them{lower}.',
-                     soft_wrap=True)
+        options.tell(f'{name}: held-out nMSE {before:.5f} without the effects, {after:.5f} with '
+                     f'them{lower}.')
     if not variants and diagnosis.structure is not None and diagnosis.structure.significant:
-        output.print('What is left and follows the motion can be learnt all the same: --variants SPK-ML judges it.',
-                     soft_wrap=True)
-    output.print(f'Next: {next_step(diagnosis, written)}', soft_wrap=True)
+        options.tell('What is left and follows the motion can be learnt all the same: --variants '
+                     'SPK-ML judges it.')
+    options.tell(f'Next: {next_step(diagnosis, written)}')
 
 
 def _benchmark(args: argparse.Namespace) -> int:
@@ -224,11 +211,11 @@ def _benchmark(args: argparse.Namespace) -> int:
 
     plan = Plan(args.outputs, tuple(args.kinds), tuple(args.sizes), args.seeds, args.samples, args.first_seed,
                 not args.estimate_accelerations)
-    with progress_bar() as bar:
+    with options.progress_bar() as bar:
         task = bar.add_task('diagnoses', total=plan.count)
         result = scoreboard(plan, args.jobs, lambda: bar.advance(task))
-    print_scoreboard(output, result)
+    print_scoreboard(options.output, result)
     if args.json:
-        write_json(args.json, result)
-        console.print(f'written: {args.json}')
+        options.write_json(args.json, result)
+        options.console.print(f'written: {args.json}')
     return 0

@@ -58,7 +58,7 @@ def _rows(parser: argparse.ArgumentParser) -> Iterator[str]:
 
 
 def _spelling(action: argparse.Action) -> str:
-    """Every spelling of the option, with what it takes behind the last: ``-r, --rate R``."""
+    """Spellings of the option, with what it takes behind the last: ``-r, --rate R``."""
     value = '' if action.nargs == 0 else _value(action)
     words = ', '.join(action.option_strings)
     return '`' + f'{words} {value}'.strip().replace('|', '\\|') + '`'

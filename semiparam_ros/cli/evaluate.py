@@ -8,20 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from semiparam_ros.atomic_write import write_text
-from semiparam_ros.cli.options import (
-    add_json_option,
-    add_params_option,
-    console,
-    output,
-    progress_bar,
-    require_places,
-    write_json,
-)
+from semiparam_ros.cli import options
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -31,7 +21,7 @@ if TYPE_CHECKING:
     from semiparam_ros.core.prediction import Prediction
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
     from semiparam_ros.core.types import Array
-    from semiparam_ros.experiments.evaluation import Scores
+    from semiparam_ros.experiments.evaluation import VariantScores
     from semiparam_ros.online.change_watch import ChangeRecord
     from semiparam_ros.settings import Settings
 
@@ -46,11 +36,9 @@ HELP = 'Predict, then learn, every sample of recordings, and report the errors o
 def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> None:
     """One row for each variant: nMSE, the horizon indices at first and in steady state, and the update time."""
     indices = [name for name in HEADINGS if any(result.get(name) for result in results.values())]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column('\nvariant', no_wrap=True)
     phases = [f'{HEADINGS[name]}\n{phase}' for name in indices for phase in PHASES.values()]
-    for heading in ['\nnMSE', *phases, 'update\n[ms]', '\np99', '\nsamples']:
-        table.add_column(heading, justify='right', no_wrap=True)
+    table = options.plain_table('\nvariant', ['\nnMSE', *phases, 'update\n[ms]', '\np99',
+                                              '\nsamples'])
     for variant, result in results.items():
         values = [result[name][phase] for name in indices for phase in PHASES]
         times = result['update_ms'] or {'median': None, 'p99': None}
@@ -62,7 +50,7 @@ def print_scores(console: Console, results: Mapping[str, Mapping[str, Any]]) -> 
 def print_outputs(console: Console, results: Mapping[str, Mapping[str, Any]], names: Sequence[str],
                   units: Sequence[str]) -> None:
     """One row for each output: the nMSE of every variant, and of a single variant the root mean square error too."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table = options.plain_table()
     table.add_column('\noutput', overflow='ellipsis', no_wrap=True, max_width=24)
     for variant in results:
         table.add_column(f'nMSE\n{variant}', justify='right', no_wrap=True)
@@ -76,7 +64,7 @@ def print_outputs(console: Console, results: Mapping[str, Mapping[str, Any]], na
 
 
 def figure(value: float | None) -> str:
-    """Three significant digits, or a dash where there is no number."""
+    """Text of three significant digits, or a dash where there is no number."""
     if value is None:
         return '-'
     return f'{value:.3g}' if value >= 1e-3 or value == 0.0 else f'{value:.1e}'
@@ -86,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam evaluate`."""
     parser.add_argument('bags', metavar='BAG', nargs='+', type=Path,
                         help='recordings (.mcap, rosbag2 directory, .db3, ROS 1 .bag), one after the other')
-    add_params_option(parser)
+    options.add_params_option(parser)
     parser.add_argument('--variant', metavar='V', action='append', dest='variants',
                         help='variant to evaluate instead of the one in the parameters; may be repeated; "all" for all')
     parser.add_argument('--train', metavar='BAG', type=Path, action='append', default=[],
@@ -96,10 +84,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='samples from the end of each window until the draft and then the model of it take over, '
                              'as in the node while it estimates hyperparameters, whose diagnostics tell them; the last '
                              'N holds for all that follow (default 0: at once)')
-    parser.add_argument('--auto', choices=('off', 'report'), default='off',
+    parser.add_argument('--auto', choices=('off', 'report', 'apply'), default='off',
                         help='report: look for changes of the robot, and name them, as the node does with '
-                             'diagnosis.auto; of one variant (default off)')
-    add_json_option(parser)
+                             'diagnosis.auto; apply: and let them predict until they are over; of one variant '
+                             '(default off)')
+    options.add_json_option(parser)
     parser.add_argument('--series', action='store_true', help='add the indices over time to the JSON file')
     parser.add_argument('--external-wrench', metavar='FILE', type=Path,
                         help='write what acts from outside, as ~/external_wrench, as a table (.csv); of one variant')
@@ -111,10 +100,10 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.report.horizon_figure import picture_format
     from semiparam_ros.settings import load_params
 
-    require_places(args.json, args.plot, args.external_wrench)
+    options.require_places(args.json, args.plot, args.external_wrench)
     if args.plot:
         picture_format(args.plot)
-    settings = load_params(args.params)
+    settings = replace(load_params(args.params), diagnosis_auto=args.auto)
     variants = chosen_variants(args.variants, settings)
     waits = takeovers(args.takeover_after)
     if args.frozen and not args.train:
@@ -126,20 +115,20 @@ def run(args: argparse.Namespace) -> int:
     rows: list[str] | None = [] if args.external_wrench else None
     changes: dict[int, ChangeRecord] | None = None if args.auto == 'off' else {}
     training, bags = load_bags(args.train, settings), load_bags(args.bags, settings)
-    with progress_bar() as progress:
+    with options.progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
                                     waits, rows, changes)
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
-    print_scores(output, results)
+    print_scores(options.output, results)
     channels = output_channels(settings, bags[0].joints)
-    print_outputs(output, results, *channels)
+    print_outputs(options.output, results, *channels)
     if settings.features_count == 'auto':
         chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()
                            if result['features'])
-        output.print(f'random features: {chosen or "none"}')
+        options.output.print(f'random features: {chosen or "none"}')
     for record in (changes or {}).values():
-        output.print(record.sentence, highlight=False)
+        options.output.print(record.sentence, highlight=False)
     write_outputs(args, results, scores, bags, channels[0], changes)
     if rows is not None:
         write_text(args.external_wrench, '\n'.join([WRENCH_HEADER, *rows]) + '\n')
@@ -166,7 +155,7 @@ def output_channels(settings: Settings, joints: Sequence[str]) -> tuple[Sequence
 
 
 def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str]:
-    """Checked names, each once, in the order asked for; by default the variant of the settings."""
+    """Names of variants, checked and once each, as asked for; by default that of the settings."""
     from semiparam_ros.core.variants import VARIANTS, variant_named
 
     names = [name for word in asked or [settings.variant] for name in (VARIANTS if word == 'all' else [word])]
@@ -184,15 +173,15 @@ def load_bags(paths: Sequence[Path], settings: Settings,
     for path, bag in zip(paths, bags, strict=True):
         left_out = ', '.join(f'{count} {reason}' for reason, count in sorted(bag.faults.items()) if count)
         if left_out:
-            console.print(f'{path}: left out {left_out}.')
+            options.console.print(f'{path}: left out {left_out}.')
         if bag.losses:
-            console.print(str(bag.losses))
+            options.console.print(str(bag.losses))
     return bags
 
 
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
              progress: Progress, takeovers: Sequence[int] = (0,), wrenches: list[str] | None = None,
-             changes: dict[int, ChangeRecord] | None = None) -> Scores:
+             changes: dict[int, ChangeRecord] | None = None) -> VariantScores:
     """Scores of one variant over ``bags``, from the first sample that it predicts itself.
 
     :param wrenches: receives a line of a table for each of these samples: what acts from outside.
@@ -202,7 +191,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     Raises SemiparamError when the recordings are over before the initial window is.
     """
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
-    from semiparam_ros.experiments.evaluation import OfflineLearner, Scores
+    from semiparam_ros.experiments.evaluation import OfflineLearner, VariantScores
 
     total = sum(len(bag.samples) for bag in [*training, *bags])
     task = progress.add_task(settings.variant, total=total)
@@ -210,16 +199,16 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     if changes is not None:
         learner.look_for_changes(lambda record: changes.update({record.change.number: record}))
     for bag in training:
-        learner.take(bag, Scores(settings.outputs), learning=True)
+        learner.take(bag, VariantScores(settings.outputs), learning=True)
     learner.finish(training, frozen)
-    scores = Scores(settings.outputs)
+    scores = VariantScores(settings.outputs)
     if wrenches is not None:
         learner.answered = _told_to(wrenches, ExternalWrench(learner.estimator.body, settings.external_wrench_frame))
     for bag in bags:
         learner.take(bag, scores, settings.learning and not frozen)
     for reason in learner.failed_windows:
-        console.print(f'{settings.variant}: an initial window gives no hyperparameters ({reason}); another one is '
-                      'gathered.')
+        options.console.print(f'{settings.variant}: an initial window gives no hyperparameters '
+                              f'({reason}); another one is gathered.')
     if not len(scores):
         raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
                              'of a robot that moves (parameter initial.samples).')
@@ -227,7 +216,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
 
 
 def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction, Array], None]:
-    """Appends a line for each prediction of the variant's own."""
+    """Return a function that appends a line for each prediction of the variant's own."""
     def append(prediction: Prediction, widening: Array) -> None:
         if prediction.ready:
             found = external.of(prediction, prediction.sample.outputs - prediction.mean, widening)
@@ -236,12 +225,12 @@ def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction,
     return append
 
 
-def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, Scores],
+def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, VariantScores],
                   bags: Sequence[LoadedBag], channels: Sequence[str],
                   changes: Mapping[int, ChangeRecord] | None = None) -> None:
     """The JSON file and the plot, where asked for."""
     if args.json:
-        write_json(args.json, {
+        options.write_json(args.json, {
             'command': 'evaluate', 'bags': [str(path) for path in args.bags],
             'train': [str(path) for path in args.train], 'frozen': args.frozen, 'outputs': list(channels),
             'variants': results,
@@ -251,4 +240,4 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
         from semiparam_ros.report.horizon_figure import plot_indices
 
         plot_indices(args.plot, scores)
-        console.print(f'plot: {args.plot}')
+        options.console.print(f'plot: {args.plot}')

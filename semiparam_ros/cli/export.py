@@ -1,4 +1,4 @@
-"""`semiparam export SOURCE`: what was learnt as files for controllers and simulators."""
+"""Command `semiparam export SOURCE`: what was learnt as files for controllers and simulators."""
 
 from __future__ import annotations
 
@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from semiparam_ros.atomic_write import write_text
-from semiparam_ros.cli.options import (
-    add_json_option,
-    add_params_option,
-    output,
-    require_places,
-    write_json,
-)
+from semiparam_ros.cli import options
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
@@ -36,7 +30,7 @@ FORMS = {'urdf': 'URDF: inertias, friction and damping, loads as fixed links; al
          'crisp-friction': 'friction of the joints, for crisp_controllers'}
 
 MOST_SAMPLES = 60_000
-"""Of a longer recording stretches are read, evenly spread over it."""
+"""Number of samples beyond which evenly spread stretches of a recording are read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('source', metavar='SOURCE', type=Path,
                         help='recording (.mcap, rosbag2 directory, .db3, ROS 1 .bag), or a saved '
                         'state (.npz)')
-    add_params_option(parser)
+    options.add_params_option(parser)
     parser.add_argument('--load', metavar='LINK', action='append', default=[],
                         help='this link carries a load that the description lacks; may be '
                         'repeated. A payload among the effects of the parameters is one too')
@@ -56,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     files = parser.add_argument_group('files')
     for form, text in FORMS.items():
         files.add_argument(f'--{form}', metavar='FILE', type=Path, help=text)
-    add_json_option(files)  # type: ignore[arg-type]
+    options.add_json_option(files)  # type: ignore[arg-type]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -67,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.settings import load_params
 
     paths = {form: getattr(args, form.replace('-', '_')) for form in FORMS}
-    require_places(args.json, *paths.values())
+    options.require_places(args.json, *paths.values())
     settings = load_params(args.params)
     texts = [f'payload@{link}' for link in args.load]
     settings = replace(settings, effects=(*settings.effects, *texts))
@@ -79,16 +73,17 @@ def run(args: argparse.Namespace) -> int:
     for path, text in written.items():
         write_text(path, text)
     if args.json:
-        write_json(args.json, {'command': 'export', 'source': str(args.source), **document(found)})
+        options.write_json(args.json, {'command': 'export', 'source': str(args.source),
+                                       **document(found)})
     for line in [*lines(found), price(found)]:
-        output.print(line, soft_wrap=True)
+        options.tell(line)
     for path in filter(None, (*written, args.json)):
-        output.print(f'written: {path}', soft_wrap=True)
+        options.tell(f'written: {path}')
     return 0
 
 
 def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, str]:
-    """What the source tells, and the robot description."""
+    """Estimate that the source gives, and the robot description."""
     from semiparam_ros.settings.robot_description import robot_description
 
     source = args.source
@@ -127,7 +122,7 @@ def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tupl
 
 
 def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str | None) -> str:
-    """What a file of one form holds."""
+    """Text of a file of one form."""
     from semiparam_ros.export import controllers
     from semiparam_ros.export.mjcf import identified_mjcf
     from semiparam_ros.export.report import remark

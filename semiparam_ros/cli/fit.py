@@ -1,4 +1,4 @@
-"""`semiparam fit BAG`: hyperparameters once, for every later start of the node and of the other commands."""
+"""Command `semiparam fit BAG`: hyperparameters once, for every later start and command."""
 
 from __future__ import annotations
 
@@ -7,16 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from semiparam_ros.cli.options import (
-    add_json_option,
-    add_params_option,
-    console,
-    output,
-    progress_bar,
-    require_counts,
-    require_places,
-    write_json,
-)
+from semiparam_ros.cli import options
 
 if TYPE_CHECKING:
     from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
@@ -30,17 +21,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam fit`."""
     parser.add_argument('bag', metavar='BAG', type=Path,
                         help='recording; its first initial.samples are used (.mcap, rosbag2, .db3, ROS 1 .bag)')
-    add_params_option(parser)
+    options.add_params_option(parser)
     parser.add_argument('--output', '-o', metavar='FILE.yaml', type=Path, required=True,
                         help='parameter file to write: those of --params with the hyperparameters filled in')
     parser.add_argument('--variant', metavar='V', help='variant to fit instead of the one in the parameters')
     add_estimation_options(parser)
     parser.add_argument('--jobs', metavar='N', type=int, default=2, help='searches at a time (default: 2)')
-    add_json_option(parser)
+    options.add_json_option(parser)
 
 
 def add_estimation_options(parser: argparse.ArgumentParser) -> None:
-    """How the hyperparameters are looked for; `semiparam compare` has the same options."""
+    """Add the options of the estimation, which `semiparam compare` has too."""
     group = parser.add_argument_group('estimation')
     group.add_argument('--method', choices=('quasi-newton', 'nelder-mead'), default='quasi-newton',
                        help='optimiser of the marginal likelihood (default: quasi-newton; the paper: nelder-mead)')
@@ -58,7 +49,7 @@ def estimation_of(args: argparse.Namespace) -> Estimation:
     from semiparam_ros.core.hyperparameters.validation import Grid
     from semiparam_ros.experiments.initial_window import Estimation
 
-    require_counts(args, 'starts', 'jobs')
+    options.require_counts(args, 'starts', 'jobs')
     grid = Grid()
     if args.grid_tau or args.grid_ratio:
         grid = Grid(tuple(args.grid_tau or grid.tau), tuple(args.grid_ratio or grid.ratio))
@@ -72,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.experiments.initial_window import fitted_settings
     from semiparam_ros.settings import dump_params, load_params
 
-    require_places(args.output, args.json)
+    options.require_places(args.output, args.json)
     settings = load_params(args.params)
     settings = replace(settings, variant=chosen_variants([args.variant] if args.variant else None, settings)[0])
     estimation = estimation_of(args)
@@ -80,22 +71,23 @@ def run(args: argparse.Namespace) -> int:
     gathered = gathered_from(bag.samples, settings.initial_samples)
     window = bag.samples[gathered.indices]
     if not gathered.full:
-        console.print(f'{args.bag} holds {len(window)} samples of a robot that moves, fewer than initial.samples '
-                      f'({settings.initial_samples}): all of them are used.')
-    with progress_bar() as bar:
+        options.console.print(f'{args.bag} holds {len(window)} samples of a robot that moves, fewer '
+                              f'than initial.samples ({settings.initial_samples}): all of them are '
+                              'used.')
+    with options.progress_bar() as bar:
         task = bar.add_task(settings.variant, total=None)
         fitted, found = fitted_settings(settings, window, bag.robot_description, estimation,
                                         lambda done, total: bar.update(task, completed=done, total=total))
     dump_params(fitted, args.output)
     if args.json:
-        write_json(args.json, result(args, settings, found, len(window)))
+        options.write_json(args.json, result(args, settings, found, len(window)))
     _show(settings, found)
-    output.print(f'parameter file: {args.output}', soft_wrap=True)
+    options.tell(f'parameter file: {args.output}')
     return 0
 
 
 def result(args: argparse.Namespace, settings: Settings, found: Hyperparameters, samples: int) -> dict[str, Any]:
-    """What the JSON file holds."""
+    """Content of the JSON file."""
     from dataclasses import asdict
 
     return {'command': 'fit', 'bag': str(args.bag), 'variant': settings.variant, 'samples': samples,
@@ -117,7 +109,7 @@ def _show(settings: Settings, found: Hyperparameters) -> None:
         rows.append(('drift', f'{100 * found.drift_share:.0f} % of the noise variance is slow, with a memory of '
                               f'{figure(found.drift_memory)} samples'))
     for name, text in rows:
-        output.print(f'{name:13s} {text}')
+        options.output.print(f'{name:13s} {text}')
 
 
 def _short(value: float) -> str:

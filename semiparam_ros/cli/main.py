@@ -24,7 +24,7 @@ COMMANDS = ('run', 'replay', 'evaluate', 'fit', 'compare', 'diagnose', 'export',
 
 DISTRIBUTIONS = {'mcap': 'mcap-ros2-support', 'mcap_ros2': 'mcap-ros2-support', 'pinocchio': 'pin',
                  'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}
-"""What to install for a module whose distribution has another name."""
+"""Distributions to install for modules that have another name."""
 
 FAILED, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
@@ -70,7 +70,7 @@ def bag_replay() -> int:
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Ours, and those between each `--ros-args` and the next `--` (markers included), which rclpy wants.
+    """Split into our arguments, and those from each `--ros-args` to the next `--`, for rclpy.
 
     A sub-command finds the latter in ``args.ros_args``.
     """
@@ -99,7 +99,7 @@ def _dispatch(argv: list[str], ros_arguments: list[str], prog: str) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says a mistake in one sentence: the usage of a command with thirty options would hide it."""
+    """Parser that tells a mistake in one sentence, without the usage of thirty options."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f'{self.prog}: {message}; {self.prog} --help explains.\n')
@@ -119,7 +119,7 @@ def _overview() -> argparse.ArgumentParser:
 
 
 def summary(command: str) -> str:
-    """First line of a sub-command's HELP, read from its source: importing all ten would take seconds."""
+    """Read the first line of a command's HELP from its source: to import all ten takes seconds."""
     source = Path(__file__).with_name(f'{command}.py')
     for statement in ast.parse(source.read_text(encoding='utf-8')).body if source.exists() else []:
         target = statement.targets[0] if isinstance(statement, ast.Assign) else getattr(statement, 'target', None)
@@ -135,7 +135,7 @@ def _complain(prog: str, sentence: str, code: int) -> int:
 
 
 def _ours(error: ModuleNotFoundError) -> bool:
-    """Whether a module of this package is missing, which no user can mend."""
+    """Tell whether a module of this package is missing, which no user can mend."""
     return (error.name or 'semiparam_ros').partition('.')[0] == 'semiparam_ros'
 
 

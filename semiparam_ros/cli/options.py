@@ -1,4 +1,4 @@
-"""What the sub-commands share: options, consoles, progress bars and the writing of results."""
+"""Options, consoles, progress bars, tables and files of results that sub-commands share."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import argparse
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.errors import SemiparamError
@@ -26,14 +28,29 @@ output = Console(markup=False, highlight=False)
 
 
 def add_params_option(parser: argparse.ArgumentParser) -> None:
-    """`--params FILE`: the ROS parameter file that also configures the node."""
+    """Add `--params FILE`: the ROS parameter file that also configures the node."""
     parser.add_argument('--params', metavar='FILE', type=Path,
                         help='ROS parameter file (YAML), the same that configures the node')
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """`--json FILE`: where the result goes in machine-readable form."""
+    """Add `--json FILE`: where the result goes in machine-readable form."""
     parser.add_argument('--json', metavar='FILE', type=Path, help='write the result to this JSON file, in SI units')
+
+
+def tell(line: str) -> None:
+    """Print a line of the result, which the terminal may wrap but no table's width does."""
+    output.print(line, soft_wrap=True)
+
+
+def plain_table(name: str = '', figures: Sequence[str] = ()) -> Table:
+    """Table with no lines but one under its headings: a column of names, then those of figures."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    if name:
+        table.add_column(name, no_wrap=True)
+    for heading in figures:
+        table.add_column(heading, justify='right', no_wrap=True)
+    return table
 
 
 def progress_bar() -> Progress:

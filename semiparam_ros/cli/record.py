@@ -1,4 +1,4 @@
-"""`semiparam record`: the topics of a node, or any others, into a new MCAP bag."""
+"""Command `semiparam record`: the topics of a node, or any others, into a new MCAP bag."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HELP = "Record a node's outputs beside its inputs into a new MCAP bag, until Ctr
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What, how long, how."""
+    """Options of `semiparam record`."""
     parser.add_argument('bag', type=Path, metavar='OUT.mcap', help='the bag to write; it takes this name when complete')
     _add_choice(parser.add_argument_group('what is recorded'))
     _add_end(parser.add_argument_group('when it ends (without these: by Ctrl-C)'))

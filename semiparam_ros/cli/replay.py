@@ -1,4 +1,4 @@
-"""`semiparam replay`: play bags on ROS topics, paced by time or by the node that follows."""
+"""Command `semiparam replay`: play bags on ROS topics, paced by time or by their follower."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _options(args: argparse.Namespace) -> ReplayOptions:
 
 
 def _rate(args: argparse.Namespace) -> float | None:
-    """None where only the follower sets the pace."""
+    """Rate of the bag, None where only the follower sets the pace."""
     if args.rate is None:
         return None if args.as_fast_as_followed else 1.0
     return float(args.rate)

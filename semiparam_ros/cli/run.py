@@ -1,4 +1,4 @@
-"""`semiparam run`: the node `estimator`."""
+"""Command `semiparam run`: the node `estimator`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_file(path: Path, ros_arguments: Sequence[str]) -> None:
-    """Each value by itself: rules across parameters are for the node, which also knows the command line.
+    """Check each value by itself: rules across them are for the node, which has them all.
 
     Raises SemiparamError, naming the file.
     """

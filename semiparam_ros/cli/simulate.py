@@ -1,16 +1,18 @@
-"""`semiparam simulate OUT.mcap`: a recording of a simulated arm whose hidden causes are known."""
+"""Command `semiparam simulate OUT.mcap`: a recording of an arm whose hidden causes are known."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from semiparam_ros.cli.options import add_params_option, output, require_bag_name, require_places, write_json
-from semiparam_ros.core.stamps import NANOSECONDS, stamp_fields
+from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
+    from semiparam_ros.bags.sample_messages import SampleMessage
     from semiparam_ros.simulation import EffectRequest, Scenario, SimulatedRecording
 
 HELP = 'Simulate a recording of an arm, with undeclared effects on request, and tell the truth in a file.'
@@ -106,7 +108,7 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
 
 
 def samples_of(args: argparse.Namespace) -> int:
-    """How many samples to make."""
+    """Number of samples to make."""
     if args.seconds is None:
         return DEFAULT_SAMPLES if args.samples is None else int(args.samples)
     if not 0 < args.seconds * args.rate < 1e9:
@@ -144,48 +146,42 @@ def _text(path: Path) -> str:
 
 def write_bag(path: Path, recording: SimulatedRecording) -> None:
     """Write the topics that a robot would publish, the robot description first."""
-    from semiparam_ros.bags.recording_layout import ROBOT_DESCRIPTION, TYPES
+    from semiparam_ros.bags.conversion import write_description
     from semiparam_ros.bags.writer import BagWriter
 
     with BagWriter(path) as bag:
-        bag.write(ROBOT_DESCRIPTION, TYPES[ROBOT_DESCRIPTION], {'data': recording.urdf}, int(recording.stamps[0]))
+        write_description(bag, recording.urdf, int(recording.stamps[0]))
         for row, stamp in enumerate(recording.stamps.tolist()):
-            for topic, message in messages(recording, row, stamp):
-                bag.write(topic, TYPES[topic], message, stamp)
+            for message in messages(recording, row, stamp):
+                message.put(bag)
 
 
-def messages(recording: SimulatedRecording, row: int, stamp: int) -> list[tuple[str, dict[str, Any]]]:
-    """Topic and message of every measurement of one sample."""
-    from semiparam_ros.bags import recording_layout as layout
+def messages(recording: SimulatedRecording, row: int, stamp: int) -> Iterator[SampleMessage]:
+    """Messages of every measurement of one sample, whose stamp is in ns."""
+    from semiparam_ros.bags import sample_messages
 
-    header = {'stamp': stamp_fields(stamp), 'frame_id': ''}
-    names, values = list(recording.joint_names), recording.outputs[row].tolist()
-    state = {'header': header, 'name': names, 'position': recording.position[row].tolist(),
-             'velocity': recording.velocity[row].tolist()}
-    if recording.outputs_kind == 'effort':
-        state['effort'] = values
-    found = [(layout.JOINT_STATES, state)]
+    joints, values = recording.joint_names, recording.outputs[row].tolist()
+    yield sample_messages.joint_state(
+        stamp, joints, recording.position[row].tolist(), recording.velocity[row].tolist(),
+        values if recording.outputs_kind == 'effort' else ())
     if recording.temperature is not None and is_read(recording, row):
-        found += [(layout.TEMPERATURE, {'header': {**header, 'frame_id': name}, 'temperature': value})
-                  for name, value in zip(recording.temperatures, recording.temperature[row].tolist(), strict=True)]
+        for name, value in zip(recording.temperatures, recording.temperature[row].tolist(), strict=True):
+            yield sample_messages.temperature(stamp, name, value)
     if recording.acceleration is not None:
-        point = {'accelerations': recording.acceleration[row].tolist()}
-        found.append((layout.JOINT_ACCELERATIONS, {'header': header, 'joint_names': names, 'points': [point]}))
+        yield sample_messages.accelerations(
+            stamp, joints, accelerations=recording.acceleration[row].tolist())
     if recording.outputs_kind == 'wrench':
-        force, torque = (dict(zip('xyz', part, strict=True)) for part in (values[:3], values[3:]))
-        found.append((layout.WRENCH, {'header': {**header, 'frame_id': recording.frame_id},
-                                      'wrench': {'force': force, 'torque': torque}}))
-    return found
+        yield sample_messages.wrench(stamp, recording.frame_id, values)
 
 
 def is_read(recording: SimulatedRecording, row: int) -> bool:
-    """Whether there are new readings of temperatures at a sample: one a second."""
+    """Tell whether temperatures are read anew at a sample: once a second."""
     seconds = (recording.stamps[max(row - 1, 0):row + 1] - recording.stamps[0]) // NANOSECONDS
     return row == 0 or bool(seconds[1] > seconds[0])
 
 
 def truth_of(recording: SimulatedRecording) -> dict[str, Any]:
-    """What a perfect diagnosis would find, for a JSON file."""
+    """Truth that a perfect diagnosis would find, for a JSON file."""
     return {'effects': list(recording.truth), 'baseline': list(recording.baseline_truth),
             'outputs': recording.outputs_kind, 'convention': recording.convention, 'frame_id': recording.frame_id,
             'joints': list(recording.joint_names), 'samples': len(recording.stamps),

@@ -128,16 +128,19 @@ class Ensemble:
             plain = np.ascontiguousarray(plain)
         return [own if each.columns.effects else plain for each in self.models]
 
-    def take_in(self, prediction: Prediction, learn: bool) -> HorizonErrors | None:
-        """Charge a predicted sample to the horizon index, and learn it; the horizon it completed."""
+    def take_in(self, prediction: Prediction, learn: bool, follow: bool = False) -> HorizonErrors | None:
+        """Charge a predicted sample to the horizon index, and learn it; the horizon it completed.
+
+        :param follow: see :meth:`OnlineModel.take_in`.
+        """
         sample, members, outputs = prediction.sample, prediction.members, prediction.sample.outputs
         is_news = prediction.motion.is_news
         if len(members) == 1:
-            return self.first.take_in(sample, members[0], learn, is_news)
+            return self.first.take_in(sample, members[0], learn, is_news, follow=follow)
         counts = learn or not self.first.window_left  # as for the bands
         charged = np.zeros((len(members), self._horizons.length, len(outputs)))
         for model, its, errors in zip(self.models, members, charged, strict=True):
-            model.take_in(sample, its, learn, is_news, errors)
+            model.take_in(sample, its, learn, is_news, errors, follow)
         std = np.array([its.std for its in members])
         if is_news and counts:
             self.weights.learn(outputs - np.array([its.mean for its in members]), std)

@@ -182,13 +182,15 @@ class Estimator:
                        np.concatenate([found.shown, found.covariance.diagonal()]))
         return found
 
-    def observe(self, prediction: Prediction, learn: bool = True, finish: bool = True) -> HorizonErrors | None:
+    def observe(self, prediction: Prediction, learn: bool = True, finish: bool = True,
+                follow: bool = False) -> HorizonErrors | None:
         """Charge a predicted sample to the horizon index, and learn it; the horizon it completed.
 
         :param learn: let the models learn it, unless ``learn_every`` or ``learn_least_gain`` passes over it; the bands
             and the wandering offset follow all the same.
         :param finish: end the initial window with the sample that makes it full; else the rigid body goes on, until
             :meth:`finish_window` is called.
+        :param follow: let the wandering offset follow what is not learnt.
 
         Every other prediction made before is then stale. Raises SemiparamError, with nothing changed, when this one is,
         or when the measured outputs are not finite.
@@ -199,7 +201,7 @@ class Estimator:
         self._go_on_from(prediction)
         if learn and (prediction.beyond or not len(self.inputs_learnt)):
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
-        complete = self.ensemble.take_in(prediction, learn)
+        complete = self.ensemble.take_in(prediction, learn, follow)
         if learn:
             self.kept.add(sample)
             if self.ready and prediction.motion.is_news:

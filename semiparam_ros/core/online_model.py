@@ -85,11 +85,11 @@ class OnlineModel:
         return Coefficients(self.model.theta.copy(), alpha)
 
     def take_in(self, sample: Sample, prediction: MemberPrediction, learn: bool, is_news: bool,
-                errors: Array | None = None) -> HorizonErrors | None:
+                errors: Array | None = None, follow: bool = False) -> HorizonErrors | None:
         """Charge a predicted sample to the horizon index, and learn it where it is due; the horizon it completed.
 
-        :param is_news: let offset and bands follow it.
-        :param errors: see :meth:`HorizonIndex.advance`.
+        :param is_news: let bands follow it, and the wandering offset where it is learnt.
+        :param errors: see :meth:`HorizonIndex.advance`. :param follow: let the wandering offset follow it all the same.
         """
         prior, recursion = prediction.prior, self.model.recursion
         outputs = np.ascontiguousarray(sample.outputs, dtype=float)
@@ -106,7 +106,8 @@ class OnlineModel:
         if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
         if is_news:  # at rest nothing tells how wide the bands of motion are
-            self._follow(outputs, prior, learn)
+            self.window_left -= min(self.window_left, learn)
+            self._follow(outputs, prior, learn or follow)
         parts = None if self.wandering is None else self.wandering.parts
         return self.horizon.advance(sample.stamp, prior, outputs, recursion.theta, innovations, parts, errors)
 
@@ -127,19 +128,19 @@ class OnlineModel:
         self._since_learnt = 0
         return True
 
-    def _follow(self, outputs: Array, prior: Prior, learn: bool) -> None:
-        """Let wandering offset and bands follow what ``prior`` left of a sample (n,), in N and N m."""
-        self.window_left -= min(self.window_left, learn)
-        if AVAILABLE and learn and self.wandering is not None:
+    def _follow(self, outputs: Array, prior: Prior, follow: bool) -> None:
+        """Let bands, and the wandering offset where it is to follow, follow what ``prior`` left of a sample (n,), in N
+        and N m."""
+        if AVAILABLE and follow and self.wandering is not None:
             _follow(outputs, prior.mean, prior.std, self.wandering.table, self.calibration.table)
             return
         residual = outputs - prior.mean
         innovation = residual if self.wandering is None else residual - self.wandering.offset
-        if self.wandering is not None and learn:
+        if self.wandering is not None and follow:
             self.wandering.learn(residual, self.calibration.factor * prior.std)
         elif self.wandering is not None:
             self.wandering.rest()
-        if learn or not self.window_left:
+        if follow or not self.window_left:
             self.calibration.learn(innovation, prior.std)
 
     def learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
@@ -147,7 +148,8 @@ class OnlineModel:
         inputs, outputs, columns = remembered
         prior = self.model.predict(inputs, columns)
         mean, std = self._mean(prior), self.calibration.factor * prior.std
-        self._follow(outputs, prior, learn=True)
+        self.window_left -= min(self.window_left, 1)
+        self._follow(outputs, prior, follow=True)
         self.model.recursion.learn(prior, outputs)
         return mean, std
 

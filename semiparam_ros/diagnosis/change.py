@@ -20,7 +20,7 @@ from semiparam_ros.core.robot.frames import loaded_links
 from semiparam_ros.core.robot.joint_friction import TURN_SPEEDS
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Mask
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded
 from semiparam_ros.diagnosis.data.rest import counted_outputs
@@ -72,6 +72,15 @@ class NamedChange:
     seconds: float
     inputs: Inputs
     """How the samples were prepared, for the next one of the same robot."""
+
+    @property
+    def coefficients(self) -> tuple[Array, Array]:
+        """(c,) values of the effect, and (c,) their standard deviations."""
+        found = self.parameters.values()
+        return (
+            np.array([quantity.value for quantity in found]),
+            np.array([quantity.std or 0.0 for quantity in found]),
+        )
 
     def as_dict(self) -> dict[str, object]:
         """For a record."""

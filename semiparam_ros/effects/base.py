@@ -31,20 +31,21 @@ TIMES = ('start_s', 'start_stamp_s', 'end_s', 'end_stamp_s')
 BRACKET = 2.5
 """A line search looks from a value over this factor to the value times it."""
 CALIBRATED = {'rad': 0.1, 's': 0.05, '': 0.3}
-"""What a calibration may be, by its unit."""
+"""Prior standard deviation of a calibration, by its unit; '' stands for a gain or a ratio."""
 MOST_TIMES_PLAUSIBLE = 5.0
-"""Of what is plausible for the robot, a fifth of its own weight, the most that a load or a force may be."""
+"""Largest load or force over what is plausible for the robot, a fifth of its own weight."""
 STAMP_TOLERANCE_NS = 1000
 """A double holds today's stamps [s] to 0.24 us."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """From when to when an effect acts; without a value for either side it always did, or still does.
+    """Time in which an effect acts; without a start it always did, without an end it still does.
 
     :param start_s: [s] after the start of the recording (of the node's life).
-    :param start_stamp_s: [s] the same as the stamps of headers count.
-    :param end_s: [s] when it is over, counted as ``start_s``. :param end_stamp_s: as ``start_stamp_s``.
+    :param start_stamp_s: [s] the start by the stamps of headers.
+    :param end_s: [s] end, counted as ``start_s``.
+    :param end_stamp_s: [s] end, counted as ``start_stamp_s``.
     """
 
     start_s: float | None = None
@@ -54,7 +55,7 @@ class Span:
 
     @property
     def values(self) -> Values:
-        """By the names of the text form."""
+        """Times that are set, by the names of the text form."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
     def at_stamps(self, origin: int) -> Span:
@@ -73,7 +74,8 @@ class Span:
         return Span(counted(self.start_s, self.start_stamp_s), None, counted(self.end_s, self.end_stamp_s))
 
     def holds(self, stamps: Stamps | int, origin: int) -> Mask:
-        """(N,) whether it acts at stamps [ns]; ``origin`` [ns] is where ``start_s`` and ``end_s`` count from."""
+        """Mask (N,) of the stamps [ns] within; ``origin`` [ns] is where start_s and end_s count
+        from."""
         inside = np.ones(np.shape(stamps), dtype=bool)
         time = np.asarray((stamps - origin) * 1e-9)
         start, end = (nanoseconds(stamp_s) for stamp_s in (self.start_stamp_s, self.end_stamp_s))
@@ -89,7 +91,7 @@ class Span:
 
     @property
     def fault(self) -> str:
-        """What is wrong with it, '' for nothing."""
+        """Sentence part that says which two times contradict each other; '' when none do."""
         for one, other in (TIMES[:2], TIMES[2:]):
             if {one, other} <= self.values.keys():
                 return f'has {one} and {other}; expected one of them'
@@ -107,7 +109,7 @@ def nanoseconds(stamp_s: float | None) -> int | None:
 ALWAYS = Span()
 Axis = Literal['any', 'time', 'position', 'velocity', 'acceleration', 'output', 'output_rate', 'link_velocity', 'phase',
                'temperature']
-"""What a residual is drawn against so that an effect shows; ``any``: whichever of time and motion tells most."""
+"""Variable against which an effect shows in a residual; ``any``: the one that tells most."""
 
 
 class Coefficient(NamedTuple):
@@ -143,17 +145,20 @@ class Effect:
     must_start: ClassVar[bool] = False
     of_one_recording: ClassVar[bool] = False
     own_in_each_recording: ClassVar[bool] = False
-    """True for what every model has, and each of several recordings for itself: a sensor's offset."""
+    """Mark of a cause that each recording has for itself in every model: a sensor's offset."""
     of_sensor: ClassVar[bool] = False
+    from_outside: ClassVar[bool] = False
+    """Mark of what others do to the robot, as a push: told, but no part of the robot."""
     refine_link: ClassVar[bool] = False
     is_load: ClassVar[bool] = False
-    """True for a body that the link carries: its coefficients are the ten inertial parameters in the link's frame."""
+    """Mark of a carried body: its coefficients are ten inertial parameters in the link's frame."""
     bounded_by_weight: ClassVar[bool] = False
-    """True for what the arm must bear: much more than its own weight is no finding."""
+    """Mark of a load that the arm must bear: much more than its own weight is no finding."""
     needs_reference: ClassVar[bool] = False
-    """True when the columns depend on the load that the rigid body predicts, with base parameters that stay fixed."""
+    """Mark of columns that depend on the load of a rigid body with fixed base parameters."""
     moves_friction: ClassVar[bool] = False
-    """True for a calibration by which the other effects act at another time or speed: its derivative holds theirs."""
+    """Mark of a calibration that moves other effects in time or speed: its derivative holds theirs.
+    """
     group: ClassVar[str] = ''
     """Kinds of one group are also tried at all their places at once."""
     shows_against: ClassVar[Axis] = 'any'
@@ -171,12 +176,12 @@ class Effect:
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        """Where a search tries the kind on this robot."""
+        """Places where a search tries the kind on this robot."""
         return (None,)
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
-        """Where the kind may be declared: where a search tries it, unless it says otherwise."""
+        """Places where the kind may be declared: where a search tries it, unless overridden."""
         return cls.places(body)
 
     @classmethod
@@ -190,11 +195,11 @@ class Effect:
 
     @classmethod
     def choices(cls, body: RigidBody, samples: Samples, where: str | None) -> int:
-        """Among how many clearly different values of its nonlinear parameters a search chooses."""
+        """Number of clearly different nonlinear values among which a search chooses."""
         return max(len(cls.searches(body, samples, where, np.zeros((len(samples), body.n_outputs)))), 1)
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
-        """Between which values a line search refines the nonlinear parameter ``name``; see :meth:`searches`."""
+        """Bounds of a line search for the nonlinear parameter ``name``; see :meth:`searches`."""
         value = self.value(name)
         if value == 0.0:  # nothing to take a share of: as far as the next value that the search tried
             tried = (abs(values.get(name, 0.0)) for values in self.searches(body, samples, self.where, residual))
@@ -211,25 +216,31 @@ class Effect:
         return ()
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """(N, n, c) columns as if the effect had always been there."""
+        """Columns (N, n, c) as if the effect had always been there, and the memory after them."""
         return np.zeros((len(samples), body.n_outputs, 0)), None
 
     def prior_scale(self, body: RigidBody) -> Array:
-        """(c,) prior standard deviations over gamma, one for each coefficient in its unit: plausible for this robot.
+        """Prior standard deviations (c,) over gamma, plausible for this robot, in each unit.
 
-        Wider ones would cost nothing where the samples excite a coefficient; where they hardly do, it would follow
-        every disturbance.
+        Wider ones would cost nothing where the samples excite a coefficient; where they hardly do,
+        it would follow every disturbance.
         """
         size = size_of(body)
         return np.array([plausible(unit, size) for _, unit in self.coefficients(body)])
 
     def calibration_scale(self, body: RigidBody) -> Array:
-        """(c,) prior standard deviations of the calibrations about zero, in their units."""
+        """Prior standard deviations (c,) of the calibrations about zero, in their units."""
         size = size_of(body)
         return np.array([CALIBRATED.get(unit, CALIBRATED[''] * plausible(unit, size)) for _, unit in self.calibrations])
 
+    def predicted_load(self, body: RigidBody, samples: Samples) -> Array:
+        """Effort (N,) of joint ``where`` as the rigid body with ``reference`` predicts it."""
+        parameters = np.array(self.reference) if self.reference else body.base_parameters
+        load = body.regressors(samples)[:, channel_index(body, self.where)] @ parameters
+        return np.asarray(load)
+
     def prior_mean(self, body: RigidBody) -> Array:
-        """(c,) prior mean of each coefficient: zero, unless its value was declared."""
+        """Prior mean (c,) of each coefficient: zero, unless its value was declared."""
         return np.zeros(len(self.coefficients(body)))
 
     def check(self, body: RigidBody) -> None:
@@ -259,19 +270,19 @@ class Effect:
         return f"effect '{self.kind}' {named}; expected {self.kind}@PLACE with one of {', '.join(places)}."
 
     def physical(self, coefficients: Array) -> bool:
-        """False for coefficients (c,) that this cause cannot have, such as a friction that drives the joint."""
+        """Tell whether this cause can have coefficients (c,): no friction drives its joint."""
         return True
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
-        """False for coefficients (c,) and calibrations that no cause of this kind has on this robot: see
-        :meth:`physical`, :attr:`possible`, and for a force much more than the arm's own weight."""
+        """Tell whether this kind may have coefficients (c,) and its calibrations on this robot:
+        :meth:`physical`, :attr:`possible`, and no force much more than the arm's own weight."""
         too_large = self.bounded_by_weight and bool(np.any(
             np.abs(coefficients) > MOST_TIMES_PLAUSIBLE * Effect.prior_scale(self, body)))
         return self.possible and not too_large and self.physical(coefficients)
 
     @property
     def possible(self) -> bool:
-        """False for calibrations that no robot has, such as a gain that turns an effort's sign."""
+        """Tell whether a robot may have the calibrations: no gain turns an effort's sign."""
         return True
 
     def doubt(self, body: RigidBody, samples: Samples) -> str:
@@ -279,7 +290,7 @@ class Effect:
         return ''
 
     def is_noticeable(self, samples: Samples) -> bool:
-        """False for a calibration so small that it may merely make the best of noise in the inputs."""
+        """Tell whether a calibration does more than make the best of noise in the inputs."""
         return True
 
     def finer(self: Self) -> Self:
@@ -292,12 +303,12 @@ class Effect:
 
     @property
     def is_calibration(self) -> bool:
-        """True when Gauss-Newton fits it and it has no columns of its own."""
+        """Tell whether Gauss-Newton fits the effect, which then has no columns of its own."""
         return bool(self.calibrations)
 
     @property
     def changes(self) -> bool:
-        """Whether it may begin, or be over, while a robot works."""
+        """Tell whether the effect may begin, or be over, while a robot works."""
         return self.may_start or self.must_start
 
     @property
@@ -312,7 +323,7 @@ class Effect:
 
     @property
     def ends(self) -> bool:
-        """Whether an end is known."""
+        """Tell whether an end is known."""
         return self.span.end_s is not None or self.span.end_stamp_s is not None
 
     def at_stamps(self: Self, origin: int) -> Self:
@@ -337,12 +348,12 @@ class Effect:
 
     @property
     def only_adds(self) -> bool:
-        """Whether it leaves inputs and regressors as they are."""
+        """Tell whether the effect leaves inputs and regressors as they are."""
         kind = type(self)
         return kind.correct is Effect.correct and kind.transform is Effect.transform
 
     def joint_columns(self, body: RigidBody, blocks: Sequence[Acting]) -> JointColumns | None:
-        """None: each effect's columns are computed by themselves, unless a kind says otherwise."""
+        """Return one block for such effects together; None: each is computed by itself."""
         return None
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
@@ -354,7 +365,7 @@ class Effect:
         return regressors
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """(N, n, c) columns, zero before the start and from the end on."""
+        """Columns (N, n, c), zero outside the span, and the memory after them."""
         columns, memory = self.basis(body, samples, memory)
         if self.span != ALWAYS:
             columns = columns * self.span.holds(samples.stamps, samples.origin)[:, None, None]
@@ -394,7 +405,7 @@ class Effect:
 
     @classmethod
     def value_names(cls) -> tuple[str, ...]:
-        """Everything that the text form of this kind may hold."""
+        """Names of all values that the text form of this kind may hold."""
         return *TIMES, *cls.parameter_units, *(name for name, _ in cls.calibrations), *cls.option_names
 
     def unit_of(self, name: str) -> str:
@@ -415,7 +426,7 @@ def channel_units(body: RigidBody, per: str = '') -> tuple[Coefficient, ...]:
 
 
 def on_joint(body: RigidBody, where: str | None, values: Array) -> Array:
-    """(N, n, c) columns that act on the effort of joint ``where`` alone, from values (N, c)."""
+    """Columns (N, n, c) that act on the effort of joint ``where`` alone, from values (N, c)."""
     columns = np.zeros((body.n_outputs, *values.T.shape))
     columns[channel_index(body, where)] = values.T
     return columns.transpose(2, 0, 1)  # each column lies in one piece: most are zero, and soon seen to be

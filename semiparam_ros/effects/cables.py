@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.robot.frames import felt_links, frame_motion, links_beside, loaded_links
+from semiparam_ros.core.robot.frames import frame_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -28,23 +28,23 @@ ALONG = tuple((azimuth, elevation) for azimuths, elevation in (
 """Azimuth and elevation of the six axes of an icosahedron [rad], none of them upright: no direction is further than 37
 degrees from one."""
 BESIDE = 0.65
-"""How far beside a direction a line search looks [rad]."""
+"""Angle [rad] to either side of a direction within which a line search looks."""
 NEARER = 2.0
-"""How much nearer and further it looks for an anchor [1/m]."""
+"""Nearness [1/m] to either side of an anchor's within which a line search looks."""
 
 
 class _Cable(AtPoint):
-    """Acts at a link through its position, or on the sensor through a joint's angle."""
+    """Cable that acts at a link through its position, or on the sensor through a joint's angle."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return (*(link for tip in loaded_links(body) for link in links_beside(body, tip)), *body.joints)
+        return (*super().places(body), *body.joints)
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
-        return (*felt_links(body), *body.joints)
+        return (*super().permitted(body), *body.joints)
 
 
 class CableSpring(_Cable):
@@ -135,7 +135,7 @@ class CableHysteresis(_Cable):
         return motion.force_map @ -(state[:, None] * towards)[:, :, None], memory
 
     def _cable(self, position: Array) -> tuple[Array, Array]:
-        """By how much the cable is shorter (N,) than to the base, and its direction (N, 3), at positions (N, 3)."""
+        """Shortening (N,) [m] of the cable and its direction (N, 3), at positions (N, 3) [m]."""
         azimuth, elevation, nearness = (self.value(name) for name in ANCHOR)
         along = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
         towards = along - nearness * position

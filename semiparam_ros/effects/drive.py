@@ -1,4 +1,4 @@
-"""What motors, gears and torque sensors add to a joint's effort."""
+"""Drives: additions of motors, gears and torque sensors to a joint's effort."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ORDER_REACH = 0.15
 """A line search looks at least so far [1/rad] on either side of an order: past its neighbours among ORDERS."""
 PEAKS = 3
 LEAST_GAIN = -0.9
-"""Below, an effort would hardly be measured, or with the wrong sign."""
+"""Gain below which an effort would hardly be measured, or with the wrong sign."""
 FLANK = 0.075
 """Share of the gap over which a flank usually takes the load: teeth give."""
 
@@ -56,7 +56,7 @@ class JointSpring(JointEffect):
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('stiffness', 'N m/rad'), Coefficient('rest_torque', 'N m'))
 
     def physical(self, coefficients: Array) -> bool:
-        """It pulls back: one that pushes on makes up for a mass that is off."""
+        """Tell whether the spring pulls back: one that pushes makes up for a wrong mass."""
         return float(coefficients[0]) > 0.0
 
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
@@ -217,9 +217,10 @@ class Backlash(JointEffect):
 
 
 def _order_spectrum(position: Array, signal: Array) -> Array:
-    """(orders,) sizes of what of a signal (N,) repeats with the position (N,) [rad], at each of ORDERS.
+    """Sizes (orders,) of what repeats in a signal (N,) with a position (N,) [rad], at ORDERS.
 
-    Sums the signal in bins so fine that no order turns by more than 0.03 rad in half of one, then transforms them.
+    Sums the signal in bins so fine that no order turns by more than 0.03 rad in half of one, then
+    transforms them.
     """
     width = 2.0 * np.pi / (ORDER_STEP * ORDER_BINS)
     bins = ((position - position.min()) / width).astype(int) % ORDER_BINS

@@ -1,4 +1,4 @@
-"""What resists a joint's motion in its efforts."""
+"""Friction: resistance to a joint's motion in its efforts."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from semiparam_ros.effects.hysteresis import Way, bristle, sticking_bristle
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
 PRESLIDING_SHARES = (0.0005, 0.002, 0.008)
 DRIVING_SHARE = 0.05
-"""Of a friction's coefficients, what one may be below zero by chance."""
+"""Share of a friction's coefficients that one of them may be below zero by chance."""
 LONGEST_LEAD_S = 0.05
 SAME_SPEED = 1e-5
-"""Of the turn speed: a difference of speeds that changes no friction, and is large against rounding."""
+"""Difference of speeds over the turn speed that changes no friction, large against rounding."""
 GRADUAL_SHARE = 0.3
-"""Of a joint's usual speed: friction that turns over more slowly than that is hardly dry."""
+"""Turn speed, over a joint's usual speed, from which on friction is hardly dry."""
 
 
 class JointEffect(Effect):
-    """Acts on the effort of one joint, through functions of that joint alone."""
+    """Effect on the effort of one joint, through functions of that joint's motion alone."""
 
     outputs: ClassVar[tuple[str, ...]] = ('effort',)
     names: ClassVar[tuple[Coefficient, ...]] = ()
     resists: ClassVar[bool] = False
-    """True when the coefficients add up to a resistance, which cannot be negative."""
+    """Mark of coefficients that add up to a resistance, which cannot be negative."""
     values_by_row: ClassVar[bool] = False
-    """True when parameters may be arrays (N,) in :meth:`functions`, one for each row."""
+    """Mark of parameters that may be arrays (N,) in :meth:`functions`, one value for each row."""
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
@@ -62,12 +62,12 @@ class JointEffect(Effect):
         return not self.resists or float(coefficients.sum()) > 0.0
 
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """(N, c) columns of the joint from its motion (N,)."""
+        """Columns (N, c) of the joint from its position, velocity and acceleration, each (N,)."""
         raise NotImplementedError
 
     @property
     def of_motion_alone(self) -> bool:
-        """Whether :meth:`functions` say all: nothing is remembered, and it was always there."""
+        """Tell whether :meth:`functions` say all: no memory, no start and no end."""
         return type(self).basis is JointEffect.basis and self.span == ALWAYS
 
     def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> JointColumns | None:
@@ -85,7 +85,8 @@ class JointEffect(Effect):
         return JointColumns(joints, outputs, common.functions)
 
     def _is_like(self, other: JointEffect) -> bool:
-        """Whether they differ in place and values alone, and are of their joint's motion alone."""
+        """Tell whether two differ in place and values alone, and need their joint's motion alone.
+        """
         return type(self) is type(other) and self.of_motion_alone and other.of_motion_alone and (
             self.parameters.keys() == other.parameters.keys() and self.options == other.options)
 
@@ -96,9 +97,11 @@ class JointEffect(Effect):
 
 
 class _Sliding(JointEffect):
-    """Depends on the direction of sliding, which turns over within ``turn_speed`` or within a way of ``presliding``.
+    """Friction by the direction of sliding, which turns over within ``turn_speed`` or a way of
+    ``presliding``.
 
-    With ``lead_s`` it turns over so long before the recorded velocity does: where that lags, or where friction gives.
+    With ``lead_s`` it turns over so long before the recorded velocity does: where that lags, or
+    where friction gives.
     """
 
     parameter_units: ClassVar[dict[str, str]] = {'turn_speed': 'rad/s', 'presliding': 'rad', 'stribeck_speed': 'rad/s',
@@ -119,12 +122,12 @@ class _Sliding(JointEffect):
         return (-LONGEST_LEAD_S, LONGEST_LEAD_S) if name == 'lead_s' else super().bounds(name, body, samples, residual)
 
     def finer(self: Self) -> Self:
-        """It may turn over a little ahead of the recorded velocity, or after it."""
+        """The same friction, free to turn over a little before or after the recorded velocity."""
         known = 'turn_speed' not in self.parameters or 'lead_s' in self.parameters
         return self if known else self.with_values(lead_s=0.0)
 
     def direction(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
-        """(N,) direction of sliding in [-1, 1]: of the velocity, or of a bristle that bends before it slides."""
+        """Direction (N,) of sliding in [-1, 1]: the velocity's, or that of a bristle that bends."""
         if 'presliding' in self.parameters:
             return bristle(_way(samples, joint), self.value('presliding'), memory)
         velocity, change = samples.velocity[:, joint], samples.acceleration[:, joint]
@@ -134,7 +137,7 @@ class _Sliding(JointEffect):
         return self._direction_now(velocity, change), None
 
     def _direction_now(self, velocity: Array, acceleration: Array) -> Array:
-        """(N,) that of the velocity."""
+        """Direction (N,) in [-1, 1] of the velocity (N,), ``lead_s`` ahead."""
         ahead = velocity + self.value('lead_s') * acceleration
         return np.asarray(np.tanh(ahead / self.value('turn_speed', 0.01)))
 
@@ -150,7 +153,7 @@ class _Sliding(JointEffect):
                 'fast, would tell.')
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
-        """(N, c) columns from the direction of sliding and the velocity (N,)."""
+        """Columns (N, c) from the direction of sliding and the velocity, each (N,)."""
         raise NotImplementedError
 
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
@@ -162,7 +165,7 @@ class _Sliding(JointEffect):
         return own and self.span == ALWAYS and 'presliding' not in self.parameters
 
     def _states(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
-        """(N, c) columns of the joint."""
+        """Columns (N, c) of the joint, and the memory after them."""
         direction, memory = self.direction(samples, joint, memory)
         return self.sliding(direction, samples.velocity[:, joint]), memory
 
@@ -172,9 +175,10 @@ class _Sliding(JointEffect):
 
 
 def _mean_tanh(velocity: Array, reach: Array, turn: float) -> Array:
-    """(N,) mean of tanh(v / turn) over the velocities within ``reach`` (N,) of ``velocity`` (N,).
+    """Mean (N,) of tanh(v / turn) over the velocities within ``reach`` (N,) of ``velocity`` (N,).
 
-    A sample that averages over a time holds the friction of all the speeds that the joint passes within it.
+    A sample that averages over a time holds the friction of all the speeds that the joint passes
+    within it.
     """
     reach = np.maximum(reach / turn, SAME_SPEED)
     fast, slow = velocity / turn + reach, velocity / turn - reach
@@ -182,7 +186,7 @@ def _mean_tanh(velocity: Array, reach: Array, turn: float) -> Array:
 
 
 def _log_cosh(values: Array) -> Array:
-    """(N,) log(2 cosh(values)), whose derivative is tanh."""
+    """Function log(2 cosh(x)) (N,) of the values (N,); its derivative is tanh."""
     size = np.abs(values)
     return np.asarray(size + np.log1p(np.exp(-2.0 * size)))
 
@@ -271,7 +275,7 @@ class AsymmetricFriction(_Sliding):
         Coefficient('viscous_forward', 'N m s/rad'), Coefficient('viscous_backward', 'N m s/rad'))
 
     def physical(self, coefficients: Array) -> bool:
-        """Each part resists: a viscous one that drives the joint makes up for a wrong shape."""
+        """Tell whether each part resists: a driving one makes up for a wrong shape."""
         return bool(coefficients.min() > -DRIVING_SHARE * np.abs(coefficients).sum())
 
     def plainer(self) -> tuple[Effect, ...]:
@@ -294,11 +298,9 @@ class LoadFriction(_Sliding):
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('load_coefficient', ''),)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        joint = joint_index(body, self.where)
-        parameters = np.array(self.reference) if self.reference else body.base_parameters
-        load = body.regressors(samples)[:, channel_index(body, self.where)] @ parameters
-        direction, memory = self.direction(samples, joint, memory)
-        return on_joint(body, self.where, (np.abs(load) * direction)[:, None]), memory
+        direction, memory = self.direction(samples, joint_index(body, self.where), memory)
+        load = np.abs(self.predicted_load(body, samples))
+        return on_joint(body, self.where, (load * direction)[:, None]), memory
 
 
 def _way(samples: Samples, joint: int) -> Way:

@@ -1,4 +1,4 @@
-"""Where the robot is not where its model puts it: a joint's zero, the level of the base, the time of the outputs."""
+"""Geometry and timing: a joint's zero, the level of the base, the time of the outputs."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class GravityTilt(Effect):
 
 
 class _Past(NamedTuple):
-    """The last two inputs seen, enough to interpolate between."""
+    """Newest inputs, enough to interpolate: stamps (k,) [ns], and motion (k, joints)."""
 
     stamps: Stamps
     position: Array
@@ -89,9 +89,10 @@ class TimeDelay(Effect):
     least_step: ClassVar[float] = 0.03
 
     def is_noticeable(self, samples: Samples) -> bool:
-        """From 3 % of a step on: interpolating a little to the past averages the noise of neighbouring accelerations.
+        """Tell whether a delay is over 3 % of a step: interpolating averages neighbours' noise.
 
-        On recordings with nothing hidden that draws a delay of 0.5 to 0.7 % of a step (1.5 % with twice the noise).
+        On recordings with nothing hidden that draws a delay of 0.5 to 0.7 % of a step (1.5 % with
+        twice the noise).
         """
         step = float(np.median(np.diff(samples.stamps))) * 1e-9
         return abs(self.value('delay_s')) > self.least_step * step
@@ -130,7 +131,7 @@ class VelocityFilter(Effect):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        """Nowhere: the positions tell it without a model, and where they do a diagnosis says so."""
+        """Return no place: the positions tell it without a model, and a diagnosis then says so."""
         return ()
 
     @classmethod

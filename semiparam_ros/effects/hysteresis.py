@@ -20,14 +20,14 @@ from semiparam_ros.core.compiled import (
 from semiparam_ros.core.types import Array, Stamps
 
 MOST_APART = 0.1
-"""Of the sum of two speeds times the step: how far the travel may be from their mean's for both to be believed."""
+"""Largest difference of a travel from its two speeds' mean, over their sum, that is believed."""
 PARTS = 8
 """Parts of a step between two samples that are followed one by one; half of them lie before the joint turns back."""
 _HALF = np.linspace(0.0, 1.0, PARTS // 2 + 1)
 
 
 def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memory]:
-    """(N, k) state in [-1, 1] along travels (N, k), and (last travel, last state) to go on from.
+    """States (N, k) in [-1, 1] along travels (N, k), and (last travel, last state) to go on from.
 
     Each step of travel is followed exactly: the state decays towards its direction over ``slip``.
     """
@@ -37,11 +37,11 @@ def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memor
 
 
 def bouc_wen_state(travel: Array, slip: float, unloading: float, memory: Memory) -> tuple[Array, Memory]:
-    """(N,) state z in [-1, 1] along a travel (N,), and (last travel, last state) to go on from (Wen 1976, J. Eng. Mech.
-    Div. 102).
+    """States z (N,) in [-1, 1] along a travel (N,), and (last travel, last state) to go on from
+    (Wen 1976, J. Eng. Mech. Div. 102).
 
-    Along its travel it is Dahl's: slip dz/dx = 1 - z. Back to zero it is slip dz/dx = 1 - (slip / unloading) z, which
-    is Dahl's too where the two are equal. Each step is followed exactly.
+    Along its travel it is Dahl's: slip dz/dx = 1 - z. Back to zero it is slip dz/dx = 1 - (slip /
+    unloading) z, which is Dahl's too where the two are equal. Each step is followed exactly.
     """
     place, state = cast('tuple[float, float]', memory) if memory is not None else (float(travel[0]), 0.0)
     states = np.empty(len(travel))
@@ -50,17 +50,18 @@ def bouc_wen_state(travel: Array, slip: float, unloading: float, memory: Memory)
 
 
 def bristle(way: Way, slip: float, memory: Memory) -> tuple[Array, Memory]:
-    """(N,) state of a Dahl bristle in [-1, 1] along a way that may turn back between two samples."""
+    """States (N,) in [-1, 1] of a Dahl bristle along a way, which may turn back within a step."""
     states, memory = _bent(way, lambda aims, speeds: (aims[:, None], slip), memory)
     return states[:, 0], memory
 
 
 def sticking_bristle(way: Way, slip: float, stuck: float, stribeck_speed: float,
                      memory: Memory) -> tuple[Array, Memory]:
-    """(N, 2) states of a bristle that slides at 1, and of what it holds more of exp(-(speed / stribeck_speed)^2).
+    """States (N, 2) of a bristle: one slides at 1, one at exp(-(speed / stribeck_speed)^2).
 
-    It bends over ``slip`` while it slides and over ``stuck`` at standstill: a bristle that is as stiff at every level
-    bends the further the higher that is (LuGre; Canudas de Wit et al. 1995, IEEE TAC 40).
+    It bends over ``slip`` while it slides and over ``stuck`` at standstill: a bristle that is as
+    stiff at every level bends the further the higher that is (LuGre; Canudas de Wit et al. 1995,
+    IEEE TAC 40).
     """
     def levels(aims: Array, speeds: Array) -> tuple[Array, Array]:
         fading = np.exp(-(speeds / stribeck_speed) ** 2)
@@ -70,7 +71,8 @@ def sticking_bristle(way: Way, slip: float, stuck: float, stribeck_speed: float,
 
 def _bent(way: Way, levels: Callable[[Array, Array], tuple[Array, Array | float]],
           memory: Memory) -> tuple[Array, Memory]:
-    """(N, k) states that decay towards levels (N PARTS, k) of the direction and the speed, within a way of theirs."""
+    """States (N, k) along a way that decay towards levels (N PARTS, k) of its direction and speed.
+    """
     state, past = cast('tuple[Array | None, Memory]', memory) if memory is not None else (None, None)
     travel, speeds, past = way.followed(past)
     aims, slips = levels(np.sign(travel), speeds)
@@ -79,7 +81,7 @@ def _bent(way: Way, levels: Callable[[Array, Array], tuple[Array, Array | float]
 
 
 def play_place(way: Way, gap: float, memory: Memory) -> tuple[Array, Memory]:
-    """(N,) place in [-1, 1] between the flanks of a gap that a way crosses, and what to go on from."""
+    """Places (N,) in [-1, 1] between the flanks of a gap along a way, and the memory after."""
     place, past = cast('tuple[float, Memory]', memory) if memory is not None else (0.0, None)
     travel, _, past = way.followed(past)
     steps, places = 2.0 / gap * travel, np.empty(len(travel))
@@ -93,7 +95,7 @@ def play_place(way: Way, gap: float, memory: Memory) -> tuple[Array, Memory]:
 
 
 class Way(NamedTuple):
-    """What a joint travels over N samples: ``stamps`` (N,) [ns], ``position`` and ``velocity`` (N,)."""
+    """Way of a joint over N samples: stamps [ns], positions and velocities, each (N,)."""
 
     stamps: Stamps
     position: Array
@@ -150,7 +152,7 @@ def _parts_of_steps(start: Array, rise: Array, bend: Array) -> _Parts:
 @compiled(INTEGERS, VECTOR, VECTOR, INTEGER, NUMBER, NUMBER, VECTOR, VECTOR, VECTOR)
 def _follow_way(stamps: Stamps, position: Array, velocity: Array, stamp: int, place: float,
                 speed: float, shares: Array, travel: Array, speeds: Array) -> None:
-    """See :meth:`Way.followed`; ``shares`` is _HALF."""
+    """Write travels and speeds (N PARTS,) as :meth:`Way.followed`; ``shares`` is _HALF."""
     halves = len(shares) - 1
     for i in range(len(stamps)):
         step = (stamps[i] - stamp) * 1e-9
@@ -179,14 +181,14 @@ def _follow_way(stamps: Stamps, position: Array, velocity: Array, stamp: int, pl
 
 
 def _dahl(steps: Array, slip: float, state: Array) -> Array:
-    """(N, k) states after each step (N, k) of travel."""
+    """States (N, k) after each step (N, k) of travel."""
     length = np.linalg.norm(steps, axis=1)
     aims = np.divide(steps, length[:, None], out=np.zeros_like(steps), where=length[:, None] > 0.0)
     return _towards(aims, np.exp(-length / slip), state)
 
 
 def _towards(aims: Array, keep: Array, state: Array) -> Array:
-    """(M, k) states, each of which keeps a share (M,) of its difference to an aim (M, k)."""
+    """States (M, k), each of which keeps a share (M,) of its difference to an aim (M, k)."""
     states = np.empty(aims.shape)
     if AVAILABLE:
         _follow_all(keep, np.ascontiguousarray(aims), np.array(state, dtype=float), states)

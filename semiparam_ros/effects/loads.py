@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.robot.frames import felt_links, links_beside, load_regressor, loaded_links, nearest_link
+from semiparam_ros.core.robot.frames import felt_links, load_regressor, loaded_links, nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.samples import Samples
@@ -50,7 +50,7 @@ class Payload(Effect):
 
     @property
     def searched(self) -> tuple[str, ...]:
-        """Nothing: what is declared of a load is known."""
+        """Return no name: a declared value of a load is known, not searched."""
         return ()
 
     def prior_mean(self, body: RigidBody) -> Array:
@@ -67,12 +67,12 @@ class Payload(Effect):
         return bool(coefficients[0] > 0.0)
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
-        """Its centre is no farther from the link than the arm is long."""
+        """Tell whether it may be so, the centre no farther from the link than the arm is long."""
         reach = float(np.linalg.norm(coefficients[1:4])) <= reach_of(body) * float(coefficients[0])
         return reach and super().conceivable(body, coefficients)
 
     def relocated(self, body: RigidBody, coefficients: Array) -> Effect:
-        """At the link nearest to the load's centre of mass, unless something is known of it at this one."""
+        """The same load at the link nearest to its centre, unless it was declared at this one."""
         if self.parameters:
             return self
         mass, *moment = coefficients[:4]
@@ -80,15 +80,7 @@ class Payload(Effect):
             if mass > 0.0 else self
 
 
-class AtAnyLink(AtPoint):
-    """Its search begins at the origin of every link of a body."""
-
-    @classmethod
-    def places(cls, body: RigidBody) -> Sequence[str | None]:
-        return [link for tip in loaded_links(body) for link in links_beside(body, tip)]
-
-
-class ExternalForce(AtAnyLink):
+class ExternalForce(AtPoint):
     """A constant force along the base's axes, at a point of the link."""
 
     kind: ClassVar[str] = 'external_force'
@@ -96,6 +88,7 @@ class ExternalForce(AtAnyLink):
     sentence: ClassVar[str] = 'something pulls or pushes the link with a constant force'
     mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'gravity_tilt', 'sensor_offset')
     separated_by: ClassVar[str] = 'faster motion: a load has inertia, a constant force has none'
+    from_outside: ClassVar[bool] = True
     bounded_by_weight: ClassVar[bool] = True
     may_start: ClassVar[bool] = True
 
@@ -106,7 +99,7 @@ class ExternalForce(AtAnyLink):
         return self.motion(body, samples).force_map, None
 
 
-class _Drag(AtAnyLink):
+class _Drag(AtPoint):
     """A force against the velocity of a link's point."""
 
     outputs: ClassVar[tuple[str, ...]] = ('wrench',)
@@ -115,7 +108,7 @@ class _Drag(AtAnyLink):
         return bool(coefficients[0] > 0.0)
 
     def resistance(self, velocity: Array) -> Array:
-        """(N, 3) force for a unit coefficient, from velocities (N, 3) [m/s]."""
+        """Force (N, 3) for a unit coefficient, from velocities (N, 3) [m/s]."""
         raise NotImplementedError
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:

@@ -1,4 +1,4 @@
-"""Something that shakes: a disturbance of one frequency that has nothing to do with the motion."""
+"""Shaking: a disturbance of one frequency that has nothing to do with the motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Valu
 
 PEAKS = 4
 EDGE = 0.95
-"""Of half the sampling rate: beyond it, errors of differentiated motion and aliases look like a disturbance."""
+"""Largest frequency over half the sampling rate: above, aliases look like a disturbance."""
 
 
 class PeriodicDisturbance(Effect):
@@ -41,7 +41,7 @@ class PeriodicDisturbance(Effect):
         return (*_own_axes(body), *felt_links(body))
 
     def desired(self) -> Absent:
-        """Its phase when the state will be reached is not known; its mean over all of them is zero."""
+        """Return its mean over all phases, zero: the phase at that time is not known."""
         return Absent(self)
 
     @classmethod
@@ -57,7 +57,7 @@ class PeriodicDisturbance(Effect):
 
     @classmethod
     def choices(cls, body: RigidBody, samples: Samples, where: str | None) -> int:
-        """As many frequencies as the recording tells apart."""
+        """Number of frequencies that the recording tells apart."""
         return max(len(samples) // 2, 1)
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
@@ -80,7 +80,7 @@ class PeriodicDisturbance(Effect):
 
     @staticmethod
     def _directions(body: RigidBody, samples: Samples, where: str | None, link_axes: float) -> Array:
-        """(N, n, k) outputs of a unit disturbance in each of its k directions."""
+        """Outputs (N, n, k) of a unit disturbance in each of its k directions."""
         if where is None:
             return np.broadcast_to(np.eye(body.n_outputs), (len(samples), body.n_outputs, body.n_outputs))
         if where in body.output_names:
@@ -109,7 +109,7 @@ def spectral_peaks(time: Array, signal: Array) -> list[float]:
 
 
 def strongest_peaks(power: Array, most: int) -> list[int]:
-    """Where a spectrum has its strongest local maxima, the strongest first."""
+    """Indices of a spectrum's strongest local maxima, the strongest first."""
     from scipy.signal import find_peaks  # loads scipy.stats too, for which a node need not wait when it starts
 
     peaks, _ = find_peaks(power)

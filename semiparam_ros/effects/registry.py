@@ -1,7 +1,8 @@
-"""All kinds of effects by name, those of other packages among them, and their text form in parameters.
+"""Registry of effects by kind, those of other packages among them, and their text form.
 
-A package adds a kind with an entry point in the group ``semiparam_ros.effects`` that names a subclass of Effect.
-Text is never evaluated: an effect is written ``kind``, ``kind@where``, or either with a JSON object of numbers.
+A package adds a kind with an entry point in the group ``semiparam_ros.effects`` that names a
+subclass of Effect. Text is never evaluated: an effect is written ``kind``, ``kind@where``, or
+either with a JSON object of numbers.
 """
 
 from __future__ import annotations
@@ -13,52 +14,27 @@ from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
+from semiparam_ros.effects import cables, drive, friction, geometry, loads, periodic, sensor, temperature, terms
 from semiparam_ros.effects.base import Effect
-from semiparam_ros.effects.cables import CableHysteresis, CableSpring
-from semiparam_ros.effects.drive import (
-    Backlash,
-    CommonGain,
-    EffortGain,
-    EffortOffset,
-    GearCoupling,
-    JointSpring,
-    RotorInertia,
-    TransmissionRipple,
-)
-from semiparam_ros.effects.friction import (
-    AsymmetricFriction,
-    CoulombFriction,
-    LoadFriction,
-    StribeckFriction,
-    ViscousFriction,
-)
-from semiparam_ros.effects.geometry import GravityTilt, JointOffset, TimeDelay, VelocityFilter
-from semiparam_ros.effects.loads import ExternalForce, Payload, QuadraticDrag, ViscousDrag
-from semiparam_ros.effects.periodic import PeriodicDisturbance
-from semiparam_ros.effects.sensor import (
-    SensorCrosstalk,
-    SensorDrift,
-    SensorGain,
-    SensorMisalignment,
-    SensorNonlinearity,
-    SensorOffset,
-    ThermalDrift,
-)
-from semiparam_ros.effects.temperature import TemperatureDrift, TemperatureFriction
-from semiparam_ros.effects.terms import Terms
 from semiparam_ros.errors import SemiparamError
 
 GROUP = 'semiparam_ros.effects'
 LARGEST = 4e9
-"""Of a value: seconds up to it, stamps among them, can be counted in ns in 64 bits, and no column overflows."""
+"""Largest value: seconds up to it, stamps among them, can be counted in ns in 64 bits, and no
+column overflows."""
 SUPERSEDED = ('at_link', 'directions')
 """Values that older files hold and that follow from the place."""
 BUILT_IN: tuple[type[Effect], ...] = (
-    Payload, SensorOffset, SensorDrift, ThermalDrift, TemperatureDrift, SensorGain, SensorCrosstalk, SensorMisalignment,
-    TimeDelay, JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
-    PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
-    TemperatureFriction, RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash,
-    GearCoupling, SensorNonlinearity, CommonGain, VelocityFilter, Terms)
+    loads.Payload, sensor.SensorOffset, sensor.SensorDrift, sensor.ThermalDrift,
+    temperature.TemperatureDrift, sensor.SensorGain, sensor.SensorCrosstalk,
+    sensor.SensorMisalignment, geometry.TimeDelay, geometry.JointOffset, geometry.GravityTilt,
+    loads.ExternalForce, loads.ViscousDrag, loads.QuadraticDrag, cables.CableSpring,
+    cables.CableHysteresis, periodic.PeriodicDisturbance, friction.ViscousFriction,
+    friction.CoulombFriction, friction.StribeckFriction, friction.AsymmetricFriction,
+    friction.LoadFriction, temperature.TemperatureFriction, drive.RotorInertia, drive.JointSpring,
+    drive.EffortOffset, drive.EffortGain, drive.TransmissionRipple, drive.Backlash,
+    drive.GearCoupling, sensor.SensorNonlinearity, drive.CommonGain, geometry.VelocityFilter,
+    terms.Terms)
 
 
 @cache
@@ -84,7 +60,7 @@ def _loaded(point: EntryPoint) -> object:
 
 
 def kinds(outputs: str | None = None) -> dict[str, type[Effect]]:
-    """Every kind by name, or only those that act on ``outputs`` (wrench or effort)."""
+    """Kinds by name, all or only those that act on ``outputs`` (wrench or effort)."""
     return {name: kind for name, kind in _all_kinds().items() if outputs is None or outputs in kind.outputs}
 
 

@@ -1,4 +1,4 @@
-"""What a force/torque sensor does to the wrench: bias, drift, temperature, gains, crosstalk, mounting."""
+"""Sensors of force and torque: bias, drift, temperature, gains, crosstalk, mounting."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from semiparam_ros.effects.base import (
     Coefficient,
     Effect,
     Values,
-    channel_index,
     channel_units,
     on_joint,
 )
@@ -37,11 +36,11 @@ class ChannelEffect(Effect):
         return channel_units(body, self.per)
 
     def prior_scale(self, body: RigidBody) -> Array:
-        """(c,) that of a wrench's constant offset: a sensor's bias has nothing to do with the arm's weight."""
+        """Prior (6,) of a wrench's offset: a bias has nothing to do with the arm's weight."""
         return np.full(N_CHANNELS, OFFSET_PRIOR_SCALE)
 
     def profile(self, time: Array) -> Array:
-        """(N,) the function of time [s] that every channel follows."""
+        """Function (N,) of the time (N,) [s] that every channel follows."""
         return np.ones_like(time)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
@@ -104,7 +103,7 @@ class _Calibration(Effect):
     of_sensor: ClassVar[bool] = True
 
     def matrix(self) -> Array:
-        """(6, 6) reported wrench over true wrench."""
+        """Reported wrench over true wrench, a matrix (6, 6)."""
         raise NotImplementedError
 
     def transform(self, body: RigidBody, regressors: Array) -> Array:
@@ -160,9 +159,7 @@ class SensorNonlinearity(Effect):
         return Coefficient('quadratic', '1/(N m)'), Coefficient('cubic', '1/(N^2 m^2)')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        parameters = np.array(self.reference) if self.reference else body.base_parameters
-        channel = channel_index(body, self.where)
-        load = body.regressors(samples)[:, channel] @ parameters
+        load = self.predicted_load(body, samples)
         return on_joint(body, self.where, np.column_stack([load**2, load**3])), None
 
 
@@ -170,7 +167,7 @@ CROSS = tuple((to, by) for to in CHANNELS for by in CHANNELS if to != by)
 
 
 HEARD = 0.2
-"""Of what a gain may be off, what crosstalk may be."""
+"""Standard deviation of a crosstalk over that of a gain."""
 
 
 def _cross_unit(to: str, by: str) -> str:

@@ -1,7 +1,9 @@
-"""What follows a measured temperature: friction that falls as a gearbox warms, a sensor whose bias moves.
+"""Effects of a measured temperature: friction that falls as a gearbox warms, a sensor whose bias
+moves.
 
-Both act by T - T0. T0 is ``reference_c``, which a diagnosis sets to the first temperature of its recording; a fixed
-number, so that it is the same after a restart and in every other recording. Where T is not known it counts as T0.
+Both act by T - T0. T0 is ``reference_c``, which a diagnosis sets to the first temperature of its
+recording; a fixed number, so that it is the same after a restart and in every other recording.
+Where T is not known it counts as T0.
 """
 
 from __future__ import annotations
@@ -20,20 +22,20 @@ from semiparam_ros.effects.friction import JointEffect, ViscousFriction
 from semiparam_ros.effects.sensor import N_CHANNELS, ChannelEffect
 
 REFERENCE_C = 25.0
-"""T0 where none is given [deg C]."""
+"""Reference T0 [deg C] where none is given."""
 LEAST_CHANGE_K = 1.0
-"""Of a temperature over a recording: with less, no search asks what follows it."""
+"""Change of a temperature [K] over a recording below which no search asks what follows it."""
 
 
 def temperature_of(body: RigidBody, samples: Samples, where: str | None) -> Array:
-    """(N,) of a joint, or of a wrench's sensor [deg C]; NaN where it is not known."""
+    """Temperature (N,) [deg C] of a joint, or of a wrench's sensor; NaN where not known."""
     if not samples.temperature.shape[1]:
         return np.full(len(samples), np.nan)
     return samples.temperature[:, 0 if where is None else joint_index(body, where)]
 
 
 class _ByTemperature(Effect):
-    """Depends on how far a temperature is from its reference."""
+    """Effect that depends on how far a temperature is from its reference."""
 
     option_names: ClassVar[tuple[str, ...]] = ('reference_c',)
 
@@ -46,7 +48,7 @@ class _ByTemperature(Effect):
         return ({'reference_c': float(known[0])},)
 
     def above(self, body: RigidBody, samples: Samples) -> Array:
-        """(N,) T - T0 [K], 0 where T is not known."""
+        """Temperature (N,) over its reference, T - T0 [K]; 0 where T is not known."""
         above = temperature_of(body, samples, self.where) - self.value('reference_c', REFERENCE_C)
         return np.where(np.isnan(above), 0.0, above)
 
@@ -63,7 +65,7 @@ class TemperatureFriction(_ByTemperature, JointEffect):
                                                 Coefficient('viscous_per_kelvin', 'N m s/(rad K)'))
 
     def physical(self, coefficients: Array) -> bool:
-        """At the reference it resists."""
+        """Tell whether the friction resists at the reference temperature."""
         return bool(coefficients[0] > 0.0)
 
     def plainer(self) -> tuple[Effect, ...]:

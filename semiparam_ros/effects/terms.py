@@ -52,7 +52,7 @@ class Factor(NamedTuple):
     width: float = 1.0
 
     def of(self, values: Array) -> Array:
-        """(N,) the factor of the variable's values (N,)."""
+        """Factor (N,) of the variable's values (N,)."""
         if self.function == 'bump':
             return np.asarray(np.exp(-0.5 * ((values - self.centre) / self.width) ** 2))
         return FUNCTIONS[self.function](values) if self.function else np.asarray(values**self.power)
@@ -82,7 +82,7 @@ def _factor(part: str, text: str) -> Factor:
 
 
 def term_values(text: str, body: RigidBody, samples: Samples) -> Array:
-    """(N,) a term along the samples. An unknown joint raises SemiparamError."""
+    """Values (N,) of a term along the samples. An unknown joint raises SemiparamError."""
     values = np.ones(len(samples))
     for factor in parse_term(text):
         values = values * factor.of(variable_values(factor.variable, body, samples))
@@ -90,7 +90,7 @@ def term_values(text: str, body: RigidBody, samples: Samples) -> Array:
 
 
 def variable_values(name: str, body: RigidBody, samples: Samples) -> Array:
-    """(N,) a variable along the samples."""
+    """Values (N,) of a variable along the samples."""
     if name == 'time':
         return samples.time
     role, joint = name.split('_', 1)
@@ -144,7 +144,7 @@ class _EveryTerm(tuple[str, ...]):
 
 @dataclass(frozen=True)  # for the check after __init__
 class Terms(Effect):
-    """Named terms with one coefficient each, on one output channel."""
+    """Terms of a formula, with one coefficient each, on one output channel."""
 
     kind: ClassVar[str] = 'terms'
     sentence: ClassVar[str] = 'a formula without a physical name describes what is left'
@@ -156,7 +156,7 @@ class Terms(Effect):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        """Nowhere: a search does not try it, a diagnosis writes it down at its end."""
+        """Return no place: a search does not try it, a diagnosis writes it down at its end."""
         return ()
 
     @classmethod

@@ -1,6 +1,4 @@
-"""What `semiparam bench` times: the arm and its motion, the recursions that one might use instead of ours, and the
-evidence of an initial window.
-"""
+"""Parts of `semiparam bench`: an arm that moves, other recursions, evidence of a window."""
 
 from __future__ import annotations
 
@@ -58,7 +56,8 @@ def motion(body: RigidBody, length: int, seed: int = 0) -> list[Sample]:
 
 
 class Covariance:
-    """P alone, as a symmetric matrix: k = P phi, P -= k k' / (sigma^2 + phi'k). Cheapest, and the least accurate."""
+    """Covariance P alone, as a symmetric matrix: k = P phi, P -= k k' / (sigma^2 + phi'k).
+    Cheapest, and the least accurate."""
 
     def __init__(self, n_features: int) -> None:
         self._covariance = np.asfortranarray(np.eye(n_features))
@@ -76,7 +75,7 @@ class Potter:
         self._root = np.asfortranarray(np.eye(n_features))
 
     def update(self, phi: Array) -> None:
-        """As :meth:`Covariance.update`."""
+        """Learn that the features (D,) were seen; weights are not kept."""
         f = dgemv(1.0, self._root, phi, trans=1)
         s = SIGMA**2 + float(f @ f)
         gain = dgemv(1.0, self._root, f)

@@ -43,7 +43,7 @@ NAMES = {'eps_force': 'force', 'eps_torque': 'torque', 'eps_effort': 'effort'}
 
 
 @dataclass(frozen=True)
-class Scenario:
+class ComparisonScenario:
     """One comparison.
 
     :param train: the initial window, then what is learnt online. :param test: what is predicted, in ``subsets``.
@@ -60,7 +60,7 @@ class Scenario:
     estimation: Estimation = field(default_factory=Estimation)
 
     def draws(self) -> list[tuple[str, int]]:
-        """(variant, feature seed) of every model that is learnt."""
+        """Variant and feature seed of every model that is learnt."""
         return [(variant, seed) for variant in self.variants
                 for seed in (self.seeds[:1] if variant == SEEDLESS else self.seeds)]
 
@@ -68,7 +68,7 @@ class Scenario:
 def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subsets: int = 5,
                   subset_samples: int | None = None, train_samples: int | None = None,
                   test_from: int = 0, variants: Sequence[str] = tuple(VARIANTS),
-                  seeds: Sequence[int] = (0, 1, 2), estimation: Estimation | None = None) -> Scenario:
+                  seeds: Sequence[int] = (0, 1, 2), estimation: Estimation | None = None) -> ComparisonScenario:
     """Check that the two recordings fit each other and are long enough.
 
     The paper's models have a bare rigid body, the paper's priors, independent frequencies and no wandering offset:
@@ -95,8 +95,9 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     if not np.ptp(test.samples.outputs[test_from:split[-1][1]], axis=0).any():
         raise SemiparamError('every output of the second recording is constant; expected outputs that vary, for errors '
                              'are measured against their variance.')
-    return Scenario(settings, learnt, test.samples, train.robot_description or test.robot_description, split,
-                    tuple(variants), tuple(seeds), estimation or Estimation())
+    return ComparisonScenario(settings, learnt, test.samples,
+                              train.robot_description or test.robot_description, split,
+                              tuple(variants), tuple(seeds), estimation or Estimation())
 
 
 def _require_same_robot(train: LoadedBag, test: LoadedBag) -> None:
@@ -128,7 +129,7 @@ def _split(total: int, begin: int, subsets: int, samples: int | None, horizon: i
 
 
 class Trace(NamedTuple):
-    """N predicted samples and the horizon errors of K origins, in N and N m; times [s] since the first sample."""
+    """Trace of N predictions and of K origins' horizon errors [N, N m]; times [s] from the start."""
 
     errors: Array  # (N, n) predicted minus measured
     outputs: Array  # (N, n)
@@ -139,7 +140,7 @@ class Trace(NamedTuple):
 
 
 class TrainedModel(NamedTuple):
-    """All that it takes to go on from where the first recording left a model."""
+    """State and settings that let a model go on from where the first recording left it."""
 
     variant: str
     seed: int
@@ -156,8 +157,8 @@ class Learnt(NamedTuple):
     trace: Trace
 
 
-class Followed(NamedTuple):
-    """What a learnt model did on one subset of the second recording."""
+class SubsetRun(NamedTuple):
+    """Traces of a learnt model on one subset of the second recording."""
 
     variant: str
     seed: int
@@ -166,7 +167,7 @@ class Followed(NamedTuple):
     frozen: Trace  # predict only
 
 
-def learn(scenario: Scenario, variant: str, seed: int) -> Learnt:
+def learn(scenario: ComparisonScenario, variant: str, seed: int) -> Learnt:
     """Hyperparameters from the initial window, then the rest of the first recording, sample by sample."""
     gathered = gathered_from(scenario.train, scenario.settings.initial_samples)
     initial = gathered.end
@@ -187,7 +188,7 @@ def learn(scenario: Scenario, variant: str, seed: int) -> Learnt:
     return Learnt(model, hyperparameters, seconds, trace)
 
 
-def _averaged_after(scenario: Scenario, settings: Settings, initial: Samples) -> tuple[Settings, Estimator]:
+def _averaged_after(scenario: ComparisonScenario, settings: Settings, initial: Samples) -> tuple[Settings, Estimator]:
     """The averaged variants after the initial window, and settings with the hyperparameters of the first of them."""
     estimator = build_estimator(replace(settings, hyperparameters_sigma=()), scenario.robot_description,
                                 scenario.train.origin)
@@ -199,7 +200,7 @@ def _averaged_after(scenario: Scenario, settings: Settings, initial: Samples) ->
     return settings.changed(hyperparameter_values(*known[:3])), estimator
 
 
-def follow(scenario: Scenario, model: TrainedModel, subset: int) -> Followed:
+def follow(scenario: ComparisonScenario, model: TrainedModel, subset: int) -> SubsetRun:
     """One subset from the trained model, with and without learning it."""
     first, last = scenario.subsets[subset]
     samples = scenario.test[first:last]
@@ -209,7 +210,7 @@ def follow(scenario: Scenario, model: TrainedModel, subset: int) -> Followed:
         estimator.restore(model.state)
         estimator.begin_recording(samples.origin)
         traces.append(run_through(estimator, samples, learning))
-    return Followed(model.variant, model.seed, subset, *traces)
+    return SubsetRun(model.variant, model.seed, subset, *traces)
 
 
 def run_through(estimator: Estimator, samples: Samples, learning: bool) -> Trace:
@@ -258,7 +259,7 @@ class IndexFigures(NamedTuple):
 
 @dataclass(frozen=True)
 class VariantFigures:
-    """Everything of one variant. ``indices``: 'eps_force' and 'eps_torque', or 'eps_effort'."""
+    """Figures of one variant. ``indices``: 'eps_force' and 'eps_torque', or 'eps_effort'."""
 
     variant: str
     seeds: tuple[int, ...]
@@ -270,7 +271,7 @@ class VariantFigures:
     fit_seconds: float
 
 
-def figures_of(outputs: str, learnt: Sequence[Learnt], followed: Sequence[Followed]) -> VariantFigures:
+def figures_of(outputs: str, learnt: Sequence[Learnt], followed: Sequence[SubsetRun]) -> VariantFigures:
     """Gather the runs of one variant. :param outputs: 'wrench' or 'effort'."""
     seeds = tuple(one.model.seed for one in learnt)
     by_seed = [sorted((run for run in followed if run.seed == seed), key=lambda run: run.subset) for seed in seeds]
@@ -291,7 +292,7 @@ def channel_groups(outputs: str) -> dict[str, slice]:
 
 
 def mode_figures(seeds: Sequence[Sequence[Trace]]) -> ModeFigures:
-    """:param seeds: for each seed the traces of all subsets."""
+    """Errors and bands over the traces of all subsets, which ``seeds`` lists for each seed."""
     pooled = [_pool(traces) for traces in seeds]
     ratios = np.array([_normalised(trace) for trace in pooled])
     covered = np.array([[_coverage(trace, level) for level in LEVELS] for trace in pooled])
@@ -335,7 +336,7 @@ def _pool(traces: Sequence[Trace]) -> Trace:
 
 
 def _normalised(trace: Trace) -> Array:
-    """(n,) mean squared error over variance, NaN for a constant channel."""
+    """Mean squared error over variance (n,), NaN for a constant channel."""
     variance = trace.outputs.var(axis=0)
     square = np.mean(trace.errors**2, axis=0)
     return np.divide(square, variance, out=np.full_like(square, np.nan), where=variance > 0.0)
@@ -345,7 +346,11 @@ def _coverage(trace: Trace, level: float) -> float:
     return float(np.mean(np.abs(trace.errors) <= norm.ppf(0.5 + level / 2.0) * trace.std))
 
 
-class Finding(NamedTuple):
+Judgement = tuple[bool, str]
+"""Verdict whether a statement holds by one index, and the figures that say so."""
+
+
+class PaperFinding(NamedTuple):
     """A statement of the paper, whether it holds here (None: cannot be said), and the figures that say so."""
 
     name: str
@@ -354,8 +359,8 @@ class Finding(NamedTuple):
     evidence: str
 
 
-def findings_of(figures: Mapping[str, VariantFigures]) -> tuple[Finding, ...]:
-    """Those findings whose variants were compared."""
+def findings_of(figures: Mapping[str, VariantFigures]) -> tuple[PaperFinding, ...]:
+    """Findings of the paper whose variants were compared."""
     found = []
     if PARAMETRIC in figures and len(figures) > 1:
         found.append(parametric_is_worst(figures))
@@ -369,77 +374,76 @@ def findings_of(figures: Mapping[str, VariantFigures]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def parametric_is_worst(figures: Mapping[str, VariantFigures]) -> Finding:
-    """P has the largest index after the first 30 s."""
-    verdicts: list[bool | None] = []
-    texts: list[str] = []
-    for index in _indices(figures):
-        values = _means(figures, index, 'steady_state')
-        worst = max(values, key=lambda variant: values[variant]) if values else None
-        verdicts.append(None if worst is None else worst == PARAMETRIC)
-        if worst is not None:
-            others = {variant: value for variant, value in values.items() if variant != PARAMETRIC}
-            next_worst = max(others, key=lambda variant: others[variant])
-            texts.append(f'{NAMES[index]}: P {values[PARAMETRIC]:.3g}, next worst {next_worst} '
-                         f'{others[next_worst]:.3g}')
-    return Finding('parametric_is_worst', 'The rigid body alone (P) is the poorest model.', _all(verdicts),
-                   _joined(texts))
+def parametric_is_worst(figures: Mapping[str, VariantFigures]) -> PaperFinding:
+    """Finding that P has the largest index after the first 30 s."""
+    def judge(values: dict[str, float]) -> Iterator[Judgement]:
+        worst, next_worst = sorted(values, key=lambda variant: values[variant], reverse=True)[:2]
+        if worst != PARAMETRIC:
+            next_worst = worst
+        yield worst == PARAMETRIC, (f'P {values[PARAMETRIC]:.3g}, next worst {next_worst} '
+                                    f'{values[next_worst]:.3g}')
+    return _finding('parametric_is_worst', 'The rigid body alone (P) is the poorest model.',
+                    figures, 'steady_state', judge)
 
 
-def likelihood_beats_validation(figures: Mapping[str, VariantFigures]) -> Finding:
-    """The ML variants have a smaller index than their VS twins in the first 60 s."""
-    verdicts: list[bool | None] = []
-    texts: list[str] = []
-    for index in _indices(figures):
-        values = _means(figures, index, 'first_60_s')
+def likelihood_beats_validation(figures: Mapping[str, VariantFigures]) -> PaperFinding:
+    """Finding that ML variants have a smaller index than their VS twins in the first 60 s."""
+    def judge(values: dict[str, float]) -> Iterator[Judgement]:
         for ml, vs in PAIRS:
             if ml in values and vs in values:
-                verdicts.append(values[ml] < values[vs])
-                texts.append(f'{NAMES[index]}: {ml} {values[ml]:.3g}, {vs} {values[vs]:.3g}')
-    return Finding('likelihood_beats_validation',
-                   'Marginal likelihood gives better models than a validation set in the first 60 s.',
-                   _all(verdicts), _joined(texts))
+                yield values[ml] < values[vs], f'{ml} {values[ml]:.3g}, {vs} {values[vs]:.3g}'
+    return _finding('likelihood_beats_validation',
+                    'Marginal likelihood gives better models than a validation set in the first 60 s.',
+                    figures, 'first_60_s', judge)
 
 
-def semi_parametric_is_best(figures: Mapping[str, VariantFigures], what: str) -> Finding:
-    """SP-ML and SPK-ML have the smallest index, or interquartile range of it, after the first 30 s."""
+def semi_parametric_is_best(figures: Mapping[str, VariantFigures], what: str) -> PaperFinding:
+    """Finding that SP-ML and SPK-ML have the least index, or spread of it, after the first 30 s."""
     field, word = ('steady_state', 'on average') if what == 'average' else ('spread', 'in spread')
-    verdicts: list[bool | None] = []
-    texts: list[str] = []
-    for index in _indices(figures):
-        values = _means(figures, index, field)
+
+    def judge(values: dict[str, float]) -> Iterator[Judgement]:
         others = {variant: value for variant, value in values.items() if variant not in BEST}
-        if not others:
-            verdicts.append(None)
-            continue
         rival = min(others, key=lambda variant: others[variant])
-        verdicts += [values[variant] <= TIE * others[rival] for variant in BEST]
-        texts.append(f'{NAMES[index]}: ' + ', '.join(f'{variant} {values[variant]:.3g}' for variant in BEST)
-                     + f', best of the others {rival} {others[rival]:.3g}')
-    return Finding(f'semi_parametric_is_best_{what}', f'SP-ML and SPK-ML are the best {word} (ties within 5 %).',
-                   _all(verdicts), _joined(texts))
+        yield (all(values[variant] <= TIE * others[rival] for variant in BEST),
+               ', '.join(f'{variant} {values[variant]:.3g}' for variant in BEST)
+               + f', best of the others {rival} {others[rival]:.3g}')
+    return _finding(f'semi_parametric_is_best_{what}',
+                    f'SP-ML and SPK-ML are the best {word} (ties within 5 %).', figures, field, judge)
 
 
-def others_are_close(figures: Mapping[str, VariantFigures]) -> Finding:
-    """All but P are within a factor of 1.5 after the first 30 s."""
-    verdicts: list[bool | None] = []
+def others_are_close(figures: Mapping[str, VariantFigures]) -> PaperFinding:
+    """Finding that all but P are within a factor of 1.5 after the first 30 s."""
+    def judge(values: dict[str, float]) -> Iterator[Judgement]:
+        others = [variant for variant in values if variant != PARAMETRIC]
+        least, most = (pick(others, key=lambda variant: values[variant]) for pick in (min, max))
+        yield (values[most] <= CLOSE * values[least],
+               f'{least} {values[least]:.3g} to {most} {values[most]:.3g}, a factor of '
+               f'{values[most] / values[least]:.2f}')
+    return _finding('others_are_close',
+                    f'All but P are close in steady state (within a factor of {CLOSE:g}).',
+                    figures, 'steady_state', judge)
+
+
+def _finding(name: str, statement: str, figures: Mapping[str, VariantFigures], field: str,
+             judge: Callable[[dict[str, float]], Iterator[Judgement]]) -> PaperFinding:
+    """Finding from what ``judge`` says of each index, given variant -> mean of ``field`` over seeds.
+
+    An index whose recording is too short for the phase is not judged.
+    """
+    verdicts: list[bool] = []
     texts: list[str] = []
-    for index in _indices(figures):
-        values = {variant: value for variant, value in _means(figures, index, 'steady_state').items()
-                  if variant != PARAMETRIC}
-        if not values:
-            verdicts.append(None)
-            continue
-        least, most = (pick(values, key=lambda variant: values[variant]) for pick in (min, max))
-        verdicts.append(values[most] <= CLOSE * values[least])
-        texts.append(f'{NAMES[index]}: {least} {values[least]:.3g} to {most} {values[most]:.3g}, a factor of '
-                     f'{values[most] / values[least]:.2f}')
-    return Finding('others_are_close', f'All but P are close in steady state (within a factor of {CLOSE:g}).',
-                   _all(verdicts), _joined(texts))
+    for index in next(iter(figures.values())).indices:
+        spreads = {variant: getattr(one.indices[index], field) for variant, one in figures.items()}
+        values = {variant: spread.mean for variant, spread in spreads.items() if spread is not None}
+        for holds, text in judge(values) if values else ():
+            verdicts.append(holds)
+            texts.append(f'{NAMES[index]}: {text}')
+    evidence = '; '.join(texts) + '.' if texts else 'The second recording is too short to tell.'
+    return PaperFinding(name, statement, all(verdicts) if verdicts else None, evidence)
 
 
-def verdict(figures: Mapping[str, VariantFigures], findings: tuple[Finding, ...]) -> str:
-    """Which variant to use here and how many of the paper's findings hold, in a few sentences."""
+def verdict(figures: Mapping[str, VariantFigures], findings: tuple[PaperFinding, ...]) -> str:
+    """Sentences on which variant to use here, and how many of the paper's findings hold."""
     best = min(figures.values(), key=lambda one: one.adaptive.nmse.mean)
     frozen = min(figures.values(), key=lambda one: one.frozen.nmse.mean)
     sentences = [f'{best.variant} predicts best while it learns (normalised error {_with_spread(best.adaptive.nmse)})']
@@ -466,50 +470,21 @@ def _with_spread(figure: Spread) -> str:
     return f'{figure.mean:.3g}' if figure.std is None else f'{figure.mean:.3g} ± {figure.std:.1g}'
 
 
-def _indices(figures: Mapping[str, VariantFigures]) -> Iterator[str]:
-    return iter(next(iter(figures.values())).indices)
-
-
-def _means(figures: Mapping[str, VariantFigures], index: str, field: str) -> dict[str, float]:
-    """Variant to mean over seeds; empty where the recording is too short for the phase."""
-    values: dict[str, float] = {}
-    for variant, one in figures.items():
-        spread = _spread_in(one.indices[index], field)
-        if spread is not None:
-            values[variant] = spread.mean
-    return values
-
-
-def _spread_in(index: IndexFigures, field: str) -> Spread | None:
-    spread: Spread | None = getattr(index, field)
-    return spread
-
-
-def _all(verdicts: Sequence[bool | None]) -> bool | None:
-    """None when nothing could be judged."""
-    known = [one for one in verdicts if one is not None]
-    return all(known) if known else None
-
-
-def _joined(texts: list[str]) -> str:
-    return '; '.join(texts) + '.' if texts else 'The second recording is too short to tell.'
-
-
 @dataclass(frozen=True)
 class Comparison:
-    """Everything a report shows."""
+    """Comparison as a report shows it."""
 
-    scenario: Scenario
+    scenario: ComparisonScenario
     figures: dict[str, VariantFigures]
-    findings: tuple[Finding, ...]
+    findings: tuple[PaperFinding, ...]
 
 
-def steps(scenario: Scenario) -> int:
-    """How many pieces of work there are, for a progress bar."""
+def steps(scenario: ComparisonScenario) -> int:
+    """Number of pieces of work, for a progress bar."""
     return len(scenario.draws()) * (1 + len(scenario.subsets))
 
 
-def compare(scenario: Scenario, done: Callable[[], None] = lambda: None) -> Comparison:
+def compare(scenario: ComparisonScenario, done: Callable[[], None] = lambda: None) -> Comparison:
     """Run the scenario, as many pieces at a time as the surrounding :func:`parallel.workers` has."""
     learnt = run_all(learn, [(scenario, *draw) for draw in scenario.draws()], done)
     pieces = [(scenario, one.model, subset) for one in learnt for subset in range(len(scenario.subsets))]

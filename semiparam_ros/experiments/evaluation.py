@@ -21,6 +21,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import History, batch_of
+from semiparam_ros.online.learner import APPLY
 from semiparam_ros.online.learning import learning_of, observe
 from semiparam_ros.online.model_switcher import sentence_of
 from semiparam_ros.online.renewal import RecentWindow, Renewal, has_draft
@@ -35,7 +36,7 @@ INDICES = ('eps_force', 'eps_torque', 'eps_centred_force', 'eps_centred_torque')
 EFFORT_INDICES = ('eps_effort', 'eps_centred_effort')
 
 
-class Scores:
+class VariantScores:
     """Figures of one variant over the samples that it predicted, from its first own prediction on.
 
     :param outputs: `wrench` (three forces, three torques) or `effort`.
@@ -78,11 +79,11 @@ class Scores:
         return INDICES if self.outputs == 'wrench' else EFFORT_INDICES
 
     def index_series(self) -> tuple[Array, Array]:
-        """(N,) times of the origins since the start of the first recording [s], and (N, n_indices) values."""
+        """Times (N,) [s] of the origins since the first recording's start; values (N, indices)."""
         return np.array(self._times), np.array(self._indices).reshape(-1, len(self.index_names))
 
     def result(self, series: bool = False) -> dict[str, object]:
-        """All figures by name, in SI units; None where there is nothing to take the mean of."""
+        """Figures by name, in SI units; None where there is nothing to take the mean of."""
         nmse, rmse = normalised_errors(np.array(self._errors), np.array(self._measured))
         known = [value for value in nmse if value is not None]
         figures: dict[str, object] = {'samples': len(self), 'features': self.features, 'nmse': nmse,
@@ -98,7 +99,7 @@ class Scores:
 
 
 def means(eps: Array, outputs: str) -> tuple[float, ...]:
-    """eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
+    """Indices eps^F and eps^T of a wrench (6,), or the one mean over all efforts (n,)."""
     if outputs == 'wrench':
         return force_and_torque(eps)
     return (float(np.mean(eps)),)
@@ -138,7 +139,7 @@ class AtOnce:
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result],
                urgency: Urgency = Urgency.SHADOW) -> Job:
-        """See :class:`~semiparam_ros.online.worker.Background`."""
+        """Do the job, and hand its result or its exception to ``done``."""
         try:
             result = function(*arguments)
         except Exception as error:
@@ -148,11 +149,11 @@ class AtOnce:
         return self
 
     def later(self, function: Callable[[], None]) -> None:
-        """See :class:`~semiparam_ros.online.worker.Background`."""
+        """Call the function."""
         function()
 
     def cancel(self) -> None:
-        """It is done."""
+        """Do nothing: the job is done."""
 
 
 class OfflineLearner:
@@ -190,13 +191,14 @@ class OfflineLearner:
         self.changes: ChangeWatch | None = None
 
     def look_for_changes(self, told: Callable[[ChangeRecord], None]) -> None:
-        """From now on, as the node does with ``diagnosis.auto``; ``told`` receives each record."""
+        """Look for changes, as ``diagnosis.auto`` does; ``told`` receives each record."""
         def failed(place: str, error: BaseException) -> None:
             raise error
 
         self.changes = ChangeWatch(self.estimator.body, AtOnce(), told, failed)
+        self.changes.applies = self.settings.diagnosis_auto == APPLY
 
-    def take(self, bag: LoadedBag, scores: Scores, learning: bool) -> None:
+    def take(self, bag: LoadedBag, scores: VariantScores, learning: bool) -> None:
         """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
         scores.start_recording(bag.samples.origin)
         self.begin(bag.samples.origin)
@@ -226,12 +228,15 @@ class OfflineLearner:
     def step(self, sample: Sample, learning: bool) -> Prediction:
         """One sample: a contact, and a robot at rest, are predicted but not learnt.
 
-        The prediction's mean has what the tools add, its sample has not, as in the node's answers.
+        The prediction's mean has what the tools and applied changes add, its sample has not, as in the node's answers.
         """
-        sample, of_tools = self.tools.taken_off(sample)
+        sample, added = self.tools.taken_off(sample)
+        if self.changes is not None:
+            sample, of_changes = self.changes.applied.taken_off(sample)
+            added = of_changes if added is None else added if of_changes is None else added + of_changes
         prediction = self.estimator.predict(sample)
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
-        learns = learning_of(prediction, learning and not contact, self.gate)
+        learns = learning_of(prediction, learning and not contact, self.gate, self.changes)
         if self.changes is not None:
             self.changes.see(self.estimator, prediction, self.history)
         errors = observe(self.estimator, prediction, learns, finish=False)
@@ -256,11 +261,11 @@ class OfflineLearner:
         if self._successor is not None and self._draft is None and len(self._waiting) == self._takeovers[0]:
             self._take_over()
         self.answered(prediction, self.gate.widening)
-        mean = prediction.mean if of_tools is None else prediction.mean + of_tools
+        mean = prediction.mean if added is None else prediction.mean + added
         return prediction._replace(mean=mean, horizon=errors)
 
     def _draft_takes_over(self, draft: Callable[[], Estimator]) -> None:
-        """It has learnt what came since the end of the initial window; the hyperparameters are estimated yet."""
+        """Let a draft answer, taught what came since; hyperparameters are estimated yet."""
         self._draft = None
         self._next_takeover()
         if len(self._waiting) == self._takeovers[0]:
@@ -301,7 +306,7 @@ class OfflineLearner:
             self.renewals += 1
 
     def finish(self, training: Sequence[LoadedBag], frozen: bool) -> None:
-        """After training: a model must stand if nothing more is learnt, from however short a window."""
+        """End the training: a model must stand, however short its window, if nothing more comes."""
         if training and not self.estimator.ready and len(self.estimator.window):
             self.estimator.finish_window()
         if not self.estimator.ready and (frozen or not self.settings.learning):

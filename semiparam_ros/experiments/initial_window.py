@@ -19,7 +19,7 @@ from semiparam_ros.settings.build import build_rigid_body, declared_effects, hyp
 
 @dataclass(frozen=True)
 class Estimation:
-    """How hyperparameters are looked for; see :func:`semiparam_ros.core.hyperparameters.estimation.estimate`."""
+    """Options of :func:`semiparam_ros.core.hyperparameters.estimation.estimate`."""
 
     method: str = 'quasi-newton'
     starts: int = 4

@@ -17,15 +17,16 @@ if TYPE_CHECKING:
 
 Result = TypeVar('Result')
 ANSWER_S = 10.0
-"""How long a cluster may take to answer [s]."""
+"""Time [s] that a cluster may take to answer."""
 
 
 @contextmanager
 def workers(jobs: int, scheduler: str | None = None) -> Iterator[int]:
-    """Where :func:`run_all` works within this block; yields how many calls run at a time.
+    """Provide the workers of :func:`run_all` within a block; yield how many calls run at a time.
 
     :param scheduler: address of a Dask scheduler, whose workers then do everything.
-    :raises SemiparamError: the cluster does not answer, has no worker, goes away, or dask is not installed.
+    :raises SemiparamError: the cluster does not answer, has no worker, goes away, or dask is not
+        installed.
     """
     if scheduler is None:
         # one linear algebra thread for each process: two on a core only fight
@@ -49,7 +50,7 @@ def workers(jobs: int, scheduler: str | None = None) -> Iterator[int]:
 
 def run_all(function: Callable[..., Result], arguments: Sequence[tuple[object, ...]],
             done: Callable[[], None] = lambda: None) -> list[Result]:
-    """``function(*arguments[i])`` for every i, in any order; the results in the order of the arguments."""
+    """Call ``function(*arguments[i])`` for every i, in any order; return the results in order."""
     results: dict[int, Result] = {}
     calls = (delayed(_numbered)(index, function, call) for index, call in enumerate(arguments))
     for index, result in Parallel(return_as='generator_unordered')(calls):

@@ -1,7 +1,8 @@
-"""Our variants beside learners of other packages, on the same samples: predict, then learn.
+"""Peers: learners of other packages beside our variants, on the same samples: predict, then learn.
 
-Every learner gets the initial window first, and is scored from its end on. The others get what their users would give
-them: inputs, outputs and columns scaled by the window, and the package's own defaults.
+Every learner gets the initial window first, and is scored from its end on. The others get what
+their users would give them: inputs, outputs and columns scaled by the window, and the package's own
+defaults.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ REFITTED_EVERY, REFITTED_ON = 100, 1000
 
 
 class Score(NamedTuple):
-    """How one learner did."""
+    """Score of one learner."""
 
     learner: str
     sees: str
@@ -49,7 +50,7 @@ class Score(NamedTuple):
     microseconds: float  # a sample, mean: prediction and learning
 
 
-class Window(NamedTuple):
+class PeerWindow(NamedTuple):
     """The initial window: inputs (t, m), coupled columns (t, n, p), outputs (t, n)."""
 
     inputs: Array
@@ -58,19 +59,19 @@ class Window(NamedTuple):
 
 
 class View(ABC):
-    """What a learner sees of a sample: one row of regressors for all outputs, or one for each."""
+    """View that a learner has of a sample: one row of regressors, or one for each output."""
 
     sees: str
     centred = True
     """Outputs are free of their mean in the window; a rigid body has its own constant."""
 
     @abstractmethod
-    def begin(self, window: Window) -> None:
+    def begin(self, window: PeerWindow) -> None:
         """Take the scales from the initial window."""
 
     @abstractmethod
     def rows(self, inputs: Array, columns: Array) -> Array:
-        """(t, r, k) regressors of t samples, r being 1 or the number of outputs."""
+        """Regressors (t, r, k) of t samples, r being 1 or the number of outputs."""
 
 
 class RigidBodyView(View):
@@ -78,14 +79,12 @@ class RigidBodyView(View):
 
     sees, centred = 'rigid body', False
 
-    def begin(self, window: Window) -> None:
-        """See :class:`View`."""
+    def begin(self, window: PeerWindow) -> None:
         weighed = window.columns / window.outputs.std(axis=0)[:, None]
         size = np.sqrt(np.mean(weighed**2, axis=(0, 1)))
         self._scale = np.where(size > 1e-12, size, 1.0) * window.outputs.std(axis=0)[:, None]
 
     def rows(self, inputs: Array, columns: Array) -> Array:
-        """See :class:`View`."""
         return np.asarray(columns / self._scale)
 
 
@@ -94,12 +93,10 @@ class InputView(View):
 
     sees = 'inputs'
 
-    def begin(self, window: Window) -> None:
-        """See :class:`View`."""
+    def begin(self, window: PeerWindow) -> None:
         self._mean, self._scale = input_scaling(window.inputs)
 
     def rows(self, inputs: Array, columns: Array) -> Array:
-        """See :class:`View`."""
         return np.asarray((inputs - self._mean) / self._scale)[:, None]
 
 
@@ -110,13 +107,11 @@ class FeatureView(InputView):
         self.sees = f'D = {count}'
         self._sampler = RBFSampler(gamma='scale', n_components=count, random_state=0)
 
-    def begin(self, window: Window) -> None:
-        """See :class:`View`."""
+    def begin(self, window: PeerWindow) -> None:
         super().begin(window)
         self._sampler.fit(super().rows(window.inputs, window.columns)[:, 0])
 
     def rows(self, inputs: Array, columns: Array) -> Array:
-        """See :class:`View`."""
         return np.asarray(self._sampler.transform(super().rows(inputs, columns)[:, 0]))[:, None]
 
 
@@ -128,7 +123,7 @@ class Peer(ABC):
     def __init__(self, view: View, n_outputs: int) -> None:
         self.view, self.n_outputs = view, n_outputs
 
-    def begin(self, window: Window) -> None:
+    def begin(self, window: PeerWindow) -> None:
         """Take the scales from the initial window, and learn it."""
         self.view.begin(window)
         self._mean = window.outputs.mean(axis=0) * self.view.centred
@@ -136,7 +131,7 @@ class Peer(ABC):
         self.fit(self.view.rows(window.inputs, window.columns), (window.outputs - self._mean) / self._scale)
 
     def predict(self, inputs: Array, columns: Array) -> Array:
-        """(n,) outputs of a sample, of inputs (m,) and columns (n, p)."""
+        """Outputs (n,) of a sample, of inputs (m,) and columns (n, p)."""
         self._rows = self.view.rows(inputs[None], columns[None])[0]
         return np.asarray(self.predict_rows(self._rows) * self._scale + self._mean)
 
@@ -151,7 +146,7 @@ class Peer(ABC):
 
     @abstractmethod
     def predict_rows(self, rows: Array) -> Array:
-        """(n,) outputs of rows (r, k)."""
+        """Outputs (n,) of rows (r, k)."""
 
     @abstractmethod
     def learn_rows(self, rows: Array, outputs: Array) -> None:
@@ -168,12 +163,10 @@ class River(Peer):
         self._models = [BayesianLinearRegression() for _ in range(n_outputs)]
 
     def predict_rows(self, rows: Array) -> Array:
-        """See :class:`Peer`."""
         named = self._named(rows)
         return np.array([model.predict_one(row) for model, row in zip(self._models, named, strict=True)])
 
     def learn_rows(self, rows: Array, outputs: Array) -> None:
-        """See :class:`Peer`."""
         for model, row, output in zip(self._models, self._named(rows), outputs.tolist(), strict=True):
             model.learn_one(row, output)
 
@@ -192,12 +185,10 @@ class Sgd(Peer):
         self._models = [SGDRegressor(random_state=0) for _ in range(n_outputs)]
 
     def predict_rows(self, rows: Array) -> Array:
-        """See :class:`Peer`."""
         return np.concatenate([model.predict(rows[min(index, len(rows) - 1)][None])
                                for index, model in enumerate(self._models)])
 
     def learn_rows(self, rows: Array, outputs: Array) -> None:
-        """See :class:`Peer`."""
         for index, model in enumerate(self._models):
             model.partial_fit(rows[min(index, len(rows) - 1)][None], outputs[index:index + 1])
 
@@ -212,16 +203,13 @@ class Refitted(Peer):
         self._since = 0
 
     def fit(self, rows: Array, outputs: Array) -> None:
-        """See :class:`Peer`."""
         self._latest.extend(zip(rows, outputs, strict=True))
         self._fit()
 
     def predict_rows(self, rows: Array) -> Array:
-        """See :class:`Peer`."""
         return np.asarray(self._model.predict(rows)).ravel()
 
     def learn_rows(self, rows: Array, outputs: Array) -> None:
-        """See :class:`Peer`."""
         self._latest.append((rows, outputs))
         self._since += 1
         if self._since == REFITTED_EVERY:
@@ -256,14 +244,14 @@ class RefittedKernelRidge(Refitted):
 
 
 def peers(n_outputs: int, count: int) -> list[Peer]:
-    """All of them, with ``count`` random features where they have any."""
+    """Peers of every kind, with ``count`` random features where they have any."""
     return [River(RigidBodyView(), n_outputs), RefittedRidge(RigidBodyView(), n_outputs),
             River(FeatureView(count), n_outputs), Sgd(FeatureView(count), n_outputs),
             RefittedRidge(FeatureView(count), n_outputs), RefittedKernelRidge(InputView(), n_outputs)]
 
 
 class _Turns:
-    """What one learner predicted, and the time that it took."""
+    """Turns of one learner: what it predicted, and the time that it took."""
 
     def __init__(self, learner: str, sees: str, begin: Callable[[], None], step: Callable[[int], Array]) -> None:
         self.learner, self.sees, self._step = learner, sees, step
@@ -298,7 +286,7 @@ def compare_with_peers(settings: Settings, samples: Samples, robot_description: 
                              f'{gathered.end}; expected at least {TURN} more.')
     body = build_rigid_body(settings, robot_description)
     columns = np.asarray(CoupledColumns(body, declared_effects(settings)).batch(samples)[0])
-    window = Window(samples.inputs[gathered.indices], columns[gathered.indices], samples.outputs[gathered.indices])
+    window = PeerWindow(samples.inputs[gathered.indices], columns[gathered.indices], samples.outputs[gathered.indices])
     learners: list[_Turns] = []
     for variant in variants:
         learners.append(_ours(replace(settings, variant=variant), samples, robot_description, gathered.end))
@@ -328,7 +316,7 @@ def _ours(settings: Settings, samples: Samples, robot_description: str | None, e
     return turns
 
 
-def _theirs(peer: Peer, samples: Samples, columns: Array, window: Window) -> _Turns:
+def _theirs(peer: Peer, samples: Samples, columns: Array, window: PeerWindow) -> _Turns:
     inputs, outputs = samples.inputs, samples.outputs
 
     def step(index: int) -> Array:

@@ -26,7 +26,7 @@ from semiparam_ros.simulation.simulate import simulate
 NOTHING = 'nothing'
 MOTION = 'circle_xy'
 TOGETHER = '+'
-"""Between kinds that are hidden at once."""
+"""Sign between kinds that are hidden at once."""
 NEAR_SAMPLES = 2.0
 """A start counts as right within so many samples."""
 SURE_DEVIATIONS = 2.0
@@ -35,11 +35,13 @@ SURE_DEVIATIONS = 2.0
 
 @dataclass(frozen=True)
 class Plan:
-    """Which recordings to simulate: every kind at every size with every seed, and as many with nothing missing.
+    """Plan of recordings: every kind, size and seed, and as many with nothing missing.
 
-    :param kinds: those to hide, or several at once as ``viscous_friction+time_delay``; each one unless given.
+    :param kinds: those to hide, or several at once as ``viscous_friction+time_delay``; each one
+        unless given.
     :param accelerations: whether they are measured; a diagnosis estimates them otherwise.
-    :param noise_correlation_s: time over which the outputs' noise is correlated [s]; 0 for white noise.
+    :param noise_correlation_s: time over which the outputs' noise is correlated [s]; 0 for white
+        noise.
     """
 
     outputs: str
@@ -54,7 +56,7 @@ class Plan:
 
     @property
     def cases(self) -> list[tuple[str, float, int]]:
-        """(kind, size, seed); the kind ``nothing`` has no hidden effect."""
+        """Kind, size and seed of each recording; the kind ``nothing`` has no hidden effect."""
         names = self.kinds or tuple(name for name in kinds(self.outputs) if name in CAUSES)
         first = self.first_seed
         hidden = [(name, size, first + seed) for name in names for size in self.sizes for seed in range(self.seeds)]
@@ -66,7 +68,7 @@ class Plan:
         return len(self.cases)
 
 
-class Row(TypedDict):
+class ScoreboardRow(TypedDict):
     """One recording: what was hidden and what was found; None where nothing was hidden."""
 
     kind: str
@@ -83,7 +85,7 @@ class Row(TypedDict):
     deviations_off: list[float]  # of the true kind's values, where it was found at its place
 
 
-class Summary(TypedDict):
+class ScoreboardSummary(TypedDict):
     """Shares of the rows (None without rows), by kind, and how often each kind was found for each hidden one."""
 
     right_first: float | None
@@ -97,16 +99,16 @@ class Summary(TypedDict):
     confusion: dict[str, dict[str, int]]
 
 
-class Scores(TypedDict):
+class Scoreboard(TypedDict):
     """The scoreboard as the machine-readable report has it."""
 
     outputs: str
     samples: int
-    rows: list[Row]
-    summary: Summary
+    rows: list[ScoreboardRow]
+    summary: ScoreboardSummary
 
 
-def scoreboard(plan: Plan, jobs: int, done: Callable[[], None]) -> Scores:
+def scoreboard(plan: Plan, jobs: int, done: Callable[[], None]) -> Scoreboard:
     """Diagnose every case of the plan; rows and a summary. ``done`` is called after each.
 
     Raises SemiparamError for a kind that cannot be simulated.
@@ -119,7 +121,7 @@ def scoreboard(plan: Plan, jobs: int, done: Callable[[], None]) -> Scores:
     return {'outputs': plan.outputs, 'samples': plan.samples, 'rows': rows, 'summary': summary(rows)}
 
 
-def case(plan: Plan, kind: str, size: float, seed: int) -> Row:
+def case(plan: Plan, kind: str, size: float, seed: int) -> ScoreboardRow:
     """One recording: what was hidden, what was found, and the share of the removable error that was removed."""
     hidden = () if kind == NOTHING else tuple(
         EffectRequest(name, size=size) for name in kind.split(TOGETHER))
@@ -149,7 +151,7 @@ def start_off(found: Diagnosis, truth: Sequence[dict[str, Any]], plan: Plan) -> 
 
 
 def deviations_off(found: Diagnosis, true: dict[str, Any]) -> list[float]:
-    """How many standard deviations each value lies from the true one, where the cause was found at its place."""
+    """Deviations of each value from the true one, in standard deviations, if found at its place."""
     at_place = [finding for finding in found.findings if finding.effect.kind == true['kind']
                 and (finding.effect.where == true['where'] or true['kind'] == 'sensor_gain')]
     if not at_place:
@@ -228,8 +230,8 @@ def removed_share(found: Diagnosis, twin: Samples) -> float:
     return (before - after) / max(before - least, 1e-12)
 
 
-def summary(rows: Sequence[Row]) -> Summary:
-    """Right kinds, false alarms, removed shares, and the confusion matrix."""
+def summary(rows: Sequence[ScoreboardRow]) -> ScoreboardSummary:
+    """Shares of right kinds and false alarms, errors removed, and the confusion matrix."""
     hidden = [row for row in rows if row['kind'] != NOTHING]
     clean = [row for row in rows if row['kind'] == NOTHING]
     names = list(dict.fromkeys(row['kind'] for row in hidden))
@@ -247,18 +249,18 @@ def summary(rows: Sequence[Row]) -> Summary:
             'confusion': confusion}
 
 
-def named(row: Row) -> bool:
+def named(row: ScoreboardRow) -> bool:
     """The hidden kind was found first, or stands in the group that the first one cannot be told from."""
     causes = row['kind'].split(TOGETHER)
     return _first(row) is not None and any(kind in causes for kind in (_first(row), *row['group']))
 
 
-def exactly(row: Row) -> bool:
-    """What was hidden was found, and nothing beside it."""
+def exactly(row: ScoreboardRow) -> bool:
+    """Tell whether what was hidden was found, and nothing beside it."""
     return row['verdict'] == 'effect_found' and sorted(row['found']) == sorted(row['kind'].split(TOGETHER))
 
 
-def _first(row: Row) -> str | None:
+def _first(row: ScoreboardRow) -> str | None:
     """The kind that the report names, None where it says that nothing is missing, or that no kind explains it."""
     return row['found'][0] if row['found'] and row['verdict'] == 'effect_found' else None
 
@@ -267,7 +269,7 @@ def _share(values: list[bool]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def print_scoreboard(console: Console, result: Scores) -> None:
+def print_scoreboard(console: Console, result: Scoreboard) -> None:
     """The confusion matrix, a line for each hidden kind, and the summary."""
     rows, totals = result['rows'], result['summary']
     table = Table('hidden', 'named', 'removed (median)', 'found first')

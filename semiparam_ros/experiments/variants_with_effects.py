@@ -1,10 +1,11 @@
-"""Every variant learnt without and with the effects found, judged where the diagnosis judged.
+"""Evaluation of every variant without and with the effects found, where the diagnosis judged.
 
-Features can swallow an effect: their residual is small where they learnt, and the effect shows only in how they carry
-over to other motion. Features are drawn by chance, and a draw's luck is as large as what is looked for: several are
-drawn, the same ones without and with the effects. They learn from the recording as the node does, sample by sample with
-the accelerations that came with it, not from the smoothed motion that causes are looked for in. The models with the
-effects are judged as such, not as far as a node would believe them.
+Features can swallow an effect: their residual is small where they learnt, and the effect shows only
+in how they carry over to other motion. Features are drawn by chance, and a draw's luck is as large
+as what is looked for: several are drawn, the same ones without and with the effects. They learn
+from the recording as the node does, sample by sample with the accelerations that came with it, not
+from the smoothed motion that causes are looked for in. The models with the effects are judged as
+such, not as far as a node would believe them.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Draws(TypedDict):
     after: list[float]
 
 
-class VariantFigures(TypedDict):
+class VariantErrors(TypedDict):
     """A variant without the effects found and with them: means over the draws, and the draws."""
 
     before: EvaluationFigures
@@ -45,7 +46,7 @@ class VariantFigures(TypedDict):
 
 
 def evaluate_variants(settings: Settings, diagnosis: Diagnosis, variants: Sequence[str], jobs: int,
-                      progress: Callable[[int, int], None]) -> dict[str, VariantFigures]:
+                      progress: Callable[[int, int], None]) -> dict[str, VariantErrors]:
     """Figures of each variant on the held-out samples.
 
     :param jobs: how many to learn at a time.
@@ -59,7 +60,7 @@ def evaluate_variants(settings: Settings, diagnosis: Diagnosis, variants: Sequen
     done = iter(range(1, len(calls) + 1))
     with workers(jobs):
         evaluations = dict(zip(keys, run_all(_judge, calls, lambda: progress(next(done), len(calls))), strict=True))
-    judged: dict[str, VariantFigures] = {}
+    judged: dict[str, VariantErrors] = {}
     for variant in variants:
         before, after = ([evaluations[variant, label, draw] for draw in range(_draws(variant))] for label in (0, 1))
         judged[variant] = {'before': mean_of(before), 'after': mean_of(after),
@@ -69,7 +70,7 @@ def evaluate_variants(settings: Settings, diagnosis: Diagnosis, variants: Sequen
 
 
 def mean_of(evaluations: Sequence[EvaluationFigures]) -> EvaluationFigures:
-    """Every figure's mean."""
+    """Mean of every figure."""
     def mean(name: Literal['nmse', 'rmse', 'nmse_mean_interval']) -> list[float]:
         return np.mean([each[name] for each in evaluations], axis=0).tolist()  # type: ignore[no-any-return]
 

@@ -1,1 +1,1 @@
-"""What was learnt, in the files that controllers and simulators read."""
+"""Export of what was learnt to the files that controllers and simulators read."""

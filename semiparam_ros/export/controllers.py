@@ -1,4 +1,4 @@
-"""What was identified in the forms that robots' controllers take.
+"""Forms that robots' controllers take, of what was identified.
 
 Loads are told in the axes of a flange, with the inertia about the centre of mass:
 
@@ -22,17 +22,17 @@ from semiparam_ros.core.robot.frames import felt_links, load_transform
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.export.identified import Identified, Load
+from semiparam_ros.export.identified import CarriedBody, Identified
 from semiparam_ros.export.xml_edit import number
 
 WORLD = 'world'
 STEEPNESS, STEEPEST = 10.0, 1000.0
-"""fp2 times the largest velocity, where the fit of a friction curve begins and at most."""
+"""Product of fp2 and the largest velocity, at the start of a curve's fit and at most."""
 SPEEDS = 200
 
 
-def load_at(body: RigidBody, found: Identified, flange: str | None) -> Load:
-    """All loads as one, in the frame of ``flange``; None: of the link of the first one.
+def load_at(body: RigidBody, found: Identified, flange: str | None) -> CarriedBody:
+    """Sum of all loads in the frame of ``flange``; None: of the link of the first one.
 
     Raises SemiparamError when there is none, or when one moves against the flange.
     """
@@ -42,7 +42,7 @@ def load_at(body: RigidBody, found: Identified, flange: str | None) -> Load:
     return _as_one(body, found.loads, flange or found.loads[0].link)
 
 
-def _as_one(body: RigidBody, loads: Sequence[Load], flange: str) -> Load:
+def _as_one(body: RigidBody, loads: Sequence[CarriedBody], flange: str) -> CarriedBody:
     carrier, to_body = load_transform(body, flange)
     total = np.zeros(10)
     for load in loads:
@@ -51,17 +51,17 @@ def _as_one(body: RigidBody, loads: Sequence[Load], flange: str) -> Load:
             raise SemiparamError(f"what is carried at '{load.link}' moves against '{flange}'; "
                                  'expected a link that is fixed to it.')
         total += np.linalg.solve(to_body, transform @ load.parameters)
-    return Load(flange, total, float(np.linalg.norm([load.mass_std for load in loads])))
+    return CarriedBody(flange, total, float(np.linalg.norm([load.mass_std for load in loads])))
 
 
-def ur_script(load: Load, remark: str) -> str:
+def ur_script(load: CarriedBody, remark: str) -> str:
     """A line of URScript."""
     inertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]  # xx, yy, zz, xy, xz, yz
     return (f'# {remark}\n# In the frame of {load.link}: expected to be the tool flange.\n'
             f'set_target_payload({number(load.mass)}, {_row(load.centre)}, {_row(inertia)})\n')
 
 
-def franka_desk(load: Load) -> str:
+def franka_desk(load: CarriedBody) -> str:
     """JSON for the settings of an end effector, whose frame is the flange's."""
     document = {'mass': load.mass, 'centerOfMass': load.centre.tolist(),
                 'transformation': np.eye(4).ravel().tolist(),
@@ -69,7 +69,7 @@ def franka_desk(load: Load) -> str:
     return json.dumps(document) + '\n'
 
 
-def libfranka(load: Load, remark: str) -> str:
+def libfranka(load: CarriedBody, remark: str) -> str:
     """A line of C++."""
     centre, inertia = (', '.join(map(number, values))
                        for values in (load.centre, load.inertia.ravel(order='F')))
@@ -89,7 +89,7 @@ def gravity_filter(body: RigidBody, found: Identified, remark: str) -> str:
         raise SemiparamError(f'{len(body.bodies)} bodies hang on the sensor and move against each '
                              f'other ({", ".join(body.bodies)}); the filter takes the weight '
                              'of one.')
-    links = [Load(name, values, 0.0) for name, values in found.links.items()
+    links = [CarriedBody(name, values, 0.0) for name, values in found.links.items()
              if name in felt_links(body)]
     frame = _sensor_link(body)
     tool = _as_one(body, [*links, *found.loads], frame)
@@ -110,8 +110,8 @@ def _sensor_link(body: RigidBody) -> str:
 
 
 def crisp_friction(found: Identified, remark: str) -> str:
-    """Three vectors in the order of the joints: the curves next to what was identified, up to the
-    largest velocity of each joint.
+    """Parameters of three vectors in the order of the joints: the curves next to what was
+    identified, up to the largest velocity of each joint.
 
     Raises SemiparamError when no friction was identified.
     """

@@ -1,4 +1,4 @@
-"""What is known of the coefficients of a robot's model: from a recording, or from an estimator.
+"""Estimate of the coefficients of a robot's model: from a recording, or from an estimator.
 
 A recording is there as a whole, so its motion is smoothed, which a live model cannot do, and all of
 its samples are fitted at once by weighted least squares with the priors of the variant P. Errors of
@@ -27,13 +27,13 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 
 MOTIONS = {'smoothed': 2, 'smoothed from positions': 1, 'smoothed with accelerations': 3}
-"""How much of positions, velocities and accelerations the smoother uses: the latter two may lag."""
+"""Number of signals that the smoother uses: velocities and accelerations may lag."""
 MOST_VALUES = 20_000_000
-"""Of the columns of all samples: 160 MB. Of a longer recording evenly spread samples are used."""
+"""Largest number of values in the columns of all samples, 160 MB; beyond, samples are spread."""
 BLOCKS, FOLDS = 40, 5
 REWEIGHTINGS = 4
 DEGREES = 5.0
-"""Of Student's t, as for the online estimator's averages."""
+"""Degrees of freedom of Student's t, as for the online estimator's averages."""
 FISHER = np.sqrt((DEGREES + 1.0) / (DEGREES + 3.0))
 """Root of a sample's information over that of a normal one of the same scale (Lange, Little and
 Taylor 1989)."""
@@ -42,7 +42,7 @@ KNOWN = 1e8
 
 
 class Estimate(NamedTuple):
-    """theta ~ N(mean, information^-1), in the order of the columns.
+    """Estimate theta ~ N(mean, information^-1), in the order of the columns.
 
     :param how: what it is from, as a phrase. :param top_speed: (n_joints,) largest velocities seen
         [rad/s, m/s]. :param table: samples that judge it.
@@ -54,12 +54,12 @@ class Estimate(NamedTuple):
     information: Array  # (p, p)
     how: str
     top_speed: Array
-    table: Table | None = None
+    table: SampleTable | None = None
     held_out: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class SampleTable:
     """Columns and outputs of a recording.
 
     :param columns: (N, n, p). :param outputs: (N, n). :param used: (N,) samples that tell
@@ -75,31 +75,31 @@ class Table:
     deviation: Array
     weight: Array
     starts: tuple[tuple[float, str], ...] = ()
-    """[s] When loads appear that were not there from the beginning, and their links."""
+    """Times [s] when loads appear that were not there from the beginning, and their links."""
     keep_inertias: bool = False
-    """Whether the rigid body is known to be as described."""
+    """Mark of a rigid body that is known to be as described."""
 
     @cached_property
     def folds(self) -> list[Mask]:
-        """(N,) each: as many samples of consecutive parts of the recording."""
+        """Masks (N,) of as many samples each, in consecutive parts of the recording."""
         number = (np.cumsum(self.used) - 1) * FOLDS // self.used.sum()
         return [self.used & (number == fold) for fold in range(FOLDS)]
 
     @cached_property
     def fold_estimates(self) -> list[tuple[Array, Array]]:
-        """Of each fold :meth:`estimate` without it."""
+        """Estimates without each fold; see :meth:`estimate`."""
         return [self.estimate(self.used & ~fold) for fold in self.folds]
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """(p,) mean and precision before any sample."""
+        """Mean (p,) and precision (p,) before any sample."""
         precision = self.model.prior_scale**-2.0
         if self.keep_inertias:
             precision[self.model.blocks['rigid_body']] *= KNOWN
         return self.model.expected, precision
 
     def estimate(self, rows: Mask) -> tuple[Array, Array]:
-        """(p,) mean and (p, p) information of theta from some samples (N,)."""
+        """Mean (p,) and information (p, p) of theta from some samples (N,)."""
         mean, precision = self.prior
         information, right = np.diag(precision), precision * mean
         for channel, deviation in enumerate(self.deviation):
@@ -110,16 +110,16 @@ class Table:
         return cho_solve(cho_factor(information), right), np.asarray(information, dtype=np.float64)
 
     def residual(self, theta: Array) -> Array:
-        """(N, n)."""
+        """Residual (N, n) of theta (p,)."""
         return np.asarray(self.outputs - self.columns @ theta)
 
     def error(self, theta: Array, rows: Mask) -> Array:
-        """(n,) mean squared error over the variance of all outputs in use; NaN where that is 0."""
+        """Mean squared error (n,) over the variance of all outputs in use; NaN where that is 0."""
         variance = self.outputs[self.used].var(axis=0)
         square = np.mean(self.residual(theta)[rows] ** 2, axis=0)
         return np.divide(square, variance, out=np.full(len(square), np.nan), where=variance > 0.0)
 
-    def weighed(self) -> Table:
+    def weighed(self) -> SampleTable:
         """The same with the deviations of what the fit leaves, correlation in time included."""
         table = self
         for _ in range(REWEIGHTINGS):
@@ -133,8 +133,8 @@ class Table:
 
 
 def correlation_time(residual: Array) -> float:
-    """[samples] integrated, at least 1: up to the first pair of lags that is not positive (Geyer
-    1992)."""
+    """Integrated correlation time [samples] of a residual (N,), at least 1: up to the first pair of
+    lags that is not positive (Geyer 1992)."""
     centred = residual - residual.mean()
     spectrum = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
     correlation = np.fft.irfft(spectrum)[:len(centred)]
@@ -147,7 +147,7 @@ def correlation_time(residual: Array) -> float:
 
 def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
                    joint_friction: bool, keep_inertias: bool, name: str) -> Estimate:
-    """By the motion, of those that the smoother offers, that predicts parts left out best.
+    """Estimate from a recording, by the smoothed motion that predicts parts left out best.
 
     :param keep_inertias: whether the rigid body is known to be as described.
 
@@ -164,7 +164,7 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
         raise SemiparamError(f'{name} holds {int(moves.sum())} samples of a robot that moves; '
                              f'expected at least {model.n_columns}, as many as the model has '
                              'coefficients.')
-    best: tuple[float, str, Table] | None = None
+    best: tuple[float, str, SampleTable] | None = None
     for motion, measured in MOTIONS.items():
         rows = smoothed(samples, measured)[::step]
         table = _table(model, rows, moves[::step], keep_inertias).weighed()
@@ -182,7 +182,7 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
 
 
 def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> Estimate:
-    """What an estimator has learnt, of its rigid body alone where several models are averaged.
+    """Estimate of an estimator, of its rigid body alone where several models are averaged.
 
     :param samples: that judge it; None or empty: nothing does.
 
@@ -205,14 +205,14 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
 
 
 def _table(model: CoupledColumns, samples: Samples, used: Mask,
-           keep_inertias: bool = False) -> Table:
+           keep_inertias: bool = False) -> SampleTable:
     spread = np.maximum(samples.outputs[used].std(axis=0), 1e-9)
-    return Table(model, model.batch(samples)[0], samples.outputs, used, spread,
-                 np.ones(samples.outputs.shape), keep_inertias=keep_inertias)
+    return SampleTable(model, model.batch(samples)[0], samples.outputs, used, spread,
+                       np.ones(samples.outputs.shape), keep_inertias=keep_inertias)
 
 
-def _with_starts(table: Table, time: Array) -> Table:
-    """With the columns of loads that have no start zero before the samples show them."""
+def _with_starts(table: SampleTable, time: Array) -> SampleTable:
+    """Set the columns of loads that have no start to zero before the samples show them."""
     block: Indices = np.arange(len(time)) * BLOCKS // len(time)
     for index, effect in enumerate(table.model.effects):
         span = getattr(effect, 'span', None)
@@ -231,7 +231,7 @@ def _with_starts(table: Table, time: Array) -> Table:
     return table.weighed()
 
 
-def _best_start(table: Table, part: slice, block: Indices) -> int:
+def _best_start(table: SampleTable, part: slice, block: Indices) -> int:
     """The block from which on the columns of ``part`` are most probably there, by the evidence of
     the samples; BLOCKS where they never are."""
     mean, precision = table.prior

@@ -1,4 +1,4 @@
-"""From an estimate to quantities that files can hold: inertias of links, friction of joints, loads.
+"""Identification: inertias of links, friction of joints and loads, from an estimate.
 
 Base parameters alone can be identified, and links fixed to each other move as one body. So all
 links with a mass are looked for together, each as near to its description as the estimate allows
@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.consistency import (
@@ -39,11 +40,11 @@ DYNAMICS = {
         'viscous_forward': ('damping', 0.5), 'viscous_backward': ('damping', 0.5)},
     'rotor_inertia': {'inertia': ('armature', 1.0)},
 }
-"""What coefficients of effects mean to a simulator; of both directions it takes the mean."""
+"""Meaning of effects' coefficients to a simulator; of both directions it takes the mean."""
 SURE = 2.0
 """Standard deviations above zero from which on the mass of a load is one."""
 PARAMETERS = 10.0
-"""Of a link."""
+"""Number of inertial parameters of a link."""
 RANK = 1e-9
 UNITS = {'damping': 'N m s/rad', 'friction': 'N m', 'armature': 'kg m^2'}
 
@@ -57,33 +58,29 @@ class JointDynamics(NamedTuple):
     std: float
 
 
-class Load(NamedTuple):
+class CarriedBody(NamedTuple):
     """A body that a link carries beside its own: (10,) inertial parameters in the link's frame."""
 
     link: str
     parameters: Array
     mass_std: float  # [kg]
     start_s: float | None = None
-    """Since when, in seconds after the start of the recording; None: from the beginning."""
+    """Time [s] after the start of the recording when the load appears; None: at its beginning."""
 
     @property
     def mass(self) -> float:
-        """[kg]."""
+        """Mass [kg]."""
         return float(self.parameters[0])
 
     @property
     def centre(self) -> Array:
-        """(3,) [m]."""
+        """Centre (3,) of mass [m]."""
         return np.asarray(self.parameters[1:4] / self.parameters[0])
 
     @property
     def inertia(self) -> Array:
-        """(3, 3) about the centre, in the axes of the link [kg m^2]."""
-        xx, xy, yy, xz, yz, zz = self.parameters[4:]
-        about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        centre = self.centre
-        shift = centre @ centre * np.eye(3) - np.outer(centre, centre)
-        return np.asarray(about_origin - self.mass * shift)
+        """Inertia (3, 3) about the centre, in the axes of the link [kg m^2]."""
+        return np.asarray(pin.Inertia.FromDynamicParameters(self.parameters).inertia)
 
 
 class Price(NamedTuple):
@@ -97,11 +94,12 @@ class Price(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """What an export writes.
+    """Quantities that an export writes.
 
     :param links: (10,) inertial parameters in its own frame, of each link that the outputs feel,
         and of those that are mended.
-    :param offsets: of each output with a constant offset. :param left_out: what JSON alone holds.
+    :param offsets: of each output with a constant offset.
+    :param left_out: what JSON alone holds.
     """
 
     how: str
@@ -110,19 +108,19 @@ class Identified(NamedTuple):
     mended: Sequence[str]
     """Links that the description has as bodies that cannot be."""
     joints: Sequence[JointDynamics]
-    loads: Sequence[Load]
+    loads: Sequence[CarriedBody]
     not_shown: Sequence[str]
     """Links of declared loads whose mass may well be zero: they are left out."""
     offsets: Mapping[str, float]
     left_out: Mapping[str, float]
     top_speed: Mapping[str, float]
-    """[rad/s, m/s] Largest velocity of each joint."""
+    """Largest velocity of each joint [rad/s, m/s]."""
     price: Price | None
 
 
 def identify(estimate: Estimate, described: Mapping[str, Array],
              keep_inertias: bool = False) -> Identified:
-    """All that an estimate tells of a robot.
+    """Identify all that an estimate tells of a robot.
 
     :param described: (10,) inertial parameters of the links by the robot description.
     :param keep_inertias: links stay as described, so that loads alone explain what differs.
@@ -140,7 +138,7 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
     joints = [JointDynamics(joint, name, max(float(weights @ theta), 0.0),
                             float(np.sqrt(weights @ covariance @ weights)))
               for joint, name, weights in solution.dynamics]
-    found = [Load(link, parameters, _std(covariance, block.start), starts.get(link))
+    found = [CarriedBody(link, parameters, _std(covariance, block.start), starts.get(link))
              for (link, block), parameters in zip(solution.loads, loads, strict=True)]
     offsets = dict(zip(columns.body.output_names, theta[columns.blocks['offset']].tolist(),
                        strict=False))  # none without joint friction
@@ -229,7 +227,7 @@ class _Solution:
                 self._held = before
 
     def _left_out_errors(self, estimate: Estimate) -> Array:
-        """(FOLDS,) normalised, on parts left out of the fit; (0,) where none can be."""
+        """Normalised errors (FOLDS,) on parts left out of the fit; (0,) where none can be."""
         table = estimate.table if estimate.held_out else None
         if table is None:
             return np.zeros(0)
@@ -279,20 +277,20 @@ class _Solution:
 
 
 def root_of(information: Array) -> Array:
-    """R (p, p) with R'R = information, or the nearest that has a root."""
+    """Root R (p, p) with R'R = information, or the nearest that has a root."""
     scale = np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(0.5 * (information + information.T) / np.outer(scale, scale))
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * scale)
 
 
 def _given_up(estimate: Estimate, theta: Array) -> float:
-    """[nat] Of the estimate's probability."""
+    """Log probability [nat] that theta (p,) gives up against the estimate's mean."""
     apart = theta - estimate.mean
     return float(0.5 * apart @ estimate.information @ apart)
 
 
 def _contribution(bodies: Sequence[Body], parameters: Sequence[Array] | Array, count: int) -> Array:
-    """(count,) what bodies with parameters (10,) each bring."""
+    """Sum (count,) of what bodies with parameters (10,) each bring."""
     total = np.zeros(count)
     for body, values in zip(bodies, parameters, strict=True):
         total += body.columns @ values
@@ -364,7 +362,7 @@ def _price(estimate: Estimate, solution: _Solution, theta: Array) -> Price:
 
 
 def _conditional(mean: Array, information: Array, part: slice, values: Array) -> Array:
-    """(p,) the most probable theta where a part of it is known."""
+    """Most probable theta (p,) where a part of it is known."""
     rest = np.ones(len(mean), dtype=bool)
     rest[part] = False
     theta = mean.copy()

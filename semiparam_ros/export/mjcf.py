@@ -12,7 +12,7 @@ GEOMETRY = ('visual', 'collision')
 
 
 def identified_mjcf(urdf: str, found: Identified, remark: str) -> str:
-    """From the identified URDF. Shapes, whose files may not be there, are left out.
+    """Convert the identified URDF. Shapes, whose files may not be there, are left out.
 
     Raises SemiparamError when MuJoCo cannot read it, and ModuleNotFoundError where MuJoCo is not
     installed.

@@ -1,4 +1,4 @@
-"""What an export tells: a remark for the files, a JSON document, and lines for people."""
+"""Report of an export: a remark for the files, a JSON document, and lines for people."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 
 from semiparam_ros import __version__
 from semiparam_ros.core.types import Array
-from semiparam_ros.export.identified import UNITS, Identified, Load
+from semiparam_ros.export.identified import UNITS, CarriedBody, Identified
 from semiparam_ros.export.urdf import changed_links
 
 MARK = 'Identified by semiparam_ros'
-"""What all files hold."""
+"""Mark that all files hold."""
 
 
 def remark(found: Identified) -> str:
-    """How it was made and how well it predicts, for a comment in a file."""
+    """Remark for a file on how it was made and how well it predicts."""
     told = f'{MARK} {__version__} from {found.how}.'
     return f'{told} {price(found)}' if found.price else told
 
@@ -33,7 +33,7 @@ def price(found: Identified) -> str:
 
 
 def document(found: Identified) -> dict[str, Any]:
-    """Everything, by name, in SI units."""
+    """Document of everything, by name, in SI units."""
     joints: dict[str, dict[str, Any]] = {}
     for each in found.joints:
         joints.setdefault(each.joint, {})[each.name] = {
@@ -51,12 +51,12 @@ def document(found: Identified) -> dict[str, Any]:
 
 
 def _body(parameters: Array) -> dict[str, Any]:
-    body = Load('', parameters, 0.0)
+    body = CarriedBody('', parameters, 0.0)
     return {'mass': body.mass, 'centre': body.centre.tolist(), 'inertia': body.inertia.tolist()}
 
 
 def lines(found: Identified) -> list[str]:
-    """One for each quantity that is not as described, and what to mind."""
+    """Lines for each quantity that is not as described, and what to mind."""
     told = [f'{name}: {found.described[name][0]:.4g} kg to {found.links[name][0]:.4g} kg, centre '
             f'({_row(_body(found.links[name])["centre"])}) m.'
             for name in changed_links(found) if name not in found.mended]

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.export.identified import Identified, Load
+from semiparam_ros.export.identified import CarriedBody, Identified
 from semiparam_ros.export.xml_edit import Editor, Element, comment, number
 
 UNCHANGED = 1e-9
@@ -18,7 +18,7 @@ AXES = ('ixx', 'ixy', 'iyy', 'ixz', 'iyz', 'izz')
 
 
 def described_links(urdf: str) -> dict[str, Array]:
-    """(10,) m, m c and inertia about the link's origin, of every link that has an inertial.
+    """Parameters (10,) of links with an inertial: m, m c and inertia about the link's origin.
 
     Raises SemiparamError when the text is no URDF.
     """
@@ -76,15 +76,15 @@ def identified_urdf(urdf: str, found: Identified, remark: str) -> str:
 
 
 def changed_links(found: Identified) -> list[str]:
-    """Those whose parameters are no longer the description's."""
+    """Names of the links whose parameters are no longer the description's."""
     return [name for name, values in found.links.items()
             if not np.allclose(values, found.described[name], rtol=0.0,
                                atol=UNCHANGED * float(np.linalg.norm(found.described[name])))]
 
 
 def _write(editor: Editor, inertial: Element, parameters: Array) -> None:
-    """New numbers for an inertial, in the axes of its link."""
-    values = inertial_values(Load('', parameters, 0.0))
+    """Write new numbers for an inertial, in the axes of its link."""
+    values = inertial_values(CarriedBody('', parameters, 0.0))
     for tag, attributes in values.items():
         element = inertial.find(tag)
         if element is None:
@@ -93,7 +93,7 @@ def _write(editor: Editor, inertial: Element, parameters: Array) -> None:
             editor.set(element, attributes)
 
 
-def inertial_values(body: Load) -> dict[str, dict[str, str]]:
+def inertial_values(body: CarriedBody) -> dict[str, dict[str, str]]:
     """The elements of an inertial with their attributes."""
     inertia = body.inertia[np.tril_indices(3)]  # xx, xy, yy, xz, yz, zz
     return {'origin': {'xyz': ' '.join(map(number, body.centre)), 'rpy': '0 0 0'},
@@ -101,7 +101,7 @@ def inertial_values(body: Load) -> dict[str, dict[str, str]]:
             'inertia': dict(zip(AXES, map(number, inertia), strict=True))}
 
 
-def _load_elements(load: Load, taken: set[str]) -> list[str]:
+def _load_elements(load: CarriedBody, taken: set[str]) -> list[str]:
     """A link with the load's inertial, and the joint that fixes it."""
     name = f'payload_{load.link}'
     while name in taken or f'{name}_joint' in taken:

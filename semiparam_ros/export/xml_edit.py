@@ -125,7 +125,7 @@ class Editor:
         return line.decode() if line.isspace() else ''
 
     def text(self) -> str:
-        """With all changes."""
+        """Text with all changes."""
         parts, place = [], 0
         for start, end, new in sorted(self._edits, key=lambda edit: edit[:2]):
             parts += [self._text[place:start], new]
@@ -139,5 +139,5 @@ def comment(sentences: str) -> str:
 
 
 def number(value: float) -> str:
-    """Ten digits: finer than anything measured."""
+    """Text of ten digits: finer than anything measured."""
     return f'{value + 0.0:.10g}'

@@ -3,6 +3,10 @@
 What was noticed (:mod:`semiparam_ros.online.changes`) is named from the samples before and after it
 (:mod:`semiparam_ros.diagnosis.change`), again and again as more of them come, beside what the model
 declares and the changes that were named before.
+
+With ``diagnosis.auto: apply`` what was named is tried beside the model, applied, and taken back when
+it is over (:mod:`semiparam_ros.online.applied_effects`). Meanwhile nothing is learnt of samples that
+stand out, so that what was learnt stays that of the robot before the change.
 """
 
 from __future__ import annotations
@@ -10,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,11 +24,12 @@ from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.base import place
+from semiparam_ros.effects.base import Span, place
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
-from semiparam_ros.online.changes import BLOCK_S, LASTING, Change, ChangeDetector
+from semiparam_ros.online.applied_effects import AppliedEffects, Trial
+from semiparam_ros.online.changes import BLOCK_S, LASTING, Block, Change, ChangeDetector
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.worker import Background, Urgency
@@ -42,7 +47,53 @@ NAMED_AFTER_S = (6.0, 12.0, 25.0, 50.0)
 MOST_RECORDS = 50
 """The latest changes are kept."""
 
-STATES = ('not looked for', 'learns what is usual', 'as it was', 'touched, or changing', 'changed')
+STATES = (
+    'not looked for',
+    'learns what is usual',
+    'as it was',
+    'touched, or changing',
+    'changed',
+    'changed, and allowed for',
+)
+QUIET = (*STATES[:3], STATES[5])
+"""States in which nothing is wrong."""
+NAMED_TWICE = 2
+"""Namings without an effect after which a change is learnt."""
+HELD_S = 30.0
+"""[s of motion] What stands out is kept from being learnt no longer."""
+
+
+class Decision(NamedTuple):
+    """What was decided of a change at a stamp [ns]: one of ``TRIED`` to ``DROPPED``.
+
+    :param evidence: [nat] of what came since it was tried, or since it was over. :param error_share:
+        the error while it was applied over what it would have been without; NaN for what never was.
+    """
+
+    what: str
+    stamp: int
+    evidence: float = float('nan')
+    error_share: float = float('nan')
+
+    @property
+    def sentence(self) -> str:
+        """For people, without a full stop."""
+        found = f'{self.what} at {self.stamp / NANOSECONDS:.2f} s'
+        if self.evidence == self.evidence:
+            found += f' (evidence {self.evidence:.0f} nat)'
+        if self.error_share == self.error_share:
+            found += f'; the error was {self.error_share:.0%} of what it would have been'
+        return found
+
+    def as_dict(self) -> dict[str, object]:
+        """For the log."""
+        values = {'evidence': self.evidence, 'error_share': self.error_share}
+        known = {name: value if value == value else None for name, value in values.items()}
+        return {'what': self.what, 'stamp_s': self.stamp / NANOSECONDS, **known}
+
+
+TRIED, APPLIED, TAKEN_BACK = 'tried beside the model', 'applied', 'taken back'
+DROPPED, LEARNT = 'dropped, as nothing spoke for it', 'learnt, as no effect of the robot explains it'
 
 
 @dataclass(frozen=True)
@@ -52,6 +103,9 @@ class ChangeRecord:
 
     change: Change
     named: NamedChange | None = None
+    times_named: int = 0
+    decisions: tuple[Decision, ...] = ()
+    """With ``diagnosis.auto: apply``, in their order."""
 
     @property
     def effect(self) -> Effect | None:
@@ -63,22 +117,28 @@ class ChangeRecord:
         """Whether it was no change after all: no effect explains it better than none, or it was
         over as soon as a contact is and no load."""
         change, effect = self.change, self.effect
+        if self.was_applied:
+            return False
         brief = change.ended is not None and change.ended - change.since < CONTACT_S * NANOSECONDS
         if effect is None:
             return brief or (self.named is not None and bool(change.kind))
         return brief and not effect.is_load
 
     @property
+    def was_applied(self) -> bool:
+        """Whether the model was helped by it."""
+        return any(decision.what == APPLIED for decision in self.decisions)
+
+    @property
     def times_s(self) -> tuple[float | None, float | None]:
         """[s] when it began and ended, as stamps count; None for what was there before, or is there
         yet."""
         change, effect = self.change, self.effect
+        ended = None if change.ended is None else change.ended / NANOSECONDS
         if effect is not None:
-            return effect.span.start_stamp_s, effect.span.end_stamp_s
-        return (
-            change.since / NANOSECONDS,
-            None if change.ended is None else change.ended / NANOSECONDS,
-        )
+            known = effect.span.end_stamp_s
+            return effect.span.start_stamp_s, ended if known is None else known
+        return change.since / NANOSECONDS, ended
 
     @property
     def sentence(self) -> str:
@@ -103,7 +163,9 @@ class ChangeRecord:
             f'{name} {value.value:.3g} +- {value.std or 0.0:.1g} {value.unit}'.rstrip()
             for name, value in list(self.named.parameters.items())[:4]
         )
-        return f'{place(effect.kind, effect.where)} {since}{until}: {effect.sentence} ({values}).'
+        decided = f' It was {self.decisions[-1].sentence}.' if self.decisions else ''
+        what = place(effect.kind, effect.where)
+        return f'{what} {since}{until}: {effect.sentence} ({values}).{decided}'
 
     def as_dict(self) -> dict[str, object]:
         """For the log; times in seconds as stamps count."""
@@ -121,6 +183,7 @@ class ChangeRecord:
                 'outputs': list(change.outputs),
             },
             'named': None if self.named is None else self.named.as_dict(),
+            'decisions': [decision.as_dict() for decision in self.decisions],
             'retracted': self.retracted,
             'sentence': self.sentence,
         }
@@ -137,7 +200,7 @@ def known(declared: Sequence[Effect], named: Sequence[Effect]) -> tuple[Effect, 
 
 
 class ChangeWatch:
-    """Notices changes of one robot, and has them named.
+    """Notices changes of one robot, has them named, and applies what was named.
 
     :param told: called with each record when it is new, and when more is known of it.
     :param failed: called with what went wrong while one was named.
@@ -155,6 +218,12 @@ class ChangeWatch:
         self.detector: ChangeDetector | None = None
         """None while no model can be judged: with features in every one, or coefficients that are
         fixed."""
+        self.applies = False
+        """Whether what was named is applied (``diagnosis.auto: apply``)."""
+        self.applied = AppliedEffects(body)
+        self.holds = False
+        """Whether the next sample is not to be learnt."""
+        self._held_s = 0.0
         self._body, self._background, self._told, self._failed = body, background, told, failed
         self._columns: CoupledColumns | None = None
         self._due: list[tuple[int, int]] = []
@@ -162,6 +231,7 @@ class ChangeWatch:
         self._naming = False
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
+        self._now = 0
 
     @property
     def state(self) -> str:
@@ -173,33 +243,42 @@ class ChangeWatch:
             return STATES[4]
         if detector.touched:
             return STATES[3]
+        if self.applied.applied:
+            return STATES[5]
         return STATES[2] if detector.knows else STATES[1]
 
     @property
     def picked(self) -> tuple[bool, Load | None]:
         """Whether a load was picked up that is still there, and that load where it is named."""
+        loads = []
+        for trial in self.applied.applied:
+            record = self.records.get(trial.number)
+            named = None if record is None else record.named
+            if trial.effect.is_load:
+                values = (trial.coefficients, trial.std) if named is None else named.coefficients
+                loads.append((str(trial.effect.where), *values))
         followed = None if self.detector is None else self.detector.followed
         record = None if followed is None else self.records.get(followed.change.number)
-        if record is None or followed is None:
+        if record is not None and record.named is not None and record.effect is not None:
+            if record.effect.is_load and not record.effect.ends:
+                loads.append((str(record.effect.where), *record.named.coefficients))
+        elif record is not None and record.change.kind == Payload.kind:
+            return True, None
+        if not loads:
             return False, None
-        named, effect = record.named, record.effect
-        if named is None or effect is None:
-            return followed.change.kind == Payload.kind, None
-        if not effect.is_load or effect.ends:
-            return False, None
-        values = list(named.parameters.values())
-        return True, Load(
-            str(effect.where),
-            np.array([value.value for value in values]),
-            np.diag([(value.std or 0.0) ** 2 for value in values]),
-        )
+        link = loads[0][0]
+        parts = [(values, std) for where, values, std in loads if where == link]
+        total = np.sum([values for values, _ in parts], axis=0)
+        return True, Load(link, total, np.diag(np.sum([std**2 for _, std in parts], axis=0)))
 
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
+        self.holds = False
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock."""
+        self.applied.reset()
         if self.detector is not None:
             self.detector.reset()
 
@@ -209,12 +288,111 @@ class ChangeWatch:
         if part is None:
             self.forget()
             return
-        change = self._detector_of(estimator.columns).see(*part)
-        now = prediction.sample.stamp
+        detector = self._detector_of(estimator.columns)
+        change = detector.see(*part, self.applied.added, self.applied.spread)
+        self._now = now = prediction.sample.stamp
         if change is not None:
             self._record(change, now)
+        if detector.finished is not None and detector.knows:
+            self._judge(detector, detector.finished)
+            self._hold(detector)
         if self._due and not self._naming and now >= self._due[0][0]:
             self._name(self._due.pop(0)[1], history, estimator.columns.effects, now)
+
+    def _judge(self, detector: ChangeDetector, block: Block) -> None:
+        """Apply what the blocks speak for, take back what they speak against, drop the rest."""
+        applied, now = self.applied, block.end
+        trial = applied.judge(block, detector.noise, detector.usual_squares)
+        if trial is not None and trial.remembered and not trial.applied:
+            rival = detector.likeliest()  # another load than the one that is known
+            trial = None if rival is not None and rival.evidence > trial.score else trial
+        if trial is not None and (self.applies or trial.applied):
+            self._switch(detector, trial, now)
+        for trial in applied.without_hope():
+            applied.drop(trial.number)
+            self._decide(trial.number, Decision(DROPPED, now, trial.score))
+
+    def _switch(self, detector: ChangeDetector, trial: Trial, now: int) -> None:
+        """What stood out was this effect that came, or went: go on with the model as it was."""
+        score, since = trial.score, trial.since
+        came_again = trial.remembered and not trial.applied
+        share = trial.share if trial.applied else float('nan')
+        known = self.records.get(trial.number)
+        beside = None if detector.followed is None else detector.followed.change.number
+        self.applied.switch(trial, now)
+        decision = Decision(APPLIED if trial.applied else TAKEN_BACK, now, score, share)
+        if beside is not None and beside != trial.number:
+            self._forget_record(beside)
+        if known is None or came_again:
+            detector.number += beside is None
+            known = self._record_of(trial, known, detector.number, since, now)
+            trial.number = detector.number
+        trial.reference = detector.reference if trial.applied else trial.reference
+        detector.resume(trial.reference)
+        record = replace(known, decisions=(*known.decisions, decision))
+        self.records[trial.number] = record
+        if trial.applied:
+            self._told(record)
+        else:
+            self._record(record.change._replace(noticed=now, ended=since), now)
+
+    def _record_of(
+        self, trial: Trial, known: ChangeRecord | None, number: int, since: int, now: int
+    ) -> ChangeRecord:
+        """That of an effect that comes again, or that was there before the node began."""
+        effect = trial.effect
+        change = Change(number, since, now, effect.kind, effect.where, np.nan, np.nan, trial.score, ())
+        if known is None:
+            return ChangeRecord(change)
+        outputs, named = known.change.outputs, known.named
+        if named is not None and named.effect is not None:
+            span = Span(start_stamp_s=since / NANOSECONDS)
+            named = replace(named, effect=replace(named.effect, span=span))
+        return ChangeRecord(change._replace(outputs=outputs), named)
+
+    def _forget_record(self, number: int) -> None:
+        """It was no change of its own, but another one that was over, or came again."""
+        self.records.pop(number, None)
+        self._due = [(when, other) for when, other in self._due if other != number]
+
+    def _decide(self, number: int, decision: Decision) -> None:
+        record = self.records.get(number)
+        if record is not None:
+            self.records[number] = replace(record, decisions=(*record.decisions, decision))
+            self._told(self.records[number])
+
+    def _hold(self, detector: ChangeDetector) -> None:
+        """Keep what stands out from being learnt until it is known what it is."""
+        followed = detector.followed
+        waits = followed is not None and self._waits(followed.change.number)
+        if not self.applies or not (detector.stands_out or waits):
+            self.holds, self._held_s = False, 0.0
+        elif followed is None or waits:
+            self.holds = self._held_s < HELD_S
+            self._held_s += BLOCK_S
+        elif self.holds:
+            self.holds = False
+            self._decide(followed.change.number, Decision(LEARNT, self._now))
+
+    def _waits(self, number: int) -> bool:
+        """Whether a change is still to be named, or tried."""
+        record = self.records.get(number)
+        if record is None or any(decision.what == DROPPED for decision in record.decisions):
+            return False
+        return record.times_named < NAMED_TWICE or self.applied.of_change(number) is not None
+
+    def _try(self, record: ChangeRecord) -> None:
+        """Let an effect that was named predict beside the model."""
+        effect, named, number = record.effect, record.named, record.change.number
+        if effect is None or named is None or not self.applies:
+            return
+        if effect.from_outside or (effect.ends and record.change.ended is None):
+            return
+        followed = None if self.detector is None else self.detector.followed
+        waits = followed is not None and followed.change.number == number and self.holds
+        known = self.applied.of_change(number) is not None
+        if (waits or known) and self.applied.offer(number, effect, *named.coefficients, self._now):
+            self._decide(number, Decision(TRIED, self._now))
 
     def _detector_of(self, columns: CoupledColumns) -> ChangeDetector:
         """That of a model, which goes on where the model's columns are those that it had."""
@@ -232,18 +410,18 @@ class ChangeWatch:
 
     def _record(self, change: Change, now: int) -> None:
         known = self.records.get(change.number)
-        record = ChangeRecord(change) if known is None else replace(known, change=change)
+        anew = known is None or known.change.since != change.since
+        record = replace(known, change=change) if known and not anew else ChangeRecord(change)
         self.records[change.number] = record
         for number in list(self.records)[:-MOST_RECORDS]:
             del self.records[number]
-        if known is None:
-            self._due += [
-                (change.since + round(seconds * NANOSECONDS), change.number)
-                for seconds in NAMED_AFTER_S
-            ]
-        elif change.ended is not None:
+        if anew or change.ended is not None:
             self._due = [(when, number) for when, number in self._due if number != change.number]
-            self._due.append((now, change.number))
+            times = NAMED_AFTER_S if change.ended is None else (0.0,)
+            begins = change.since if change.ended is None else now
+            self._due += [
+                (begins + round(seconds * NANOSECONDS), change.number) for seconds in times
+            ]
         self._due.sort()
         self._told(record)
 
@@ -271,6 +449,7 @@ class ChangeWatch:
             change.since,
             change.ended,
             self._inputs,
+            tuple(self.applied.contributions),
             done=partial(self._named, number),
             urgency=Urgency.ASKED,
         )
@@ -282,10 +461,14 @@ class ChangeWatch:
         record = self.records.get(number)
         if record is not None and named is not None:
             self._inputs = named.inputs
-            self.records[number] = replace(record, named=named)
-            if self.records[number].retracted:
+            if named.effect is None and record.was_applied:
+                named = record.named
+            record = replace(record, named=named, times_named=record.times_named + 1)
+            self.records[number] = record
+            if record.retracted:
                 self._retract(number)
-            self._told(self.records[number])
+            self._told(record)
+            self._try(record)
 
     def _retract(self, number: int) -> None:
         self._due = [(when, other) for when, other in self._due if other != number]

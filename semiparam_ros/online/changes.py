@@ -142,15 +142,18 @@ class Change(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Products of a quarter of a second of motion that began at ``start`` [ns]."""
+    """Products of a quarter of a second of motion from ``start`` to ``end`` [ns]."""
 
     start: int
+    end: int
     gram: Array  # (K, K) A
     moment: Array  # (K,) h
     live: float  # weighed squares that the model leaves as it stands
     own: Array
     """(6, n) of each output the sums of w (1, t, t^2, r, r t, r^2), with weights w and time t in
     blocks."""
+    added: Array
+    """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
 
 
 def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
@@ -288,7 +291,8 @@ class ChangeDetector:
         self._names, self._scale = body.output_names, output_scale(body)
         self._load_scale = float(load_scale(body, str(self.causes[0].where))[0])
         self._joints = body.output_index if body.outputs == 'effort' else None
-        self._told_of = told
+        self.number = told
+        """That of the latest change that was told."""
         self.forget()
 
     def forget(self) -> None:
@@ -313,11 +317,27 @@ class ChangeDetector:
         self._compared: Array = np.zeros(3)
         """Weighed squares of the model from before, and as it stands, over so many blocks; none
         while they are one."""
+        self.finished: Block | None = None
+        """The block that the newest sample finished, None where it did not."""
         self._begin_block()
+
+    @property
+    def reference(self) -> Array | None:
+        """(p,) coefficients of the model that outputs are compared with; None before the first."""
+        return None if self._reference is None else self._reference.copy()
+
+    def resume(self, reference: Array | None) -> None:
+        """Drop what is half seen, and compare with these coefficients (p,), unless those of the
+        model as it stands turn out to predict better."""
+        now = self._reference
+        self.reset()
+        if reference is not None and now is not None and now.shape == reference.shape:
+            self._reference, self._held = reference, True
 
     def _begin_block(self) -> None:
         p, n = len(self._directions), len(self._names)
         self._gram, self._moment, self._own = np.zeros((p, p)), np.zeros(p), np.zeros((6, n))
+        self._added = np.zeros((0, 2, n))
         self._seconds, self._start = 0.0, 0
 
     @property
@@ -331,12 +351,30 @@ class ChangeDetector:
         that it has."""
         return self._reference if self._held else None
 
-    def see(self, prediction: Prediction, model: Model) -> Change | None:
+    @property
+    def stands_out(self) -> bool:
+        """Whether anything does, be it a contact, a change that is told yet, or one that is over."""
+        return self.touched or bool(self._standing)
+
+    @property
+    def usual_squares(self) -> float:
+        """Weighed squares that a block of free motion has."""
+        return float(np.median(self._power))
+
+    def see(
+        self,
+        prediction: Prediction,
+        model: Model,
+        added: Array | None = None,
+        spread: Array | float = 0.0,
+    ) -> Change | None:
         """Take one predicted sample into account; what is told with it.
 
-        :param prediction: of a ``model`` without features.
+        :param prediction: of a ``model`` without features. :param added: (m, n) what known effects
+            add to the outputs. :param spread: (n,) standard deviation of those that were taken off.
         """
         sample, theta = prediction.sample, model.theta
+        self.finished = None
         seconds = (
             0.0
             if self._newest is None
@@ -353,19 +391,21 @@ class ChangeDetector:
         elif model is not self._model:  # its coefficients may be worse than those before
             self._held, self._compared = True, np.zeros(3)
         self._model = model
-        weight = model.noise_std / (self._noise_std * prediction.model_std)
+        weight = model.noise_std / (self._noise_std * np.hypot(prediction.model_std, spread))
         if self._joints is not None:  # what holds a joint that rests tells nothing
             weight = weight * (speed[self._joints] > SPEEDS[0])
         if self._familiar < UNSEEN_S:
             weight = weight / UNSEEN_FACTOR
         if self._reference is None:
             self._reference = theta.copy()
-        self._add(prediction, self._reference, weight)
+        self._add(prediction, self._reference, weight, added)
         self._start = self._start or sample.stamp
         self._seconds += seconds
         return None if self._seconds < BLOCK_S - 1e-6 else self._finish_block(sample.stamp, theta)
 
-    def _add(self, prediction: Prediction, reference: Array, weight: Array) -> None:
+    def _add(
+        self, prediction: Prediction, reference: Array, weight: Array, added: Array | None
+    ) -> None:
         columns = prediction.columns
         rows = columns[:, : len(self._directions)] * weight[:, None]
         left = (prediction.sample.outputs - columns @ reference) * weight
@@ -381,6 +421,11 @@ class ChangeDetector:
             time * pulls,
             left * left,
         )
+        if added is not None and len(added):
+            known = added * weight
+            if len(self._added) != len(known):
+                self._added = np.zeros((len(known), 2, len(left)))
+            self._added += np.stack([known * left, known * known], axis=1)
 
     def _finish_block(self, stamp: int, theta: Array) -> Change | None:
         directions = self._directions
@@ -389,16 +434,19 @@ class ChangeDetector:
         live = float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
         block = Block(
             self._start,
+            stamp,
             directions.T @ self._gram @ directions,
             directions.T @ self._moment,
             live,
             self._own,
+            self._added,
         )
         self._begin_block()
         if not np.isfinite(block.own).all() or not np.isfinite(block.gram).all():
             self.reset()  # no sensor measures that
             return None
         self._blocks.append(block)
+        self.finished = block
         self._count += 1
         if self.followed is not None:
             self.followed.add(block)
@@ -484,7 +532,7 @@ class ChangeDetector:
         return found
 
     @property
-    def _noise(self) -> float:
+    def noise(self) -> float:
         """kappa: the usual mean square of what the whole rigid body explains, over the longest
         windows known."""
         return float(next(usual.median[-1] for usual in reversed(self._usual) if usual.known))
@@ -505,6 +553,10 @@ class ChangeDetector:
         if again and followed is not None and followed.cause == best.cause:
             return None
         return self._change(stamp, best)
+
+    def likeliest(self) -> Judged | None:
+        """The change that is likeliest now, beside a contact and none."""
+        return self._likeliest(self._left()) if self._blocks else None
 
     def _likeliest(self, moments: Array) -> Judged | None:
         """The change that is likeliest, beside a contact and none."""
@@ -531,7 +583,7 @@ class ChangeDetector:
             ],
             axis=0,
         )
-        kappa = self._noise * np.maximum(left / (np.median(self._power) * counts), 1.0)
+        kappa = self.noise * np.maximum(left / (np.median(self._power) * counts), 1.0)
         rival = self._touched(own, kappa, starts)
         best: Judged | None = None
         for (values, vectors), each, cause in zip(spectra, along, self.causes, strict=True):
@@ -612,7 +664,7 @@ class ChangeDetector:
         power = np.array([block.own[-1].sum() for block in self._blocks])[-len(gains) :]
         counts = np.arange(len(gains), 0, -1)
         left = np.cumsum(power[::-1])[::-1] / (np.median(self._power) * counts)
-        gains = np.cumsum(gains[::-1])[::-1] / (self._noise * np.maximum(left, 1.0))
+        gains = np.cumsum(gains[::-1])[::-1] / (self.noise * np.maximum(left, 1.0))
         at = int(gains.argmax())
         return self._blocks[len(self._blocks) - len(gains) + at].start if gains[at] > SURE else None
 
@@ -628,9 +680,9 @@ class ChangeDetector:
             std = float(np.sqrt(judged.covariance[0, 0])) * self._load_scale
         followed = self.followed
         again = followed is not None and followed.blocks < JUDGED_ANEW
-        self._told_of += not again
+        self.number += not again
         change = Change(
-            self._told_of,
+            self.number,
             blocks[0].start,
             stamp,
             judged.cause.kind,

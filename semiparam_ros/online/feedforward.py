@@ -56,7 +56,7 @@ class Feedforward:
             raise WithheldError(self.withheld)
         self.withheld = ''
         answer = desired if ready else described
-        found = answer(learner.estimator, *row, tools=learner.tools)
+        found = answer(learner.estimator, *row, added=learner.added_to_desired(*row))
         doubtful = ready and is_doubtful(found)
         self._count(answered=1, described=found.described, limited=bool(found.limited.any()), doubtful=doubtful)
         if doubtful:

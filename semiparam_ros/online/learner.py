@@ -42,7 +42,7 @@ from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import Background
 from semiparam_ros.settings.snapshot import Settings
 
-OFF = 'off'
+OFF, APPLY = 'off', 'apply'
 """Of ``diagnosis.auto``."""
 FAILURES_AT_MOST = 3
 """So many samples in a row that the active model cannot answer, and it counts as broken."""
@@ -54,11 +54,16 @@ class Answer(NamedTuple):
     prediction: Prediction
     residual: Array  # (n,) outputs minus prediction, in N and N m
     innovation: float  # root mean square of the residual in predictive standard deviations
-    learnt: bool
+    learning: Learning
     contact: bool
     contact_level: Array  # (n,) residual over the gate's threshold; 0 where it does not judge
     places: Array  # (n_links,) how likely the contact is at each link of the gate's places
     contact_s: float  # since the contact began
+
+    @property
+    def learnt(self) -> bool:
+        """Whether the model is to learn it."""
+        return self.learning > 0
 
 
 class LearnerListener(Protocol):
@@ -149,6 +154,7 @@ class Learner:
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
         sample, of_tools = self.tools.taken_off(sample)
+        sample, of_changes = self.changes.applied.taken_off(sample)
         prediction = self._predict(sample)
         if prediction is None:
             self.lost += 1
@@ -158,14 +164,13 @@ class Learner:
             self._listener.announce(
                 f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                 'a change of the robot, and is learnt.')
-        learning = learning_of(prediction, self.settings.learning and not contact, self.gate)
-        learn = learning > 0
-        answer = Answer(self._as_measured(prediction, of_tools), sample.outputs - prediction.mean,
-                        standardised_innovation(prediction), learn, contact, self.gate.level, *self.gate.places())
-        self._emit(answer, learning)  # before learning, which takes as long as predicting
+        learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
+        answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
+                        standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places())
+        self._emit(answer)  # before learning, which takes as long as predicting
         self._look_for_changes(prediction)
         if self._observe(prediction, learning):
-            renews = learn and not self.settings.hyperparameters_sigma and self._renews(prediction)
+            renews = answer.learnt and not self.settings.hyperparameters_sigma and self._renews(prediction)
             self.switcher.offer(sample, learning)
             if self._asked is None and self.estimator.window_full:
                 self._end_window()
@@ -177,6 +182,7 @@ class Learner:
         if self.settings.diagnosis_auto == OFF:
             self.changes.forget()
             return
+        self.changes.applies = self.settings.diagnosis_auto == APPLY
         try:
             self.changes.see(self.estimator, prediction, self.history)
         except Exception as error:
@@ -187,8 +193,20 @@ class Learner:
         """(6,) the measured wrench of an answer that was just given, without weight, inertia and bias of the tool."""
         prediction = answer.prediction
         bodies, bias = bodies_and_bias(self.estimator, prediction)
-        taken_off = compensation.taken_off(prediction, bodies + self.tools.parameters, bias + self.tare.bias)
+        more, further = self.changes.applied.bodies_and_bias()
+        taken_off = compensation.taken_off(prediction, bodies + self.tools.parameters + more,
+                                           bias + self.tare.bias + further)
         return answer.residual + prediction.mean - taken_off
+
+    def added_to_desired(self, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array] | None:
+        """(n,) what tools and applied changes add to a desired state, as the sensor shows it, and as the arm needs it;
+        None where there are none."""
+        applied = self.changes.applied
+        if not (self.tools.texts or applied.applied):
+            return None
+        of_tools = self.tools.outputs(position, velocity, acceleration)
+        shown, needed = applied.desired(position, velocity, acceleration)
+        return of_tools + shown, of_tools + needed
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons after a jump of the clock; the models stay."""
@@ -235,20 +253,21 @@ class Learner:
             self._listener.horizon_completed(errors)
         return True
 
-    def _as_measured(self, prediction: Prediction, of_tools: Array | None) -> Prediction:
-        """With the tools (n,) and the bias of the tare, which the sensor still has."""
-        if of_tools is not None:
-            prediction = prediction._replace(mean=prediction.mean + of_tools)
+    def _as_measured(self, prediction: Prediction, *added: Array | None) -> Prediction:
+        """With what tools and changes add (n,), and the bias of the tare, which the sensor still has."""
+        for more in added:
+            if more is not None:
+                prediction = prediction._replace(mean=prediction.mean + more)
         return prediction._replace(mean=prediction.mean + self.tare.bias) if self.tare.active else prediction
 
-    def _emit(self, answer: Answer, learning: Learning) -> None:
+    def _emit(self, answer: Answer) -> None:
         sample = answer.prediction.sample
         self.answered += 1
         self._seen += 1
         self.learnt += answer.learnt
         self.tare.add(sample.stamp, sample.outputs - answer.prediction.model_mean, answer.prediction.ready)
         self._listener.answered(answer)
-        self.history.append(sample, learning)
+        self.history.append(sample, answer.learning)
 
     def _end_window(self) -> None:
         """Let the background estimate hyperparameters, unless the settings want another model than this."""
@@ -374,6 +393,7 @@ class Learner:
     def reset(self) -> None:
         """Forget everything learnt."""
         self.tare = Tare(self.body.n_outputs)
+        self.changes.applied.clear()
         self._begin(self.settings, worker.new_estimator(self.settings, self.body, origin=self.history.origin))
 
     def restore(self, saved: SavedState) -> None:
@@ -382,11 +402,12 @@ class Learner:
         self.tare, self.tools = Tare(self.body.n_outputs, saved.bias), Tools(self.body, saved.settings.tools)
         self._begin(saved.settings, saved.estimator, saved.batch, saved.renewal)
         self.gate.restore(saved.gate)
+        self.changes.applied.restore(saved.applied)
 
     def state(self) -> SavedState:
         """What :meth:`restore` needs."""
         return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state(),
-                          self._renewal.state())
+                          self._renewal.state(), self.changes.applied.state())
 
     def _fall_back(self, error: Exception) -> None:
         """The active model is broken: go on with the last checkpoint, else with P and no effects."""

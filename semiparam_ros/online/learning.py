@@ -6,16 +6,22 @@ Kept with each sample, so that a model built later from the samples kept does wh
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.online.contact_gate import ContactGate
 
+if TYPE_CHECKING:
+    from semiparam_ros.online.change_watch import ChangeWatch
+
 
 class Learning(IntEnum):
     """Of one sample; above zero where it is learnt."""
 
+    OFFSET = -2
+    """The wandering offset alone follows it: the robot may have changed, and what it is will be known soon."""
     NO_NEWS = -1
     """Not learnt, nor do bands and offset follow it: the robot is at rest, its motors are off, or
     the clock has just jumped. A model that predicts otherwise, or does not know all samples of a
@@ -26,13 +32,15 @@ class Learning(IntEnum):
     """The first one learnt after a lasting change of the robot: what was learnt before counts for less."""
 
 
-def learning_of(prediction: Prediction, learn: bool, gate: ContactGate) -> Learning:
+def learning_of(prediction: Prediction, learn: bool, gate: ContactGate, changes: ChangeWatch | None) -> Learning:
     """That of a sample which the model in force has predicted and the gate has just judged.
 
-    :param learn: let it be learnt if it is news.
+    :param learn: let it be learnt if it is news. :param changes: keep what may be a change from being learnt.
     """
     if not prediction.motion.is_news:
         return Learning.NO_NEWS
+    if learn and changes is not None and changes.holds:
+        return Learning.OFFSET
     return Learning.AFTER_CHANGE if learn and gate.changed else Learning(learn)
 
 
@@ -43,4 +51,4 @@ def observe(estimator: Estimator, prediction: Prediction, learning: int, finish:
     motion, is_news = prediction.motion, learning != Learning.NO_NEWS
     if motion.is_news != is_news:
         prediction = prediction._replace(motion=motion._replace(is_news=is_news))
-    return estimator.observe(prediction, learning > 0, finish)
+    return estimator.observe(prediction, learning > 0, finish, learning == Learning.OFFSET)

@@ -25,6 +25,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
 from semiparam_ros.errors import SemiparamError, listed
+from semiparam_ros.online.applied_effects import AppliedEffects
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.learning import Learning, observe
@@ -73,7 +74,7 @@ Arrays: TypeAlias = dict[str, Array | Stamps | Mask | Codes]
 
 class SavedState(NamedTuple):
     """A learner's model, the settings it was built with, the samples it keeps, the bias (n,) of the tare, the gate,
-    and when the hyperparameters are estimated again."""
+    when the hyperparameters are estimated again, and the effects that are applied beside the model."""
 
     settings: Settings
     estimator: Estimator
@@ -81,6 +82,7 @@ class SavedState(NamedTuple):
     bias: Array
     gate: Memory
     renewal: Memory
+    applied: Memory
 
 
 class Snapshot(NamedTuple):
@@ -160,18 +162,19 @@ def snapshot(state: SavedState) -> Snapshot:
     memory: dict[str, Array] = {}
     gate: dict[str, Array] = {}
     renewal: dict[str, Array] = {}
+    applied: dict[str, Array] = {}
     first, *others = learnt.models
     meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'window_left': first.window_left,
             'passed_over': first.passed_over,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate),
-            'renewal': _as_json(state.renewal, renewal)}
+            'renewal': _as_json(state.renewal, renewal), 'applied': _as_json(state.applied, applied)}
     if others:
         meta['others'] = [{'hyperparameters': asdict(other.hyperparameters), 'window_left': other.window_left,
                            'passed_over': other.passed_over} for other in others]
     groups: dict[str, Mapping[str, Array | Stamps | Mask | Codes]] = {
         'average': learnt.average, **{f'other{index}': _model_arrays(other) for index, other in enumerate(others)},
         **{group: getattr(first, group) for group in MODEL_ARRAYS},
-        'memory': memory, 'gate': gate, 'renewal': renewal, 'window': learnt.window,
+        'memory': memory, 'gate': gate, 'renewal': renewal, 'applied': applied, 'window': learnt.window,
         'motion': _stacked(learnt.motion), 'kept': learnt.kept, 'carried': learnt.carried}
     arrays: Arrays = {'meta': np.array(json.dumps(meta)), 'bias': state.bias,
                       'inputs_learnt': learnt.inputs_learnt, 'temperature': learnt.temperature,
@@ -267,8 +270,10 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
             memory = _from_json(meta[name], _group(arrays, name))
             _check_kinds(name, memory, part.state())
             part.restore(memory)
+        applied = AppliedEffects(body)
+        applied.restore(_from_json(meta['applied'], _group(arrays, 'applied')))
         saved = SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate.state(),
-                           renewal.state())
+                           renewal.state(), applied.state())
         _check_nothing_else(arrays, meta, saved)
         _try(saved, gate)
         return saved

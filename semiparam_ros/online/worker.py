@@ -34,6 +34,7 @@ from semiparam_ros.core.recursion import KEPT
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import transport
+from semiparam_ros.online.applied_effects import Contribution, as_measured
 from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.learning import Learning, observe
 from semiparam_ros.online.renewal import MOST_WORSE, Errors, RecentWindow, judged, later_window
@@ -523,13 +524,18 @@ class Outcome(NamedTuple):
     effects: tuple[Effect, ...]
 
 
-def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> Outcome:
-    """Diagnose samples with the effects declared so far; raises SemiparamError as the command does."""
+def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect],
+             taken_off: Sequence[Contribution] = ()) -> Outcome:
+    """Diagnose samples with the effects declared so far; raises SemiparamError as the command does.
+
+    :param taken_off: what was taken off the samples before they were kept.
+    """
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.diagnosis.text_report import summary, text_report
 
-    samples, begun, used = batch.samples, time.perf_counter(), time.process_time()
-    assert samples is not None
+    begun, used = time.perf_counter(), time.process_time()
+    assert batch.samples is not None
+    samples = as_measured(body, batch.samples, taken_off)
 
     def progress(words: str, share: float) -> None:
         tell(Progress(f'{words} ({share:.0%})', left_s(len(batch), time.perf_counter() - begun,
@@ -540,30 +546,37 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect]) -> 
 
 
 def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], since: int,
-                ended: int | None, inputs: Inputs | None) -> NamedChange:
+                ended: int | None, inputs: Inputs | None, taken_off: Sequence[Contribution] = ()) -> NamedChange:
     """What began at a stamp [ns], and ended at another; times of the effect as stamps. See
-    :func:`~semiparam_ros.diagnosis.change.name_change`."""
+    :func:`~semiparam_ros.diagnosis.change.name_change`.
+
+    :param taken_off: what was taken off the samples before they were kept.
+    """
     from semiparam_ros.diagnosis.change import name_change
 
     samples = batch.samples
     if samples is None:
         raise SemiparamError('there are no samples to name a change from.')
-    origin = samples.origin
+    samples, origin = as_measured(body, samples, taken_off), samples.origin
     found = name_change(body, samples, effects, (since - origin) * 1e-9,
                         None if ended is None else (ended - origin) * 1e-9, inputs)
     return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
 
 
 def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence[Effect],
-               after: Sequence[Effect]) -> float | None:
+               after: Sequence[Effect], taken_off: Sequence[Contribution] = ()) -> float | None:
     """By how much [nat] other effects predict what came after a stamp [ns] better than those before; None where that
-    is too little to tell."""
+    is too little to tell.
+
+    :param taken_off: what was taken off the samples before they were kept.
+    """
     from semiparam_ros.diagnosis.change import gain_since
 
     samples = batch.samples
     if samples is None:
         return None
     try:
+        samples = as_measured(body, samples, taken_off)
         return gain_since(body, samples, (since - samples.origin) * 1e-9, before, after).total
     except SemiparamError:
         return None

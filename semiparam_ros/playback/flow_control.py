@@ -70,7 +70,7 @@ class FlowControl:
         return len(self._waiting)
 
     def patience(self, item: Item) -> float:
-        """0 when ``item`` may be published, else seconds to wait; raises FollowerSilent after the timeout."""
+        """Seconds until ``item`` may be published, or 0; FollowerSilent after the timeout."""
         with self._lock:
             if item.topic != self.request_topic or len(self._waiting) < self.window:
                 return 0.0
@@ -82,7 +82,7 @@ class FlowControl:
             return min(remaining, WIDEN_S - silent % WIDEN_S)
 
     def drain_patience(self) -> float:
-        """0 when every request is settled, else as :meth:`patience`; for the end of the playback."""
+        """Seconds to wait until every request is settled, as :meth:`patience`, at the end."""
         with self._lock:
             return self._remaining() if self._waiting else 0.0
 
@@ -138,18 +138,18 @@ class Followers:
         self._flows = flows
 
     def patience(self, item: Item) -> float:
-        """See ``player.Gate``."""
+        """Seconds to wait for the slowest follower."""
         return min((wait for flow in self._flows if (wait := flow.patience(item)) > 0.0), default=0.0)
 
     def sent(self, item: Item) -> None:
-        """See ``player.Gate``."""
+        """Tell every follower's flow control of a request."""
         for flow in self._flows:
             flow.sent(item)
 
     def answers(self) -> str:
-        """How many requests were answered, by each follower."""
+        """Numbers of the requests that each follower answered."""
         return ', '.join(f'{flow.answers} of {flow.requests} answered' for flow in self._flows)
 
     def settled(self) -> bool:
-        """Whether nothing waits for an answer; raises FollowerSilent when it has waited too long."""
+        """Tell whether nothing waits for an answer; FollowerSilent when it has waited too long."""
         return all(flow.drain_patience() == 0.0 for flow in self._flows)

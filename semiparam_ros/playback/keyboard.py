@@ -44,7 +44,7 @@ class Keyboard:
 
     @property
     def active(self) -> bool:
-        """Whether keys are being read."""
+        """Tell whether keys are being read."""
         return self._descriptor is not None
 
     def __enter__(self) -> Keyboard:
@@ -79,7 +79,7 @@ class Keyboard:
 
 
 def is_foreground_terminal() -> bool:
-    """Whether standard input is a terminal that this process may read: a background job would be stopped by it."""
+    """Tell whether this process may read standard input, a terminal; a background job may not."""
     try:
         return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except (OSError, ValueError, AttributeError):

@@ -1,4 +1,4 @@
-"""What a playback can be told, checked before anything is opened."""
+"""Options of a playback, checked before anything is opened."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ class FollowOptions:
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Everything `bag_replay` offers; times in seconds.
+    """Options of `bag_replay`; times in seconds.
 
-    :param rate: bag seconds a second; None plays as fast as the followers answer, which needs ``follow``
+    :param rate: bag seconds a second; None plays as fast as the followers answer, which needs
+        ``follow``
     :param clock_hz: publish /clock that often; None does not
     :param wait_for_subscribers: how many subscribing nodes to wait for
     :param wait_s: how long to wait for subscribers and followers
@@ -80,7 +81,7 @@ class ReplayOptions:
 
 
 def parse_remap(text: str) -> tuple[str, str]:
-    """``/old:=/new``; anything else raises SemiparamError."""
+    """Parse ``/old:=/new``; anything else raises SemiparamError."""
     old, separator, new = text.partition(':=')
     if not (old and separator and new):
         raise SemiparamError(f"'{text}' is no remapping: expected /old:=/new.")
@@ -88,7 +89,7 @@ def parse_remap(text: str) -> tuple[str, str]:
 
 
 def parse_follow(text: str) -> tuple[str, str | None]:
-    """``ANSWERS`` or ``ANSWERS=REQUESTS``."""
+    """Parse ``ANSWERS`` or ``ANSWERS=REQUESTS``."""
     answers, _, requests = text.partition('=')
     return answers, requests or None
 

@@ -26,10 +26,11 @@ def checked_rate(rate: float) -> float:
 
 
 class PlayClock:
-    """bag_time(t) = bag_anchor + rate (t - wall_anchor) while running; constant while paused. All times in ns.
+    """Clock: bag_time(t) = bag_anchor + rate (t - wall_anchor) [ns], constant while paused.
 
-    Every change re-anchors at the present instant, so changing the rate never makes the bag time jump, and because
-    due times are computed from the anchor and not from the previous message, a late wake-up does not add up.
+    Every change re-anchors at the present instant, so changing the rate never makes the bag time
+    jump, and because due times are computed from the anchor and not from the previous message, a
+    late wake-up does not add up.
     """
 
     def __init__(self, bag_time: int, rate: float = 1.0, paused: bool = False,
@@ -47,7 +48,7 @@ class PlayClock:
 
     @property
     def paused(self) -> bool:
-        """Whether the bag time stands still."""
+        """Tell whether the bag time stands still."""
         return self._paused
 
     def now(self) -> int:
@@ -86,7 +87,7 @@ class Item(NamedTuple):
 
 
 class Timeline(Protocol):
-    """What is played: messages between two bag times, readable from any of them as often as wanted."""
+    """Timeline to play: messages between two bag times, readable from any as often as wanted."""
 
     @property
     def start_ns(self) -> int:
@@ -97,21 +98,21 @@ class Timeline(Protocol):
         """Bag time of its last message [ns]."""
 
     def play(self, from_ns: int) -> Generator[Item, None, None]:
-        """Every item due at or after ``from_ns``, in order."""
+        """Generate every item due at or after ``from_ns``, in order."""
 
 
 class Gate(Protocol):
-    """Holds messages back until whoever follows has answered enough of the earlier ones."""
+    """Gate that holds messages back until enough of the earlier ones are answered."""
 
     def patience(self, item: Item) -> float:
-        """0 when ``item`` may go now, else the seconds to wait before asking again; raises when it gave up."""
+        """Seconds to wait before asking again, 0 when ``item`` may go; raises when it gave up."""
 
     def sent(self, item: Item) -> None:
-        """Told just before ``item`` is published."""
+        """Take note that ``item`` is about to be published."""
 
 
 class Ending(Enum):
-    """Why a playback ended."""
+    """Reason why a playback ended."""
 
     FINISHED = 'finished'
     STOPPED = 'stopped'
@@ -279,7 +280,7 @@ class Player:
 
     @property
     def paused(self) -> bool:
-        """Whether the playback is held."""
+        """Tell whether the playback is held."""
         return self._held
 
     @property

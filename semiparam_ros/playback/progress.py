@@ -1,41 +1,23 @@
-"""How far a playback is: a bar on a terminal, a line now and then everywhere else."""
+"""Progress of a playback: a bar on a terminal, a line now and then everywhere else."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
 from types import TracebackType
-from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+from semiparam_ros.playback.player import Player
 
 REFRESH_S = 0.2
 LINE_S = 10.0
 _SECONDS = 1e-9
 
 
-class Playback(Protocol):
-    """What is shown of a player."""
-
-    @property
-    def rate(self) -> float | None:
-        """Bag seconds a second, None when unpaced."""
-
-    @property
-    def paused(self) -> bool:
-        """Whether the playback is held."""
-
-    @property
-    def published(self) -> int:
-        """Messages published so far."""
-
-    def now(self) -> int:
-        """Bag time [ns]."""
-
-
-def describe(playback: Playback) -> str:
-    """'paused', '1.5 x' or, unpaced, 'as followed'."""
+def describe(playback: Player) -> str:
+    """Pace in words: 'paused', '1.5 x' or, unpaced, 'as followed'."""
     if playback.paused:
         return 'paused'
     return 'as followed' if playback.rate is None else f'{playback.rate:.4g} x'
@@ -48,7 +30,7 @@ class ReplayProgress:
     :param quiet: show nothing
     """
 
-    def __init__(self, playback: Playback, start_ns: int, end_ns: int, console: Console,
+    def __init__(self, playback: Player, start_ns: int, end_ns: int, console: Console,
                  answers: Callable[[], str] = str, quiet: bool = False) -> None:
         self._playback = playback
         self._answers = answers

@@ -30,7 +30,7 @@ class ReadAhead:
         self.start_ns, self.end_ns = timeline.start_ns, timeline.end_ns
 
     def play(self, from_ns: int) -> Generator[Item, None, None]:
-        """See ``player.Timeline``. Closing the iterator ends the thread; its errors are raised here."""
+        """Generate items from ``from_ns`` on; closing ends the thread, whose errors come here."""
         queue: Queue[list[Item] | _End] = Queue(BATCHES)
         closing = threading.Event()
         thread = threading.Thread(target=_fill, args=(self._timeline.play(from_ns), queue, closing), name=NAME,

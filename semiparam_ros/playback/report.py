@@ -13,7 +13,7 @@ INTERRUPTED = 130
 
 @dataclass(frozen=True)
 class Answers:
-    """What one follower made of the requests; stamps in ns."""
+    """Account of what one follower made of the requests; stamps in ns."""
 
     topic: str
     request_topic: str
@@ -30,12 +30,12 @@ class Answers:
 
     @property
     def complete(self) -> bool:
-        """Whether every request was answered."""
+        """Tell whether every request was answered."""
         return self.answers == self.requests
 
     @property
     def sentence(self) -> str:
-        """E.g. ``/estimator/residual answered 9 of 10 messages on /wrench; 1 unanswered, ...``"""
+        """Sentence such as ``/estimator/residual answered 9 of 10 messages on /wrench; ...``"""
         text = f'{self.topic} answered {self.answers} of {self.requests} messages on {self.request_topic}'
         if self.unanswered_stamps:
             text += f'; {len(self.unanswered_stamps)} unanswered, the first stamped {_stamp(self.unanswered_stamps[0])}'
@@ -44,7 +44,7 @@ class Answers:
         return text + '.'
 
     def to_dict(self) -> dict[str, object]:
-        """For ``--json``; stamps in ns."""
+        """Convert to a dictionary for ``--json``; stamps in ns."""
         return {'topic': self.topic, 'request_topic': self.request_topic, 'requests': self.requests,
                 'answers': self.answers, 'unexpected': self.unexpected, 'unanswered': len(self.unanswered_stamps),
                 'first_unanswered_stamp_ns': self.unanswered_stamps[0] if self.unanswered_stamps else None}
@@ -52,7 +52,7 @@ class Answers:
 
 @dataclass(frozen=True)
 class ReplayAccount:
-    """Everything a playback did, told at its end.
+    """Account of a playback, told at its end.
 
     :param ending: 'finished', 'stopped' or 'failed'
     :param failures: what makes the exit code 1, one sentence each
@@ -76,7 +76,7 @@ class ReplayAccount:
 
     @property
     def exit_code(self) -> int:
-        """1 for any failure, 130 where a stop left the promise to followers unfulfilled, else 0."""
+        """Exit code: 1 for a failure, 130 where a stop broke the promise to followers, else 0."""
         if self.failures:
             return 1
         return INTERRUPTED if self.ending == 'stopped' and self.lossless else 0
@@ -90,7 +90,7 @@ class ReplayAccount:
         return [first, *(each.sentence for each in self.answers), *self.losses]
 
     def to_dict(self) -> dict[str, object]:
-        """For ``--json``."""
+        """Convert to a dictionary for ``--json``."""
         return {'ending': self.ending, 'duration_s': self.duration_s, 'messages': self.messages,
                 'published': dict(self.published), 'answers': [each.to_dict() for each in self.answers],
                 'failures': list(self.failures), 'losses': list(self.losses), 'skipped': dict(self.skipped)}

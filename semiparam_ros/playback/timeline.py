@@ -19,7 +19,7 @@ _TIME = attrgetter('time')
 
 @dataclass(frozen=True)
 class Selection:
-    """Which topics: those named or matched (all when neither is given), less those excluded."""
+    """Selection of topics: named or matched, all where neither is given, less those excluded."""
 
     topics: tuple[str, ...] = ()
     regex: str | None = None
@@ -50,7 +50,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class Cut:
-    """Which part: seconds after the start of the bag, ``until_stamp_s`` in seconds since the epoch."""
+    """Part of a bag: seconds after its start; ``until_stamp_s`` in seconds since the epoch."""
 
     start_offset_s: float = 0.0
     duration_s: float | None = None
@@ -58,7 +58,7 @@ class Cut:
     until_stamp_s: float | None = None
 
     def bounds(self, start_ns: int, end_ns: int) -> tuple[int, int]:
-        """First and last bag time [ns] of the part; raises SemiparamError when nothing is left."""
+        """Bag times [ns] of the part, first and last; SemiparamError when nothing is left."""
         first = start_ns + _nanoseconds(self.start_offset_s)
         ends = [end_ns]
         if self.duration_s is not None:
@@ -111,7 +111,7 @@ class BagTimeline:
         return self.bag.start_ns, self.bag.end_ns
 
     def play(self, from_ns: int) -> Generator[Item, None, None]:
-        """Every message due from ``from_ns`` to the end, after the last latched ones before it."""
+        """Generate every message due from ``from_ns`` on, after the last latched ones before it."""
         yield from self._latched_before(from_ns)
         for item in self._items(from_ns):
             if item.time > self.end_ns:
@@ -124,7 +124,7 @@ class BagTimeline:
         return iter(self._sorted[bisect_left(self._sorted, from_ns, key=_TIME):])
 
     def _latched_before(self, from_ns: int) -> list[Item]:
-        """What a subscriber would have received on connecting at ``from_ns``: a robot's description comes only once."""
+        """Latched messages that a subscriber at ``from_ns`` would have received on connecting."""
         last: dict[str, Item] = {}
         if self._sorted is not None:
             names = {self._names[topic] for topic in self._latched}

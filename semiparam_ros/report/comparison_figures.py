@@ -23,7 +23,7 @@ PANEL = (8.6, 2.7)
 
 
 def courses(figures: Mapping[str, VariantFigures]) -> Figure:
-    """Each index over time, averaged over subsets and seeds, smoothed over two seconds."""
+    """Courses of each index: mean over subsets and seeds, smoothed over two seconds."""
     names = _indices(figures)
     with page_style():
         figure = Figure(figsize=(PANEL[0], PANEL[1] * len(names) + 0.4))

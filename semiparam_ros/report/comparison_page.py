@@ -72,7 +72,7 @@ def cells(comparison: Comparison, column: Column) -> dict[str, Cell]:
 
 
 def as_dictionary(comparison: Comparison) -> dict[str, object]:
-    """Every figure in SI units; None where a recording is too short or a seed alone."""
+    """Figures in SI units; None where a recording is too short or a seed alone."""
     scenario = comparison.scenario
     return {
         'command': 'compare', 'verdict': verdict(comparison.figures, comparison.findings),
@@ -155,7 +155,7 @@ def page(comparison: Comparison, train: str, test: str, command: str) -> str:
 
 
 def pictures(comparison: Comparison) -> list[Picture]:
-    """All figures with their captions."""
+    """Pictures of the comparison, with their captions."""
     figures, scenario = comparison.figures, comparison.scenario
     names = WRENCH_CHANNELS if scenario.settings.outputs == 'wrench' else (
         scenario.settings.joints and output_joints(scenario.settings, scenario.settings.joints)) or tuple(
@@ -196,7 +196,7 @@ def _groups(headings: list[str]) -> list[tuple[str, int]]:
 
 
 def _hyperparameters(one: VariantFigures) -> dict[str, str]:
-    """Those of the first seed, as text; a dash for what the class does not have."""
+    """Hyperparameters of the first seed, as text; a dash for what the class does not have."""
     first = one.hyperparameters[0]
     drift = f'{100 * first.drift_share:.0f} %' if first.drift_share > 0 else '–'
     return {'variant': one.variant, 'gamma': _or_dash(first.gamma), 'rho': _or_dash(first.rho),

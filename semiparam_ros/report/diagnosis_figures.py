@@ -133,7 +133,7 @@ def _any(effect: Effect, fit: Fit) -> list[Variable]:
 
 
 def _predicted(fit: Fit) -> Array:
-    """(N, n) outputs as the fit predicts them."""
+    """Outputs (N, n) as the fit predicts them."""
     return np.asarray(fit.samples.outputs - fit.residual)
 
 
@@ -169,7 +169,7 @@ def curves(before: Array, after: Array, added: bool) -> list[Curve]:
 
 def over_time(time: Array, shown: list[Curve], labels: list[str], held_out: Mask,
               changes: list[tuple[str, float]]) -> Figure:
-    """Each channel's residual as the span of its values in short pieces of time."""
+    """Residuals of the channels over time, as the span of their values in short pieces."""
     with page_style():
         figure = Figure(figsize=(WIDTH, 1.25 * len(labels) + 0.7))
         panels = np.atleast_1d(figure.subplots(len(labels), 1, sharex=True))
@@ -314,7 +314,7 @@ class Suspicion(NamedTuple):
 
 
 def suspicions(diagnosis: Diagnosis) -> list[Suspicion]:
-    """All findings, those together that one picture shows."""
+    """Suspicions of a diagnosis: its findings, those together that one picture shows."""
     found: dict[tuple[int, int, str], Suspicion] = {}
     for finding in diagnosis.findings:
         step = diagnosis.steps[finding.round_number - 1]
@@ -353,9 +353,10 @@ def telling_channel(step: Step, final: Fit, finding: Finding) -> int:
 
 
 def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
-    """What is left of the channel with most structure against what it depends on most, and the channel's name.
+    """Residual of the least explained channel against what it depends on most; with its name.
 
-    Where time is among the variables, the beginning and the end of the recording have courses of their own.
+    Where time is among the variables, the beginning and the end of the recording have courses of
+    their own.
     """
     channel, train_mask = int(np.argmax(structure.channel_shares)), fit.train_mask
     residual, time = fit.residual[train_mask, channel], fit.samples.time[train_mask]

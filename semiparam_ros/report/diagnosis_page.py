@@ -22,7 +22,7 @@ from semiparam_ros.report.diagnosis_figures import Suspicion, against_suspected,
 from semiparam_ros.report.html import Picture, environment, picture
 
 if TYPE_CHECKING:
-    from semiparam_ros.experiments.variants_with_effects import VariantFigures
+    from semiparam_ros.experiments.variants_with_effects import VariantErrors
 
 MOST_ODDS = 1000
 
@@ -54,7 +54,7 @@ class RoundRow(NamedTuple):
     high: float
 
 
-class Parameter(NamedTuple):
+class ParameterRow(NamedTuple):
     """A fitted number as text; ``std`` is empty where it was searched."""
 
     name: str
@@ -63,22 +63,22 @@ class Parameter(NamedTuple):
     unit: str
 
 
-class Alternative(NamedTuple):
-    """Another cause that would explain the same, and its odds against the one that was added."""
+class AlternativeRow(NamedTuple):
+    """Rival that would explain the same, and its odds against the cause that was added."""
 
     name: str
     odds: str
     separated_by: str
 
 
-class Cause(NamedTuple):
+class CauseRow(NamedTuple):
     """One finding for reading."""
 
     name: str
     since: str
     evidence: float
-    parameters: list[Parameter]
-    alternatives: list[Alternative]
+    parameters: list[ParameterRow]
+    alternatives: list[AlternativeRow]
     separated_by: str
 
 
@@ -97,7 +97,7 @@ def output_rows(diagnosis: Diagnosis) -> list[OutputRow]:
 
 
 def relative_floor(diagnosis: Diagnosis) -> Array:
-    """(n,) squared noise floor over the variance of each output."""
+    """Noise floor of each output, squared and over its variance, (n,)."""
     return np.asarray(diagnosis.noise_floor_rmse**2 / np.maximum(diagnosis.after.outputs.var(axis=0), 1e-300))
 
 
@@ -110,19 +110,19 @@ def round_rows(diagnosis: Diagnosis) -> list[RoundRow]:
             for number, (added, evaluation) in enumerate(zip(['as declared', *named], judged, strict=True))]
 
 
-def causes(diagnosis: Diagnosis) -> list[Cause]:
-    """Every finding with its numbers and its rivals."""
+def causes(diagnosis: Diagnosis) -> list[CauseRow]:
+    """Findings with their numbers and their rivals."""
     return [_cause(diagnosis, finding) for finding in diagnosis.findings]
 
 
-def _cause(diagnosis: Diagnosis, finding: Finding) -> Cause:
+def _cause(diagnosis: Diagnosis, finding: Finding) -> CauseRow:
     effect = finding.effect
     since = when(diagnosis, effect).removeprefix(', ').partition(' (')[0] or 'from the beginning'
-    parameters = [Parameter(name, f'{quantity.value:.4g}', '' if quantity.std is None else f'{quantity.std:.2g}',
+    parameters = [ParameterRow(name, f'{quantity.value:.4g}', '' if quantity.std is None else f'{quantity.std:.2g}',
                             quantity.unit.replace('^2', '²')) for name, quantity in finding.parameters.items()]
-    alternatives = [Alternative(place(rival.kind, rival.where), odds_text(rival.odds),
+    alternatives = [AlternativeRow(place(rival.kind, rival.where), odds_text(rival.odds),
                                 kinds()[rival.kind].separated_by) for rival in finding.rivals]
-    return Cause(place(effect.kind, effect.where), since, finding.log_evidence_gain, parameters,
+    return CauseRow(place(effect.kind, effect.where), since, finding.log_evidence_gain, parameters,
                  alternatives, effect.separated_by)
 
 
@@ -135,7 +135,7 @@ def odds_text(odds: float) -> str:
     return f'{number} : 1' if odds >= 1.0 else f'1 : {number}'
 
 
-def variant_rows(variants: Mapping[str, VariantFigures]) -> list[tuple[str, float, float, str]]:
+def variant_rows(variants: Mapping[str, VariantErrors]) -> list[tuple[str, float, float, str]]:
     """Variant, mean held-out error without the effects and with them, and in how many draws of features it fell."""
     rows = []
     for name, entry in variants.items():
@@ -146,7 +146,7 @@ def variant_rows(variants: Mapping[str, VariantFigures]) -> list[tuple[str, floa
     return rows
 
 
-def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantFigures], title: str,
+def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], title: str,
                    written: str = '') -> str:
     """The page's text.
 
@@ -185,7 +185,7 @@ def _outputs(diagnosis: Diagnosis) -> Picture:
 
 
 def _over_time(diagnosis: Diagnosis) -> list[Picture]:
-    """Of the recording that was diagnosed, and of the one that judged, where that is another."""
+    """Residuals over time of the recording diagnosed, and of the one that judged, if another."""
     first, final, added = diagnosis.first, diagnosis.final, bool(diagnosis.steps)
     changes = [(name + place(effect.kind, effect.where), time_s) for effect in diagnosis.everything.effects
                for name, time_s in (('', effect.start_s), ('end of ', effect.end_s)) if time_s is not None]
@@ -232,7 +232,7 @@ def _unexplained(fit: Fit, structure: Structure) -> Picture:
 
 
 def _formulas(structure: Structure, least_share: float) -> list[tuple[Formula, str]]:
-    """Each formula, and the effect that declares it where it is worth declaring."""
+    """Formulas, each with the effect that declares it where it is worth declaring, else ''."""
     worth = structure.declarable(least_share)
     return [(formula, effect_to_text(formula.effect) if formula.effect in worth else '')
             for formula in structure.formulas]
@@ -252,7 +252,7 @@ def _candidates(diagnosis: Diagnosis) -> list[Picture]:
 
 
 def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """How it was done, in a few lines."""
+    """Facts about how the diagnosis was done, in a few lines."""
     samples, train_mask = diagnosis.first.samples, diagnosis.first.train_mask
     step = float(np.median(np.diff(samples.time)))
     judged = diagnosis.elsewhere.name if diagnosis.elsewhere else \

@@ -25,7 +25,7 @@ MOST_NAMES, MOST_VALUES = 4, 12
 
 
 def tables() -> str:
-    """Every built-in kind but formulas, in three tables."""
+    """Tables of the built-in kinds but formulas, one for each set of outputs."""
     return '\n'.join(f'### {title}\n\n{HEADER}' + ''.join(
         _row(kind, _body(outputs[0])) for kind in BUILT_IN
         if kind.outputs == outputs and kind is not Terms) for title, outputs in GROUPS.items())
@@ -53,13 +53,13 @@ def _row(kind: type[Effect], body: RigidBody) -> str:
 
 
 def _physics(kind: type[Effect]) -> str:
-    """What a user reads of it, and the first paragraph of the class's docstring."""
+    """Sentence that a user reads of the kind, and the first paragraph of its docstring."""
     first = ' '.join((inspect.getdoc(kind) or '').split('\n\n')[0].split()).replace('``', '`')
     return f'{kind.sentence[0].upper()}{kind.sentence[1:]}. {first}'
 
 
 def _values(kind: type[Effect], body: RigidBody) -> str:
-    """What is learnt or calibrated, in every form that the kind has at its places, and what is searched."""
+    """Values that are learnt or calibrated, in every form that the kind has, and those searched."""
     motion = _motion(body)
     tried = [kind.from_values(where, values).finer() for where in kind.places(body) or kind.permitted(body)
              for values in kind.searches(body, motion, where, motion.outputs)]
@@ -71,7 +71,7 @@ def _values(kind: type[Effect], body: RigidBody) -> str:
 
 
 def _motion(body: RigidBody) -> Samples:
-    """Some motion of every joint, for a kind that looks at it to choose where a search begins."""
+    """Motion of every joint, for a kind that looks at it to choose where a search begins."""
     phase = np.linspace(0.0, 30.0, 400)[:, None] * (1.0 + 0.3 * np.arange(body.n_joints))
     outputs = np.sin(5.0 * phase[:, :1]) * np.ones(body.n_outputs)
     return Samples(np.arange(400) * 50_000_000, np.sin(phase), np.cos(phase), -np.sin(phase), outputs, 0,

@@ -14,12 +14,12 @@ from semiparam_ros.errors import SemiparamError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from semiparam_ros.experiments.evaluation import Scores
+    from semiparam_ros.experiments.evaluation import VariantScores
 
 LABELS = {'eps_force': r'$\varepsilon^F$', 'eps_torque': r'$\varepsilon^T$', 'eps_effort': r'$\varepsilon$'}
 
 
-def plot_indices(path: Path, scores: Mapping[str, Scores]) -> None:
+def plot_indices(path: Path, scores: Mapping[str, VariantScores]) -> None:
     """One panel for each index, one line for each variant, logarithmic; the format is that of the file's suffix."""
     from matplotlib.figure import Figure
 

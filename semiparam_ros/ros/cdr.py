@@ -34,12 +34,12 @@ ENCAPSULATION = bytes((0, sys.byteorder == 'little', 0, 0))
 """XCDR1 in the machine's byte order."""
 MOST_LAYOUTS = 64
 MOST_BYTES = 100_000
-"""Of a message that is read: a joint state of a thousand joints. A longer one is refused before it is decoded."""
+"""Bytes beyond which a message is refused unread: a joint state of a thousand joints has fewer."""
 
 
 @cache
 def begins_with_header(type_name: str) -> bool:
-    """Whether the messages of this type carry a stamp that the functions below find."""
+    """Tell whether messages of this type carry a stamp that the functions below find."""
     try:
         fields = message_class(type_name).get_fields_and_field_types()
     except SemiparamError:
@@ -81,11 +81,11 @@ class Floats(NamedTuple):
 
 
 Part = str | list[str] | Floats
-"""What follows the stamp of a header: a text, a sequence of texts, doubles."""
+"""Part behind the stamp of a header: a text, a sequence of texts, doubles."""
 
 
 class Layout:
-    """Where the parts of a message stand that begins with a header's stamp."""
+    """Layout of a message that begins with a header's stamp: where its parts stand."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self._values: list[int | float | bytes] = [0, 0]
@@ -132,12 +132,12 @@ class Layout:
 
 
 def joint_state_layout(frame_id: str, names: Sequence[str], *counts: int) -> Layout:
-    """Of a sensor_msgs/JointState with so many positions, velocities and efforts."""
+    """Layout of a sensor_msgs/JointState with so many positions, velocities and efforts."""
     return Layout([frame_id, list(names), *map(Floats, counts)])
 
 
 def wrench_layout(frame_id: str) -> Layout:
-    """Of a geometry_msgs/WrenchStamped."""
+    """Layout of a geometry_msgs/WrenchStamped."""
     return Layout([frame_id, Floats(6, in_sequence=False)])
 
 
@@ -181,11 +181,11 @@ class Reader:
 
 
 def joint_state_layout_of(reading: Reading) -> Layout:
-    """Of the joint state that was read."""
+    """Layout of the joint state that was read."""
     names, *columns = reading.fields
     return joint_state_layout(reading.frame_id, names, *map(len, columns))
 
 
 def wrench_layout_of(reading: Reading) -> Layout:
-    """Of the wrench that was read."""
+    """Layout of the wrench that was read."""
     return wrench_layout(reading.frame_id)

@@ -32,11 +32,11 @@ ONE_KEY_S = 0.5
 SPIN_S = 0.2
 CALL_S = 10.0
 DELIVER_S = 3.5
-"""At the end, how long subscribers may take to receive the last messages: Fast DDS sends again after 3 s, or with our
-profile after 0.2 s, what was missed."""
+"""Time [s] that subscribers may take at the end to receive the last messages: Fast DDS sends again
+after 3 s, or with our profile after 0.2 s, what was missed."""
 
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
-"""What Fast DDS reads in ROS 2 Jazzy, and in later ones."""
+"""Variables of the environment that Fast DDS reads in ROS 2 Jazzy, and in later ones."""
 
 Result = TypeVar('Result')
 
@@ -62,7 +62,7 @@ class StopSignals:
 
     @property
     def asked(self) -> bool:
-        """Whether a signal has come."""
+        """Tell whether a signal has come."""
         return self.signal is not None
 
     def __enter__(self) -> StopSignals:
@@ -100,7 +100,7 @@ class StopSignals:
             os._exit(128 + number)
 
     def _restore_terminal(self) -> None:
-        """As it was found: keys are shown again, and the cursor."""
+        """Restore the terminal as it was found: keys are shown again, and the cursor."""
         if self._terminal is not None:
             with suppress(OSError, termios.error):
                 if os.tcgetpgrp(0) == os.getpgrp():  # from the background it would stop this process
@@ -210,7 +210,7 @@ class RosProcess:
             executor.shutdown()
 
     def stop_spinning(self) -> None:
-        """No callback is served any more; what arrives stays with the subscriptions."""
+        """Stop serving callbacks; what arrives stays with the subscriptions."""
         self._closing = True
         if self._thread is not None:
             self._thread.join()

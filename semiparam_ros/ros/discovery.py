@@ -1,4 +1,4 @@
-"""Other nodes: waiting for them, their names, and the proof that they know our endpoints."""
+"""Discovery of other nodes: waiting for them, names, proof that they know our endpoints."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def owner(info: TopicEndpointInfo) -> str:
 
 
 def is_named(info: TopicEndpointInfo) -> bool:
-    """Whether the node behind an endpoint is known by name."""
+    """Tell whether the node behind an endpoint is known by name."""
     return bool(info.node_name != _UNKNOWN)
 
 

@@ -26,7 +26,7 @@ def message_class(type_name: str) -> Any:
 
 
 def is_installed(type_name: str) -> bool:
-    """Whether :func:`message_class` knows the type."""
+    """Tell whether :func:`message_class` knows the type."""
     try:
         message_class(type_name)
     except SemiparamError:

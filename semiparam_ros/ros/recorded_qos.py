@@ -38,7 +38,7 @@ def to_rclpy(qos: Qos) -> QoSProfile:
 
 
 def from_rclpy(profile: QoSProfile) -> Qos:
-    """What a discovered endpoint offers; its history is not announced and becomes the default."""
+    """Quality of service of an endpoint; its history is not announced and becomes the default."""
     return Qos(reliability='best_effort' if profile.reliability == ReliabilityPolicy.BEST_EFFORT else 'reliable',
                durability='transient_local' if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else 'volatile',
                deadline_ns=_nanoseconds(profile.deadline), lifespan_ns=_nanoseconds(profile.lifespan))
@@ -63,7 +63,7 @@ def load_overrides(path: Path) -> dict[str, Mapping[str, object]]:
 
 
 def overridden(qos: Qos, entry: object, where: str) -> Qos:
-    """``qos`` with the policies of one overrides entry; raises SemiparamError saying ``where``."""
+    """Override policies of ``qos`` by one entry; SemiparamError says ``where`` it is wrong."""
     if not isinstance(entry, Mapping):
         raise SemiparamError(f'{where}: expected a mapping of QoS policies, got {entry!r}.')
     changes: dict[str, Any] = dict(_change(str(name), value, where) for name, value in entry.items()

@@ -52,7 +52,7 @@ def model_options(settings: Table) -> ModelOptions:
 
 
 def given_hyperparameters(settings: Table) -> Hyperparameters | None:
-    """Those of the parameter file, or None when the initial window is to give them."""
+    """Hyperparameters of the parameter file; None when the initial window is to give them."""
     if not settings.hyperparameters_sigma:
         return None
     gamma, rho = settings.hyperparameters_gamma, settings.hyperparameters_rho

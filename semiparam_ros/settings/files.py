@@ -20,7 +20,7 @@ from semiparam_ros.settings.yaml_file import read_yaml
 
 WIDTH = 110
 LAUNCHED = 'launch_params_'
-"""How names of the files begin in which ROS's launch hands over single parameters."""
+"""Prefix of the files in which ROS's launch hands over single parameters."""
 NO_REMARKS: Mapping[str, Sequence[Sequence[str]]] = {}
 
 
@@ -44,8 +44,8 @@ def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
 
 
 def located(settings: Settings, files: Sequence[Path]) -> Settings:
-    """With relative paths as they are meant: ``robot_description_file`` beside the first of the parameter files that
-    has it there, ``state_folder`` beside the first that gives it.
+    """Settings with relative paths as meant: ``robot_description_file`` beside the first of the
+    parameter files that has it there, ``state_folder`` beside the first that gives it.
 
     Else they stay relative to the working folder.
     """
@@ -63,7 +63,7 @@ def _is_relative(path: str) -> bool:
 
 
 def _gives(file: Path, name: str, value: object) -> bool:
-    """Whether any section of a parameter file does, which no launch file has made up somewhere."""
+    """Tell whether a section of a parameter file gives it that launch has not made up somewhere."""
     try:
         sections = _parse(file).values()
     except SemiparamError:
@@ -74,7 +74,7 @@ def _gives(file: Path, name: str, value: object) -> bool:
 
 
 def read_params(path: str | Path, node: str = 'estimator') -> dict[str, object]:
-    """Unchecked names (dotted) and values of one node's sections."""
+    """Read unchecked names (dotted) and values of one node's sections."""
     document = _parse(Path(path))
     values: dict[str, object] = {}
     sections = {name: body for name, body in document.items() if _applies(str(name), node)}
@@ -147,7 +147,7 @@ def _parse(path: Path) -> Mapping[str, object]:
 
 
 def _applies(section: str, node: str) -> bool:
-    """Whether ROS would hand a section to the node: by its name in any namespace, or by a wildcard."""
+    """Tell whether ROS hands a section to the node: by its name in any namespace, or a wildcard."""
     name = section.rstrip('/').rpartition('/')[2]
     return name in ('**', '*', node) or section.lstrip('/') == node.lstrip('/')
 

@@ -147,7 +147,7 @@ def _has_kind(value: object, kind: str) -> bool:
 
 @dataclass(frozen=True)
 class Table:
-    """Field: parameter name with dots as underscores; its metadata: the row.
+    """Table of parameters. Field: name with dots as underscores; its metadata: the row.
 
     ``outputs`` is never ``auto`` here: what it stands for follows from ``sensor_frame``.
     """
@@ -332,7 +332,9 @@ class Table:
     diagnosis_auto: str = declare(
         'diagnosis.auto', 'report', 'What follows when the robot changes while it works. report: the '
         'change is told on ~/change, named in the background, and written to changes.jsonl in '
-        'state_folder. off: nobody looks for changes.', choices=('off', 'report'), live=True)
+        'state_folder. apply: what was named is then tried beside the model, predicts with it from the moment on at '
+        'which the outputs speak for it, and is taken back when it is over. off: nobody looks for changes.',
+        choices=('off', 'report', 'apply'), live=True)
     state_file: str = declare(
         'state_file', 'semiparam_state.npz', 'File of save_state and load_state: a plain name in state_folder.',
         live=True)

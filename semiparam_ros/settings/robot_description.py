@@ -1,4 +1,4 @@
-"""Where the URDF comes from, and which of its joints move."""
+"""Robot description: where the URDF comes from, and which of its joints move."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def moving_joints(settings: Table, urdf: str) -> tuple[str, ...]:
 
 
 def output_joints(settings: Table, joints: Sequence[str]) -> tuple[str, ...]:
-    """Those of the joints whose efforts are the outputs, in their order.
+    """Joints whose efforts are the outputs, in their order.
 
     Raises SemiparamError when one is named that is none of the joints.
     """
@@ -77,7 +77,7 @@ def resolved(name: str) -> Path:
 
 
 def _share_folders(package: str) -> list[Path]:
-    """Where a package keeps its files: installed by colcon, by pip, or (ours) the source tree itself."""
+    """Folders of a package's files, installed by colcon or pip, or (ours) the source tree."""
     prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
     folders = [Path(prefix, 'share', package) for prefix in prefixes if prefix]
     found = [folder for folder in folders if folder.is_dir()]

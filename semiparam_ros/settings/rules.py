@@ -19,7 +19,7 @@ FEATURES = ('rho', 'tau', 'input_mean', 'input_scale')
 NOISE = ('sigma', 'output_scale')
 NEEDED = {'P': ('gamma', *NOISE), 'NP': (*FEATURES, *NOISE), 'SP': (*FEATURES, *NOISE, 'pi'),
           'SP2': (*FEATURES, *NOISE, 'pi'), 'SPK': ('gamma', *FEATURES, *NOISE)}
-"""What each class of variants has (DESIGN, section 2)."""
+"""Hyperparameters that each class of variants has (DESIGN, section 2)."""
 
 
 def sensor_frame_is_named(table: Table) -> str | None:

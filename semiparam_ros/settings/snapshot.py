@@ -14,14 +14,15 @@ from semiparam_ros.settings.rules import broken_rule
 
 @dataclass(frozen=True)
 class Settings(Table):
-    """Every parameter as an attribute, dots as underscores: ``settings.features_count``.
+    """Settings: every parameter as an attribute, dots as underscores: ``settings.features_count``.
 
-    ``Settings(...)`` takes the values unchecked, for tests and for code; :meth:`from_mapping` checks them.
+    ``Settings(...)`` takes the values unchecked, for tests and for code; :meth:`from_mapping`
+    checks them.
     """
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object], where: str = '') -> Settings:
-        """Checked settings from parameter names and values, the others at their defaults.
+        """Check parameter names and values and return the settings, the others at their defaults.
 
         :param where: named in errors, such as the parameter file.
 
@@ -33,7 +34,7 @@ class Settings(Table):
         return settings
 
     def changed(self, values: Mapping[str, object], where: str = '') -> Settings:
-        """These settings with some replaced; each value is checked by itself, the rules across are not."""
+        """Replace some settings; each value is checked by itself, the rules across are not."""
         fields: dict[str, Any] = {}
         for name, value in values.items():
             if is_foreign(name):
@@ -52,7 +53,7 @@ class Settings(Table):
 
 
 def refusal(settings: Settings, changes: Mapping[str, object]) -> str | None:
-    """Why a change to valid settings is refused, as one sentence, or None: what the node answers."""
+    """Reason why a change to valid settings is refused, as one sentence, or None."""
     for name in changes:
         if name in BY_NAME and not BY_NAME[name].live:
             return f'{name} cannot change while the node runs; start it again with the new value.'

@@ -37,7 +37,7 @@ class Poses(NamedTuple):
     jacobian: Array
 
     def velocity(self, joint_velocity: Array) -> Array:
-        """(N, 6) linear [m/s] and angular [rad/s] velocity of the frame."""
+        """Velocity (N, 6) of the frame, linear [m/s] before angular [rad/s]."""
         return np.asarray(np.einsum('nkj,nj->nk', self.jacobian, joint_velocity))
 
     def shifted(self, offset: Array) -> Poses:
@@ -69,7 +69,7 @@ def poses(model: pin.Model, joint: int, placement: pin.SE3, columns: Sequence[in
 
 
 def rotation_about(axis: Array, angle: Array) -> Array:
-    """(N, 3, 3) rotations by ``angle`` (N,) [rad] about a unit ``axis`` (3,); the identity for a zero axis."""
+    """Rotations (N, 3, 3) by ``angle`` (N,) [rad] about a unit or zero ``axis`` (3,)."""
     skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
     return np.asarray(np.eye(3) + sine * skew + (1 - cosine) * (skew @ skew))
@@ -127,7 +127,7 @@ class Arm:
 
     @property
     def outputs(self) -> str:
-        """``wrench`` or ``effort``."""
+        """Name of what is measured: ``wrench`` or ``effort``."""
         return 'wrench' if self.sensor_frame else 'effort'
 
     @property
@@ -152,7 +152,7 @@ class Arm:
 
     @property
     def speed_limits(self) -> Array:
-        """(n_joints,) [rad/s]."""
+        """Largest speeds (n_joints,) [rad/s]."""
         return np.asarray(self.model.velocityLimit[self.columns])
 
     @property
@@ -182,7 +182,8 @@ class Arm:
         return int(self.model.getFrameId(name))
 
     def configuration(self, values: Array) -> Array:
-        """(N, n_joints) in the order of ``joints`` -> (N, nq) of the model, the sensor joint at zero."""
+        """Convert (N, n_joints), as ``joints``, to the model's (N, nq), its sensor joint at zero.
+        """
         full = np.zeros((len(values), self.model.nq))
         full[:, self.columns] = values
         return full

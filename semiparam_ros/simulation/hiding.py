@@ -1,8 +1,8 @@
-"""Putting causes into a world, each at the size that was asked for, and writing down the truth; and the few causes that
-every real robot has.
+"""Hiding of causes in a world, each at the size that was asked for, with an entry in the truth; and
+the few causes that every real robot has.
 
-The few things that no model of the bundled recordings declares, as every real robot has them. They belong to the robot,
-not to a recording: drawn and sized once on a reference motion, so that recordings with the same robot seed meet the
+No model of the bundled recordings declares these few. They belong to the robot, not to a recording:
+drawn and sized once on a reference motion, so that recordings with the same robot seed meet the
 same cable with the same stiffness. Only the warming up belongs to the recording.
 """
 
@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.simulation.causes import CAUSES, Cause, Site, cause_of
+from semiparam_ros.simulation.causes import CAUSES, HiddenCause, Site, cause_of
 from semiparam_ros.simulation.scenario import EffectRequest
 from semiparam_ros.simulation.world import World
 
@@ -66,7 +66,7 @@ def solve_magnitude(share_at: Callable[[float], float], target: float, typical: 
 
 
 class RigidBodyFit:
-    """What inertial parameters, and for a wrench a constant offset, could absorb on one motion (a subset of it)."""
+    """Fit of inertial parameters, and for a wrench of an offset, to a subset of one motion."""
 
     def __init__(self, world: World, scale: Array) -> None:
         self.scale = scale
@@ -102,7 +102,7 @@ class RigidBodyFit:
 class Hidden:
     """One cause at its magnitude, the world with it, and its entry in the truth."""
 
-    cause: Cause
+    cause: HiddenCause
     magnitude: float
     size: float
     world: World
@@ -159,7 +159,7 @@ def described(hidden: Hidden, change: Array, scale: Array, fit: RigidBodyFit) ->
             'unexplained_share': fit.unexplained(change), 'parameters': quantities}
 
 
-def _sized(cause: Cause, world: World, without: Array, size: float, scale: Array, fit: RigidBodyFit) -> Hidden:
+def _sized(cause: HiddenCause, world: World, without: Array, size: float, scale: Array, fit: RigidBodyFit) -> Hidden:
     """The cause at the magnitude that gives the asked size."""
     def share_at(magnitude: float) -> float:
         return share(cause.apply(world, magnitude).outputs - without, scale)

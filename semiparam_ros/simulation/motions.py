@@ -1,4 +1,4 @@
-"""What the arm is asked to do: circles, exciting Fourier motion, reaching, and a mixture of all."""
+"""Motions that the arm is asked for: circles, Fourier motion, reaching, and a mixture of all."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def circle_path(time: Array, axes: tuple[int, int, int], rng: np.random.Generato
 
 
 def fourier(arm: Arm, time: Array, homes: Homes, rng: np.random.Generator) -> Array:
-    """Every joint on a sum of sines of its own, as wide as limits and speed allow: exciting for identification."""
+    """Fourier motion: a sum of sines for each joint, as wide as limits and speed allow."""
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in arm.limits)
     centre, reach = (low + high) / 2, 0.4 * (high - low)
     speed = np.minimum(MAX_SPEED, 0.7 * arm.speed_limits)
@@ -69,7 +69,7 @@ def fourier(arm: Arm, time: Array, homes: Homes, rng: np.random.Generator) -> Ar
 
 
 def reach(arm: Arm, time: Array, homes: Homes, rng: np.random.Generator) -> Array:
-    """From one random posture to the next along minimum-jerk curves, with short rests."""
+    """Reaching from one random posture to the next along minimum-jerk curves, with short rests."""
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in arm.limits)
     speed = np.minimum(MAX_SPEED, 0.7 * arm.speed_limits)
     position, now, here = np.empty((len(time), arm.n_joints)), time[0], homes['circle_xy']

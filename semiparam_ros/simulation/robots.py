@@ -68,7 +68,7 @@ def homes_of(scenario: Scenario, arm: Arm) -> dict[str, Array]:
 
 
 def bundled_urdf() -> Path:
-    """config/icub_right_arm.urdf of the checkout, or of the installation's share folder."""
+    """Path of config/icub_right_arm.urdf in the checkout, or in the installation's share folder."""
     inside = Path('config') / 'icub_right_arm.urdf'
     folders = Path(__file__).resolve().parents[2:]
     candidates = [folders[0] / inside, *(folder / 'share' / 'semiparam_ros' / inside for folder in folders)]

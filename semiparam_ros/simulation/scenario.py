@@ -1,4 +1,4 @@
-"""What to simulate, and what comes out of it."""
+"""Scenario of a simulation, and the recording that comes out of it."""
 
 from __future__ import annotations
 
@@ -58,13 +58,14 @@ class Scenario:
 
 @dataclass(frozen=True)
 class SimulatedRecording:
-    """N samples as a robot's topics would give them, and the truth behind them.
+    """Recording of N samples as a robot's topics would give them, and the truth behind them.
 
-    ``stamps`` (N,) [ns]; ``position``, ``velocity``, ``acceleration`` (N, n_joints) [rad, rad/s, rad/s^2];
-    ``temperature`` (N, n_joints), of a wrench's sensor (N, 1) [deg C], the newest reading at each stamp, or None;
-    ``outputs`` (N, n) [N, N m]; ``noise_std`` (n,) is the standard deviation of the outputs' white noise.
-    ``truth`` lists the requested effects, ``baseline_truth`` what the baseline adds: dicts with ``kind``, ``where``,
-    ``start_s``, ``size``, ``rms_share``, ``unexplained_share`` and ``parameters`` (name -> value and unit).
+    ``stamps`` (N,) [ns]; ``position``, ``velocity``, ``acceleration`` (N, n_joints) [rad, rad/s,
+    rad/s^2]; ``temperature`` (N, n_joints), of a wrench's sensor (N, 1) [deg C], the newest reading
+    at each stamp, or None; ``outputs`` (N, n) [N, N m]; ``noise_std`` (n,) is the standard
+    deviation of the outputs' white noise. ``truth`` lists the requested effects, ``baseline_truth``
+    what the baseline adds: dicts with ``kind``, ``where``, ``start_s``, ``size``, ``rms_share``,
+    ``unexplained_share`` and ``parameters`` (name -> value and unit).
     """
 
     stamps: Stamps
@@ -84,7 +85,7 @@ class SimulatedRecording:
 
     @property
     def temperatures(self) -> tuple[str, ...]:
-        """Whose they are: the joints, or the frame of the sensor."""
+        """Sources of the temperatures: the joints, or the frame of the sensor."""
         if self.temperature is None:
             return ()
         return self.joint_names if self.outputs_kind == 'effort' else (self.frame_id,)

@@ -1,4 +1,4 @@
-"""From a scenario to a recording and the truth behind it."""
+"""Simulation of a recording from a scenario, with the truth behind it."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
 
 
 def robot_generators(scenario: Scenario) -> list[np.random.Generator]:
-    """For the inertias, the other peculiarities and the sensor's constant offset of one robot."""
+    """Generators of the inertias, the other peculiarities and the sensor's offset of one robot."""
     seed = scenario.seed if scenario.robot_seed is None else scenario.robot_seed
     return np.random.default_rng(seed).spawn(7)[4:]
 
@@ -149,7 +149,7 @@ def moved(arm: Arm, motion: str, samples: int, rate_hz: float, homes: Homes, rng
 
 def measured(scenario: Scenario, world: World, offset: Array, scale: Array, rng: np.random.Generator,
              truth: list[dict[str, Any]], extra: list[dict[str, Any]]) -> SimulatedRecording:
-    """What encoders and sensors report of the world: noise on everything, and the sensor's constant ``offset``."""
+    """Measure the world: noise on everything, and the sensor's constant ``offset`` (n,)."""
     noise_std = scenario.noise * OUTPUT_NOISE_SHARE * scale
     position, velocity, acceleration = joint_readings(world.trajectory.at(world.times), scenario.encoder_noise,
                                                       rng)

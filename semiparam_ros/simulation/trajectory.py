@@ -33,7 +33,7 @@ def wander(time: Array, period_s: float, rng: np.random.Generator) -> Array:
 
 
 def wanders(time: Array, period_s: float, count: int, rng: np.random.Generator) -> Array:
-    """``count`` independent ones as columns, (N, count)."""
+    """Independent functions as of :func:`wander`, as columns (N, count)."""
     return np.stack([wander(time, period_s, rng) for _ in range(count)], axis=1)
 
 
@@ -66,15 +66,16 @@ class Trajectory:
 
 
 def fine_time(duration: float) -> Array:
-    """1 kHz grid from ``LEAD_S`` before the recording to half a second after it."""
+    """Times on a 1 kHz grid, from ``LEAD_S`` before the recording to half a second after it."""
     return np.arange(-LEAD_S, duration + 0.5, 1.0 / FINE_RATE_HZ)
 
 
 def tracked(time: Array, reference: Array, rng: np.random.Generator) -> Trajectory:
-    """What a joint controller makes of ``reference`` (N, n_joints) on the 1 kHz grid ``time``.
+    """Motion that a controller makes of ``reference`` (N, n_joints) on the 1 kHz grid ``time``.
 
-    Each joint follows as a damped second-order system, q'' = w^2 (ref - q) - 2 z w q' + disturbance, integrated at the
-    fine step, and the disturbance is slow noise: no turn is ever like the last one.
+    Each joint follows as a damped second-order system, q'' = w^2 (ref - q) - 2 z w q' +
+    disturbance, integrated at the fine step, and the disturbance is slow noise: no turn is ever
+    like the last one.
     """
     position = np.empty_like(reference)
     for joint in range(reference.shape[1]):

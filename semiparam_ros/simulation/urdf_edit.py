@@ -49,7 +49,7 @@ def turning_joints(robot: Element) -> tuple[str, ...]:
 
 
 def check_joints(robot: Element, joints: Sequence[str]) -> None:
-    """Every name must be a moving joint of the URDF, and none twice."""
+    """Raise SemiparamError unless each name is a moving joint of the URDF, and none comes twice."""
     moving = {joint.get('name', '') for joint in robot.findall('joint') if joint.get('type') in MOVING}
     if not joints:
         raise SemiparamError('joints is empty; expected the names of the moving joints.')

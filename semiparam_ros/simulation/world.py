@@ -1,4 +1,4 @@
-"""What really happens: the rigid body, the hidden causes that act on it, and the sensor that reports it."""
+"""World of a recording: the rigid body, the hidden causes that act on it, and its sensor."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from semiparam_ros.simulation.trajectory import Instants, Trajectory
 from semiparam_ros.simulation.warming import Temperature
 
 Change: TypeAlias = Callable[['World', Instants, Array], Array]
-"""Takes the motion and the outputs (N, n) so far, returns the outputs with one more cause in them."""
+"""Function of a world, its motion and its outputs (N, n) to the outputs with one more cause."""
 
 
-class Body(NamedTuple):
+class AttachedBody(NamedTuple):
     """A body that hangs on ``frame`` from ``start_s`` [s] on."""
 
     frame: str
@@ -42,7 +42,7 @@ class World:
     times: Array
     joint_shift: Array
     delay_s: float = 0.0
-    bodies: tuple[Body, ...] = ()
+    bodies: tuple[AttachedBody, ...] = ()
     mechanical: tuple[Change, ...] = field(default=())
     sensing: tuple[Change, ...] = field(default=())
     temperature: Temperature | None = None
@@ -86,7 +86,7 @@ class World:
 
     @cached_property
     def outputs(self) -> Array:
-        """What a perfect sensor reports at ``times``, (N, n) [N, N m]."""
+        """Outputs (N, n) [N, N m] that a perfect sensor reports at ``times``."""
         values = self.loaded
         for change in self.sensing:
             values = change(self, self.now, values)
@@ -104,13 +104,13 @@ class World:
         return {}
 
     def changed(self, **values: Any) -> World:
-        """Another arm, joint zero, delay or load."""
+        """The same world with another arm, joint zero, delay or load."""
         return replace(self, before=None, **values)
 
     def with_mechanical(self, change: Change) -> World:
-        """One more force on the arm."""
+        """The same world with one more force on the arm."""
         return replace(self, mechanical=(*self.mechanical, change), before=self)
 
     def with_sensing(self, change: Change) -> World:
-        """One more fault of the sensor, behind the others."""
+        """The same world with one more fault of the sensor, behind the others."""
         return replace(self, sensing=(*self.sensing, change), before=self)

@@ -15,12 +15,12 @@ from semiparam_ros.bags.alignment import HELD_FROM_NS, SampleStream
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
-from semiparam_ros.cli.main import main
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
+from support.commands import refusal, semiparam
 from support.node_helpers import JOINTS, SETTINGS, URDF, motion, write_bag
 
 MS = 1_000_000
@@ -172,10 +172,10 @@ def test_columns_of_a_table_become_messages_when_they_change(tmp_path, capsys):
         f'{index},0.1,0.2,1.0,2.0,{value}\n' for index, value in enumerate(values)))
     options = ('--joints', 'a,b', '--time', 't', '--position', 'q1,q2', '--effort', 'tau1,tau2')
     bag = tmp_path / 'a.mcap'
-    assert main(['convert', str(path), str(bag), *options, '--temperature', 'warm', '--temperatures', 'b']) == 0
+    assert semiparam('convert', path, bag, *options, '--temperature', 'warm', '--temperatures', 'b') == 0
     assert 'not finite' not in capsys.readouterr().err
     settings = Settings(joints=JOINTS, outputs='effort', temperatures=('b',))
     found = load_samples(bag, settings).samples
     np.testing.assert_array_equal(found.temperature[:, 1], [math.nan, 30.0, 30.0, 30.0, 31.5])
-    assert main(['convert', str(path), str(bag), *options, '--temperature', 'warm']) == 2
-    assert 'temperature has 1 columns; expected 0, one for each of --temperatures' in capsys.readouterr().err
+    assert 'temperature has 1 columns; expected 0, one for each of --temperatures' in refusal(
+        capsys, 'convert', path, bag, *options, '--temperature', 'warm')

@@ -1,14 +1,12 @@
 """`semiparam bench`: the contenders compute what they claim, and the command reports them side by side."""
 
-import json
-
 import numpy as np
 import pytest
 
-from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.bench import MEANING
 from semiparam_ros.experiments.benchmark import SIGMA, Covariance, Dense, Potter
-from support.recordings import write_arm, write_params
+from support.commands import document, refusal
+from support.recordings import write_arm
 
 COLUMNS, FEATURES, OUTPUTS, SAMPLES = 4, 6, 3, 20
 
@@ -44,12 +42,10 @@ def test_the_updates_alone_give_the_posterior_covariance(samples):
 
 
 def test_bench_reports_every_contender_side_by_side(tmp_path, capsys):
-    path = tmp_path / 'bench.json'
-    assert cli.main(['bench', '--features', '10', '20', '--rounds', '2', '--json', str(path)]) == 0
-    document = json.loads(path.read_text())
-    assert [row['features'] for row in document['sizes']] == [10, 20]
-    assert (document['outputs'], document['inputs'], document['threads']) == (6, 12, 1)
-    for row in document['sizes']:
+    found = document(tmp_path / 'bench.json', 'bench', '--features', 10, 20, '--rounds', 2)
+    assert [row['features'] for row in found['sizes']] == [10, 20]
+    assert (found['outputs'], found['inputs'], found['threads']) == (6, 12, 1)
+    for row in found['sizes']:
         assert set(row['microseconds']) == set(MEANING)
         assert row['unknowns'] == row['columns'] + 6 * row['features']
         assert 0.0 < row['evidence_seconds'] < 60.0
@@ -59,33 +55,19 @@ def test_bench_reports_every_contender_side_by_side(tmp_path, capsys):
 
 @pytest.mark.parametrize('arguments', [['--features', '11'], ['--rounds', '0'], ['--frame', 'no_such_frame']])
 def test_bench_refuses_what_it_cannot_time(arguments, capsys):
-    assert cli.main(['bench', *arguments]) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert refusal(capsys, 'bench', *arguments)
 
 
 PEERS = ('river BayesianLinearRegression', 'sklearn SGDRegressor', 'sklearn BayesianRidge, batch',
          'sklearn KernelRidge, batch')
 
 
-@pytest.fixture(scope='module')
-def recording(tmp_path_factory):
-    return write_arm(tmp_path_factory.mktemp('bench') / 'a.mcap', 400)
-
-
-@pytest.fixture(scope='module')
-def params(tmp_path_factory):
-    return write_params(tmp_path_factory.mktemp('bench') / 'arm.yaml')
-
-
 def test_peers_get_the_same_samples_as_ours(recording, params, tmp_path, capsys):
     pytest.importorskip('river')
-    path = tmp_path / 'peers.json'
-    assert cli.main(['bench', '--peers', str(recording), '--params', str(params), '--features', '20', '--variant', 'P',
-                     '--variant', 'SPK-ML', '--json', str(path)]) == 0
-    table, found = capsys.readouterr().out, json.loads(path.read_text())['learners']
-    assert cli.main(['evaluate', str(recording), '--params', str(params), '--variant', 'P', '--variant', 'SPK-ML',
-                     '--json', str(path)]) == 0
-    ours = json.loads(path.read_text())['variants']
+    path, options = tmp_path / 'peers.json', ('--params', params, '--variant', 'P', '--variant', 'SPK-ML')
+    found = document(path, 'bench', '--peers', recording, '--features', 20, *options)['learners']
+    table = capsys.readouterr().out
+    ours = document(path, 'evaluate', recording, *options)['variants']
     for variant, learner in zip(('P', 'SPK-ML'), found, strict=False):
         assert learner['learner'] == variant
         assert learner['nmse'] == pytest.approx(ours[variant]['nmse'], rel=1e-9)
@@ -114,7 +96,7 @@ def test_a_peer_learns_what_it_sees(kind, seen):
     view = peers.RigidBodyView() if seen == 'rigid body' else peers.InputView() if 'Kernel' in kind else \
         peers.FeatureView(200)
     peer = getattr(peers, kind)(view, 2)
-    peer.begin(peers.Window(inputs[:100], columns[:100], outputs[:100]))
+    peer.begin(peers.PeerWindow(inputs[:100], columns[:100], outputs[:100]))
     errors = []
     for index in range(100, 600):
         errors.append(peer.predict(inputs[index], columns[index]) - outputs[index])
@@ -131,12 +113,10 @@ def test_a_peer_learns_what_it_sees(kind, seen):
     (['--variant', 'X'], "variant 'X' is unknown")])
 def test_peers_refuse_what_makes_no_sense(arguments, sentence, recording, params, capsys):
     pytest.importorskip('river')
-    assert cli.main(['bench', '--peers', str(recording), '--params', str(params), *arguments]) == 2
-    assert sentence in capsys.readouterr().err
+    assert sentence in refusal(capsys, 'bench', '--peers', recording, '--params', params, *arguments)
 
 
 def test_a_recording_hardly_longer_than_its_window_is_refused(params, tmp_path, capsys):
     pytest.importorskip('river')
     short = write_arm(tmp_path / 'short.mcap', 120)
-    assert cli.main(['bench', '--peers', str(short), '--params', str(params)]) == 2
-    assert 'expected at least 50 more' in capsys.readouterr().err
+    assert 'expected at least 50 more' in refusal(capsys, 'bench', '--peers', short, '--params', params)

@@ -1,7 +1,6 @@
 """`semiparam fit` and `semiparam compare` on recordings of a simulated arm: figures, places to run, and mistakes."""
 
 import contextlib
-import json
 import os
 import socket
 import threading
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from semiparam_ros.cli.evaluate import load_bags
-from semiparam_ros.cli.main import main
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.errors import SemiparamError
@@ -31,6 +29,7 @@ from semiparam_ros.experiments.comparison import (
 )
 from semiparam_ros.settings import Settings, dump_params, load_params
 from support import recordings
+from support.commands import document, refusal, semiparam
 from support.recordings import FRAME, JOINTS, write_arm
 
 INITIAL = 150
@@ -54,10 +53,9 @@ def folder(tmp_path_factory):
 def compare(folder):
     """Runs the command and returns its JSON document and its page."""
     def run(*options, jobs=1):
-        arguments = [folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml', '--jobs', jobs,
-                     '-o', folder / 'page.html', '--json', folder / 'result.json', *options]
-        assert main(['compare', *map(str, arguments)]) == 0
-        return json.loads((folder / 'result.json').read_text()), (folder / 'page.html').read_text()
+        found = document(folder / 'result.json', 'compare', folder / 'train.mcap', folder / 'test.mcap',
+                         '--params', folder / 'arm.yaml', '--jobs', jobs, '-o', folder / 'page.html', *options)
+        return found, (folder / 'page.html').read_text()
     return run
 
 
@@ -66,19 +64,19 @@ def quick(compare):
     return compare(*QUICK)
 
 
-def without_times(document):
+def without_times(found):
     """Everything that must not depend on where and how fast it ran."""
     variants = {name: {key: value for key, value in variant.items() if key != 'fit_seconds'}
-                for name, variant in document['variants'].items()}
-    return {**document, 'variants': variants}
+                for name, variant in found['variants'].items()}
+    return {**found, 'variants': variants}
 
 
 def test_the_document_holds_every_figure(quick):
-    document, text = quick
-    assert (document['schema'], document['command']) == (1, 'compare')
-    assert document['subsets'] == [[0, 80], [80, 160]]
-    assert list(document['variants']) == ['P', 'SPK-ML', 'SP2-VS']
-    for name, variant in document['variants'].items():
+    found, text = quick
+    assert (found['schema'], found['command']) == (1, 'compare')
+    assert found['subsets'] == [[0, 80], [80, 160]]
+    assert list(found['variants']) == ['P', 'SPK-ML', 'SP2-VS']
+    for name, variant in found['variants'].items():
         assert variant['seeds'] == ([0] if name == 'P' else [0, 1])
         for mode in ('learning', 'frozen'):
             figures = variant[mode]
@@ -94,16 +92,14 @@ def test_the_document_holds_every_figure(quick):
 
 def test_it_is_the_estimator_of_evaluate(compare, folder):
     """With one subset, the same samples in the same order: the same figures."""
-    document, _ = compare('--variant', 'SPK-ML', '--subsets', '1', '--seeds', '1')
+    found, _ = compare('--variant', 'SPK-ML', '--subsets', '1', '--seeds', '1')
     # compare keeps to the paper's models, which have no wandering offset.
     dump_params(replace(load_params(folder / 'arm.yaml'), forgetting=1.0, priors='paper',
                         features_frequencies='independent'), folder / 'paper.yaml')
     for mode, option in (('learning', []), ('frozen', ['--frozen'])):
-        path = folder / 'evaluate.json'
-        assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--params',
-                     str(folder / 'paper.yaml'), '--json', str(path), *option]) == 0
-        evaluated = json.loads(path.read_text())['variants']['SPK-ML']
-        compared = document['variants']['SPK-ML']
+        evaluated = document(folder / 'evaluate.json', 'evaluate', folder / 'test.mcap', '--train',
+                             folder / 'train.mcap', '--params', folder / 'paper.yaml', *option)['variants']['SPK-ML']
+        compared = found['variants']['SPK-ML']
         assert compared[mode]['nmse_by_output'] == pytest.approx(evaluated['nmse'], rel=1e-9)
         if mode == 'learning':
             early = compared['eps_force']['first_30_s']['mean']
@@ -135,45 +131,42 @@ def test_a_dask_cluster_of_two_processes_changes_nothing(quick, compare):
 
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
                       host='127.0.0.1') as cluster:
-        document, _ = compare(*QUICK, '--scheduler', cluster.scheduler_address)
+        found, _ = compare(*QUICK, '--scheduler', cluster.scheduler_address)
         tasks = cluster.scheduler.transition_counter
     assert tasks > 0
-    assert without_times(document) == without_times(quick[0])
+    assert without_times(found) == without_times(quick[0])
 
 
 def test_all_seven_models_are_compared_unless_told(compare, folder):
-    document, page = compare('--subsets', '1', '--seeds', '1', '--starts', '1', '--grid-tau', '1', '4')
-    assert list(document['variants']) == list(VARIANTS)
-    assert [finding['name'] for finding in document['findings']] == [
+    found, page = compare('--subsets', '1', '--seeds', '1', '--starts', '1', '--grid-tau', '1', '4')
+    assert list(found['variants']) == list(VARIANTS)
+    assert [finding['name'] for finding in found['findings']] == [
         'parametric_is_worst', 'likelihood_beats_validation', 'semi_parametric_is_best_average',
         'semi_parametric_is_best_spread', 'others_are_close']
-    assert document['findings'][0]['holds'] is None  # too short to have a steady state
+    assert found['findings'][0]['holds'] is None  # too short to have a steady state
     assert all(variant in page for variant in VARIANTS)
-    assert document['verdict'] in page
+    assert found['verdict'] in page
 
 
 def test_one_recording_serves_as_both(folder):
-    document = folder / 'both.json'
-    bag = str(folder / 'train.mcap')
-    assert main(['compare', bag, bag, '--params', str(folder / 'arm.yaml'), '--variant', 'P', '--train-samples', '200',
-                 '--test-from', '200', '--subsets', '2', '-o', str(folder / 'p.html'), '--json', str(document)]) == 0
-    assert json.loads(document.read_text())['subsets'] == [[200, 250], [250, 300]]
+    bag = folder / 'train.mcap'
+    found = document(folder / 'both.json', 'compare', bag, bag, '--params', folder / 'arm.yaml', '--variant', 'P',
+                     '--train-samples', 200, '--test-from', 200, '--subsets', 2, '-o', folder / 'p.html')
+    assert found['subsets'] == [[200, 250], [250, 300]]
 
 
 def test_the_fitted_file_gives_what_was_fitted(folder):
-    fitted, document = folder / 'fitted.yaml', folder / 'fit.json'
-    assert main(['fit', str(folder / 'train.mcap'), '--params', str(folder / 'arm.yaml'), '-o', str(fitted), '--json',
-                 str(document), '--jobs', '1']) == 0
-    settings, found = load_params(fitted), json.loads(document.read_text())['hyperparameters']
+    fitted = folder / 'fitted.yaml'
+    found = document(folder / 'fit.json', 'fit', folder / 'train.mcap', '--params', folder / 'arm.yaml', '-o', fitted,
+                     '--jobs', 1)['hyperparameters']
+    settings = load_params(fitted)
     assert settings.hyperparameters_sigma == (found['sigma'],)
     assert settings.hyperparameters_tau == tuple(found['tau'])
     assert len(settings.hyperparameters_input_mean) == 12
 
-    results = []
-    for params in ('arm.yaml', 'fitted.yaml'):
-        assert main(['evaluate', str(folder / 'test.mcap'), '--train', str(folder / 'train.mcap'), '--frozen',
-                     '--params', str(folder / params), '--json', str(folder / 'out.json')]) == 0
-        results.append(json.loads((folder / 'out.json').read_text())['variants']['SPK-ML']['nmse'])
+    results = [document(folder / 'out.json', 'evaluate', folder / 'test.mcap', '--train', folder / 'train.mcap',
+                        '--frozen', '--params', folder / params)['variants']['SPK-ML']['nmse']
+               for params in ('arm.yaml', 'fitted.yaml')]
     # What it gives the variant is the same; the rigid body beside it had a noise of its own.
     assert results[0] == pytest.approx(results[1], rel=0.05)
 
@@ -181,18 +174,10 @@ def test_the_fitted_file_gives_what_was_fitted(folder):
 @pytest.mark.parametrize('variant', VARIANTS)
 def test_a_file_of_every_variant_loads(folder, variant):
     fitted = folder / f'{variant}.yaml'
-    assert main(['fit', str(folder / 'train.mcap'), '--params', str(folder / 'arm.yaml'), '-o', str(fitted), '--jobs',
-                 '1', '--starts', '1', '--variant', variant, '--grid-tau', '1', '4']) == 0
+    assert semiparam('fit', folder / 'train.mcap', '--params', folder / 'arm.yaml', '-o', fitted, '--jobs', 1,
+                     '--starts', 1, '--variant', variant, '--grid-tau', 1, 4) == 0
     assert load_params(fitted).variant == variant
-    assert main(['evaluate', str(folder / 'test.mcap'), '--params', str(fitted)]) == 0
-
-
-def complaint(capsys, *arguments):
-    """The one sentence with which a command refuses."""
-    assert main([*map(str, arguments)]) == 2
-    sentence = capsys.readouterr().err.strip().splitlines()[-1]
-    assert 'Traceback' not in sentence
-    return sentence
+    assert semiparam('evaluate', folder / 'test.mcap', '--params', fitted) == 0
 
 
 @pytest.mark.parametrize(('options', 'sentence'), [
@@ -207,7 +192,7 @@ def complaint(capsys, *arguments):
     (['-o', '/nowhere/page.html'], 'no folder /nowhere'), (['--json', '/'], 'it is a folder')])
 def test_a_senseless_request_is_refused_in_one_sentence(folder, capsys, options, sentence):
     page = folder / 'refused.html'
-    assert sentence in complaint(capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params',
+    assert sentence in refusal(capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params',
                                  folder / 'arm.yaml', '-o', page, *options)
     assert not page.exists()
 
@@ -218,15 +203,15 @@ def test_a_senseless_request_is_refused_in_one_sentence(folder, capsys, options,
     (['--starts', '0'], '--starts is 0'), (['--variant', 'SPX'], "'SPX' is unknown")])
 def test_a_senseless_fit_is_refused_in_one_sentence(folder, capsys, options, sentence):
     written = folder / 'refused.yaml'
-    assert sentence in complaint(capsys, 'fit', folder / 'train.mcap', '--params', folder / 'arm.yaml', '-o', written,
+    assert sentence in refusal(capsys, 'fit', folder / 'train.mcap', '--params', folder / 'arm.yaml', '-o', written,
                                  '--variant', 'NP-VS', *options)
     assert not written.exists()
 
 
 def test_a_recording_too_short_for_a_fit_is_refused(folder, capsys, tmp_path):
     short = write_arm(tmp_path / 'short.mcap', 10)
-    assert 'holds 10 samples; expected at least 20' in complaint(
-        capsys, 'fit', short, '--params', folder / 'arm.yaml', '-o', tmp_path / 'p.yaml')
+    assert semiparam('fit', short, '--params', folder / 'arm.yaml', '-o', tmp_path / 'p.yaml') == 2
+    assert 'holds 10 samples; expected at least 20' in capsys.readouterr().err  # after a remark
     assert not (tmp_path / 'p.yaml').exists()
 
 
@@ -234,7 +219,7 @@ def test_recordings_of_different_robots_are_refused(folder, capsys, tmp_path, mo
     (tmp_path / 'other.urdf').write_text(recordings.URDF.read_text().replace('<mass value="', '<mass value="1'))
     monkeypatch.setattr(recordings, 'URDF', tmp_path / 'other.urdf')
     other = write_arm(tmp_path / 'other.mcap', 200, seed=3)
-    assert 'different robot descriptions' in complaint(
+    assert 'different robot descriptions' in refusal(
         capsys, 'compare', folder / 'train.mcap', other, '--params', folder / 'arm.yaml', '-o', tmp_path / 'p.html')
 
 
@@ -247,8 +232,8 @@ def still(tmp_path_factory):
         fixed = table.copy()
         fixed[:, constant] = 3.0
         np.savetxt(folder / f'{name}.dat', fixed)
-        assert main(['convert', str(folder / f'{name}.dat'), str(folder / f'{name}.mcap'), '--columns',
-                     str(recordings.URDF.with_name('icub_table.yaml'))]) == 0
+        assert semiparam('convert', folder / f'{name}.dat', folder / f'{name}.mcap', '--columns',
+                         recordings.URDF.with_name('icub_table.yaml')) == 0
     settings = Settings.from_mapping(PARAMETERS | {'robot_description_file': str(recordings.URDF)})
     dump_params(settings, folder / 'arm.yaml')
     return folder
@@ -257,14 +242,14 @@ def still(tmp_path_factory):
 def test_a_channel_that_stands_still_is_named(still, capsys, tmp_path):
     result, params = tmp_path / 'result', ['--params', still / 'arm.yaml']
     sentence = 'output 2 (counted from 0) is constant'
-    assert sentence in complaint(capsys, 'fit', still / 'one.mcap', *params, '-o', result)
-    assert sentence in complaint(capsys, 'compare', still / 'one.mcap', still / 'one.mcap', *params, '--variant', 'P',
+    assert sentence in refusal(capsys, 'fit', still / 'one.mcap', *params, '-o', result)
+    assert sentence in refusal(capsys, 'compare', still / 'one.mcap', still / 'one.mcap', *params, '--variant', 'P',
                                  '--subsets', '1', '--jobs', '1', '-o', result)
     assert not result.exists()
 
 
 def test_outputs_without_any_variance_are_refused_before_the_work(still, folder, capsys, tmp_path):
-    assert 'every output of the second recording is constant' in complaint(
+    assert 'every output of the second recording is constant' in refusal(
         capsys, 'compare', folder / 'train.mcap', still / 'all.mcap', '--params', still / 'arm.yaml', '-o',
         tmp_path / 'p.html')
     assert not (tmp_path / 'p.html').exists()
@@ -282,7 +267,7 @@ def test_a_cluster_that_does_not_answer_is_named(folder, capsys, monkeypatch, ad
     pytest.importorskip('distributed')
     monkeypatch.setattr(parallel, 'ANSWER_S', 0.5)
     with silent_listener() if address == 'silent' else contextlib.nullcontext(address) as asked:
-        assert f"no Dask scheduler answers at '{asked}'" in complaint(
+        assert f"no Dask scheduler answers at '{asked}'" in refusal(
             capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml',
             '--scheduler', asked, '-o', folder / 'unanswered.html')
     assert not (folder / 'unanswered.html').exists()
@@ -291,7 +276,7 @@ def test_a_cluster_that_does_not_answer_is_named(folder, capsys, monkeypatch, ad
 def test_a_cluster_without_workers_is_named(folder, capsys):
     distributed = pytest.importorskip('distributed')
     with distributed.LocalCluster(n_workers=0, dashboard_address=None, host='127.0.0.1') as cluster:
-        assert 'has no worker' in complaint(
+        assert 'has no worker' in refusal(
             capsys, 'compare', folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml',
             '--scheduler', cluster.scheduler_address, '-o', folder / 'idle.html')
     assert not (folder / 'idle.html').exists()
@@ -373,19 +358,17 @@ def test_a_finding_that_does_not_hold_is_said_not_to(change, fails):
 def test_findings_on_the_bundled_recordings(repository, tmp_path):
     """All seven models over five feature draws, with fewer features and shorter parts than the default: the paper's
     findings hold, P's error is a multiple of the others', and the bands hold what they promise on the known motion."""
-    bags = [str(repository / 'bags' / name) for name in ('icub_xy.mcap', 'icub_xz.mcap')]
-    params, result = tmp_path / 'arm.yaml', tmp_path / 'result.json'
+    bags = [repository / 'bags' / name for name in ('icub_xy.mcap', 'icub_xz.mcap')]
+    params = tmp_path / 'arm.yaml'
     settings = load_params(repository / 'config/icub_right_arm.yaml')
     dump_params(replace(settings, features_count=100, initial_samples=500), params)
-    assert main(['compare', *bags, '--params', str(params), '--seeds', '5', '--starts', '1', '--train-samples', '1500',
-                 '--subsets', '2', '--subset-samples', '900', '-o', str(tmp_path / 'p.html'), '--json',
-                 str(result)]) == 0
-    document = json.loads(result.read_text())
-    assert document['seeds'] == [0, 1, 2, 3, 4]
-    assert {finding['name']: finding['holds'] for finding in document['findings']} == {
+    found = document(tmp_path / 'result.json', 'compare', *bags, '--params', params, '--seeds', 5, '--starts', 1,
+                     '--train-samples', 1500, '--subsets', 2, '--subset-samples', 900, '-o', tmp_path / 'p.html')
+    assert found['seeds'] == [0, 1, 2, 3, 4]
+    assert {finding['name']: finding['holds'] for finding in found['findings']} == {
         'parametric_is_worst': True, 'likelihood_beats_validation': True, 'semi_parametric_is_best_average': True,
         'semi_parametric_is_best_spread': True, 'others_are_close': True}
-    variants = document['variants']
+    variants = found['variants']
     assert variants['P']['learning']['nmse']['mean'] > 3.0 * variants['SPK-ML']['learning']['nmse']['mean']
     for name in ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML'):
         assert 0.93 <= variants[name]['first_recording']['coverage']['mean'] <= 0.97, name

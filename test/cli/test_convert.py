@@ -10,15 +10,15 @@ from scipy.io import savemat
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.text_tables import parse_columns
-from semiparam_ros.cli.main import main
 from semiparam_ros.settings.snapshot import Settings
+from support.commands import refusal, semiparam
 
 ICUB_JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 TWO_JOINTS = ('--joints', 'hip,knee', '--position', '1-2', '--velocity', '3-4', '--rate', '100')
 
 
 def convert(*arguments) -> int:
-    return main(['convert', *map(str, arguments)])
+    return semiparam('convert', *arguments)
 
 
 def table(tmp_path: Path, text: str) -> Path:
@@ -146,13 +146,12 @@ def test_single_columns_of_an_array_and_factors_for_a_bag(tmp_path, capsys):
     assert convert(bag, tmp_path / 'turned.mcap', '--joint', 'knee=elbow', '--effort-factors', 'elbow=2') == 0
     before, after = (messages(path, '/joint_states')[3].data for path in (bag, tmp_path / 'turned.mcap'))
     assert after.name == ['elbow'] and after.effort == [2.0 * before.effort[0]]
-    capsys.readouterr()
-    assert convert(path, bag, '--joints', 'a,b', '--rate', '9', '--position', 'q', '--effort-factors', 'c=2') == 2
-    assert "effort_factors names 'c'; expected some of the joints a, b" in capsys.readouterr().err
-    assert convert(path, bag, '--joints', 'a,b', '--rate', '9', '--position', 'q', '--effort-factors', '2') == 2
-    assert 'expected NAME=FACTOR' in capsys.readouterr().err
-    assert convert(path, bag, '--joints', 'a,b', '--rate', '9', '--position', 'p') == 2
-    assert 'position has 1 columns; expected 2, one for each of --joints' in capsys.readouterr().err
+    for options, sentence in (
+            (('q', '--effort-factors', 'c=2'), "effort_factors names 'c'; expected some of the joints a, b"),
+            (('q', '--effort-factors', '2'), 'expected NAME=FACTOR'),
+            (('p',), 'position has 1 columns; expected 2, one for each of --joints')):
+        assert sentence in refusal(capsys, 'convert', path, bag, '--joints', 'a,b', '--rate', 9,
+                                   '--position', *options)
 
 
 @pytest.mark.parametrize('form', ['npz', 'mat', 'folder'])
@@ -162,13 +161,12 @@ def test_ranges_of_an_array_and_rows_that_do_not_match(form, tmp_path, capsys):
     path, bag = saved_arrays(tmp_path, arrays, form), tmp_path / 'out.mcap'
     assert convert(path, bag, '--joints', 'hip,knee', '--time', f'{within}t', '--position', f'{within}q:1-2') == 0
     np.testing.assert_array_equal([state.data.position for state in messages(bag, '/joint_states')], arrays['q'])
-    capsys.readouterr()
+    shape = '2 x 49' if form == 'mat' else '49 x 2'
     for columns in ('short', 'short:1-2'):
-        assert convert(path, bag, '--joints', 'hip,knee', '--time', f'{within}t', '--position', f'{within}q',
-                       '--effort', within + columns) == 2
-        shape = '2 x 49' if form == 'mat' else '49 x 2'
-        assert (f"'{within}short' has {shape} values, where the others have 50 samples; expected as many samples in "
-                'each.') in capsys.readouterr().err
+        assert (f"'{within}short' has {shape} values, where the others have 50 samples; expected as many "
+                'samples in each.') in refusal(
+            capsys, 'convert', path, bag, '--joints', 'hip,knee', '--time', f'{within}t',
+            '--position', f'{within}q', '--effort', within + columns)
 
 
 @pytest.mark.parametrize(('name', 'content', 'sentence'), [
@@ -181,9 +179,7 @@ def test_array_files_that_hold_nothing_end_in_one_sentence(name, content, senten
         np.save(path, np.array(['a', 'b']))
     else:
         path.write_bytes(content)
-    assert convert(path, tmp_path / 'out.mcap', *TWO_JOINTS) == 2
-    said = capsys.readouterr().err
-    assert sentence in said and len(said.strip().splitlines()) == 1
+    assert sentence in refusal(capsys, 'convert', path, tmp_path / 'out.mcap', *TWO_JOINTS)
 
 
 def test_the_same_input_gives_the_same_bytes(tmp_path):
@@ -221,9 +217,7 @@ BAD_TABLES = {
 @pytest.mark.parametrize('case', BAD_TABLES)
 def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, capsys):
     text, options, sentence = BAD_TABLES[case]
-    assert convert(table(tmp_path, text), tmp_path / 'out.mcap', *options) == 2
-    said = capsys.readouterr().err
-    assert sentence in said and len(said.strip().splitlines()) == 1
+    assert sentence in refusal(capsys, 'convert', table(tmp_path, text), tmp_path / 'out.mcap', *options)
     assert [path.name for path in tmp_path.iterdir()] == ['table.txt']
 
 
@@ -238,9 +232,8 @@ def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, cap
 def test_a_bad_columns_file_ends_in_one_sentence(text, sentence, tmp_path, capsys):
     columns = tmp_path / 'columns.yaml'
     columns.write_text(text)
-    assert convert(table(tmp_path, '1 2\n'), tmp_path / 'out.mcap', '--columns', columns) == 2
-    said = capsys.readouterr().err
-    assert sentence in said and len(said.strip().splitlines()) == 1
+    assert sentence in refusal(capsys, 'convert', table(tmp_path, '1 2\n'), tmp_path / 'out.mcap',
+                               '--columns', columns)
 
 
 def test_wrong_files_end_in_one_sentence(tmp_path, capsys):
@@ -250,19 +243,16 @@ def test_wrong_files_end_in_one_sentence(tmp_path, capsys):
             (path, tmp_path / 'o.bag', *TWO_JOINTS): 'expected one that ends in .mcap',
             (path, tmp_path / 'no' / 'o.mcap', *TWO_JOINTS): 'no bag can be written to',
             (path, tmp_path / 'o.mcap', *TWO_JOINTS, '--robot-description', tmp_path / 'no.urdf'): 'no.urdf'}.items():
-        assert convert(*arguments) == 2
-        assert sentence in capsys.readouterr().err
+        assert sentence in refusal(capsys, 'convert', *arguments)
     bag = tmp_path / 'good.mcap'
     assert convert(path, bag, *TWO_JOINTS) == 0
     before = bag.read_bytes()
-    capsys.readouterr()
     for arguments, sentence in {
             (bag, bag): 'is the input itself',
             (bag, tmp_path / 'o.mcap', '--topic', '/no'): 'has no topic /no; it has /joint_states',
             (bag, tmp_path / 'o.mcap', '--joint', 'a='): "'a=' is no renaming; expected OLD=NEW",
             (bag, tmp_path / 'o.mcap', '--rate', '5'): '--rate is for text tables'}.items():
-        assert convert(*arguments) == 2
-        assert sentence in capsys.readouterr().err
+        assert sentence in refusal(capsys, 'convert', *arguments)
     assert bag.read_bytes() == before
 
 

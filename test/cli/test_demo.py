@@ -11,19 +11,10 @@ from semiparam_ros.cli import demo, demo_run
 from semiparam_ros.cli.demo_run import Program, isolated
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings import Settings
-from support.recordings import FRAME, INITIAL, JOINTS, write_arm, write_params
+from support.commands import document
+from support.recordings import FRAME, INITIAL, JOINTS
 
-LENGTH = 400
-
-
-@pytest.fixture(scope='module')
-def recording(tmp_path_factory):
-    return write_arm(tmp_path_factory.mktemp('bags') / 'short.mcap', LENGTH)
-
-
-@pytest.fixture(scope='module')
-def params(tmp_path_factory):
-    return write_params(tmp_path_factory.mktemp('params') / 'arm.yaml')
+LENGTH = 400  # of the recording in conftest.py
 
 
 def run_demo(*arguments):
@@ -46,9 +37,7 @@ def test_demo_answers_every_sample_and_reports(recording, params, tmp_path, ros_
     assert variants['SPK-ML live']['samples'] == variants['P']['samples'] == LENGTH - INITIAL
     assert variants['SPK-ML live']['update_ms']['median'] > 0.0
     # Live equals offline: what the demo shows is what `semiparam evaluate` reports.
-    from semiparam_ros.cli.main import main
-    assert main(['evaluate', str(recording), '--params', str(params), '--json', str(tmp_path / 'offline.json')]) == 0
-    offline = json.loads((tmp_path / 'offline.json').read_text())['variants']['SPK-ML']
+    offline = document(tmp_path / 'offline.json', 'evaluate', recording, '--params', params)['variants']['SPK-ML']
     for name in ('rmse', 'nmse'):
         assert variants['SPK-ML live'][name] == pytest.approx(offline[name], rel=1e-9)
     for name in ('eps_force', 'eps_torque'):

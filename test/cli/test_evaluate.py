@@ -1,6 +1,5 @@
 """`semiparam evaluate` on recordings that the test writes, and on the measured iCub arm."""
 
-import json
 from dataclasses import replace
 from functools import partial
 
@@ -8,26 +7,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.evaluate import print_scores
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.experiments.evaluation import Scores, by_phase, normalised_errors, update_times
+from semiparam_ros.experiments.evaluation import VariantScores, by_phase, normalised_errors, update_times
 from semiparam_ros.settings import Settings, dump_params, load_params
 from support import node_helpers
-from support.recordings import FRAME, INITIAL, JOINTS, PERIOD_NS, URDF, write_arm, write_params
-
-
-@pytest.fixture(scope='module')
-def recording(tmp_path_factory):
-    return write_arm(tmp_path_factory.mktemp('bags') / 'a.mcap', 400)
-
-
-@pytest.fixture(scope='module')
-def params(tmp_path_factory):
-    return write_params(tmp_path_factory.mktemp('params') / 'arm.yaml')
+from support.commands import document, refusal, semiparam
+from support.recordings import FRAME, INITIAL, JOINTS, PERIOD_NS, URDF, write_arm
 
 
 @pytest.fixture
@@ -37,30 +26,29 @@ def evaluate(params, tmp_path):
 
 
 def document_of(params, path, *arguments):
-    assert cli.main(['evaluate', *map(str, arguments), '--params', str(params), '--json', str(path)]) == 0
-    return json.loads(path.read_text())
+    return document(path, 'evaluate', *arguments, '--params', params)
 
 
 def test_the_external_wrench_as_a_table(params, recording, tmp_path, capsys):
     """What the model leaves of each sample, as the node tells it; of one variant alone."""
     table = tmp_path / 'external.csv'
-    arguments = ['evaluate', str(recording), '--params', str(params), '--external-wrench', str(table)]
-    assert cli.main([*arguments, '--variant', 'P']) == 0
+    arguments = ['evaluate', recording, '--params', params, '--external-wrench', table, '--variant', 'P']
+    assert semiparam(*arguments) == 0
     head, *rows = table.read_text().splitlines()
     assert head.startswith('stamp_ns,fx,') and head.endswith(',tz_std') and len(rows) == 400 - INITIAL
     values = np.array([[float(cell) for cell in row.split(',')] for row in rows])
     assert values.shape[1] == 13 and (np.diff(values[:, 0]) > 0).all() and (values[:, 7:] > 0.0).all()
     assert np.abs(values[:, 1:7]).mean() < 3 * values[:, 7:].mean()
     table.unlink()
-    assert cli.main([*arguments, '--variant', 'P', '--variant', 'NP-ML']) == 2
-    assert 'tells what one variant leaves; 2 are' in capsys.readouterr().err and not table.exists()
+    assert 'tells what one variant leaves; 2 are' in refusal(capsys, *arguments, '--variant', 'NP-ML')
+    assert not table.exists()
 
 
 def test_figures_of_each_variant(evaluate, recording, capsys):
-    document = evaluate(recording, '--variant', 'P', '--variant', 'SPK-ML')
-    assert document['schema'] == 1
-    assert list(document['variants']) == ['P', 'SPK-ML']
-    for result in document['variants'].values():
+    found = evaluate(recording, '--variant', 'P', '--variant', 'SPK-ML')
+    assert found['schema'] == 1
+    assert list(found['variants']) == ['P', 'SPK-ML']
+    for result in found['variants'].values():
         assert len(result['nmse']) == len(result['rmse']) == 6
         assert result['nmse_mean'] == pytest.approx(np.mean(result['nmse']))
         assert result['samples'] == 400 - INITIAL
@@ -78,13 +66,13 @@ def test_figures_of_each_variant(evaluate, recording, capsys):
 def test_the_number_of_features_is_chosen_and_told(params, tmp_path, recording, capsys):
     auto = tmp_path / 'auto.yaml'
     dump_params(replace(load_params(params), features_count='auto', sensor_frame=FRAME), auto)
-    document = document_of(auto, tmp_path / 'a.json', recording, '--variant', 'P', '--variant', 'SPK-ML')
-    chosen = document['variants']['SPK-ML']['features']
+    found = document_of(auto, tmp_path / 'a.json', recording, '--variant', 'P', '--variant', 'SPK-ML')
+    chosen = found['variants']['SPK-ML']['features']
     assert chosen in (50, 100, 200, 300, 400, 500)
-    assert document['variants']['P']['features'] == 0
+    assert found['variants']['P']['features'] == 0
     assert f'random features: {chosen} (SPK-ML)' in capsys.readouterr().out
-    document = document_of(params, tmp_path / 'b.json', recording, '--variant', 'SPK-ML')
-    assert document['variants']['SPK-ML']['features'] == 20
+    found = document_of(params, tmp_path / 'b.json', recording, '--variant', 'SPK-ML')
+    assert found['variants']['SPK-ML']['features'] == 20
     assert 'random features' not in capsys.readouterr().out
 
 
@@ -134,14 +122,12 @@ def test_contacts_are_scored_but_not_learnt(recording, tmp_path):
     """The gate that the node has: a contact that never ends leaves the model as trained."""
     values = {'sensor_frame': FRAME, 'joints': list(JOINTS), 'initial.samples': INITIAL, 'variant': 'P',
               'gate.enabled': True, 'gate.timeout': 0.0}
-    path, result = tmp_path / 'gate.yaml', tmp_path / 'result.json'
+    path = tmp_path / 'gate.yaml'
     dump_params(Settings.from_mapping(values), path)
-    rmse, touched = [], write_arm(tmp_path / 'touched.mcap', 200, seed=2, start=10**12, bias=50.0)
-    for frozen in ([], ['--frozen']):
-        words = ['--train', str(recording), *frozen, '--params', str(path), '--json', str(result)]
-        assert cli.main(['evaluate', str(touched), *words]) == 0
-        rmse.append(json.loads(result.read_text())['variants']['P']['rmse'])
-    assert rmse[0] == rmse[1]
+    touched = write_arm(tmp_path / 'touched.mcap', 200, seed=2, start=10**12, bias=50.0)
+    learning, frozen = (document_of(path, tmp_path / 'result.json', touched, '--train', recording, *option)
+                        for option in ([], ['--frozen']))
+    assert learning['variants']['P']['rmse'] == frozen['variants']['P']['rmse']
 
 
 @pytest.mark.parametrize('arguments, sentence', [
@@ -154,17 +140,13 @@ def test_contacts_are_scored_but_not_learnt(recording, tmp_path):
 ])
 def test_mistakes_are_one_sentence(arguments, sentence, recording, params, tmp_path, capsys):
     words = [word.format(bag=recording, folder=tmp_path) for word in arguments]
-    given = [] if '--params' in words else ['--params', str(params)]
-    assert cli.main(['evaluate', *words, *given]) == 2
-    error = capsys.readouterr().err
-    assert sentence in error
-    assert len(error.strip().splitlines()) == 1
+    given = [] if '--params' in words else ['--params', params]
+    assert sentence in refusal(capsys, 'evaluate', *words, *given)
 
 
 def test_too_short_a_recording_is_refused(params, tmp_path, capsys):
     bag = write_arm(tmp_path / 'short.mcap', 60)
-    assert cli.main(['evaluate', str(bag), '--params', str(params)]) == 2
-    assert 'initial.samples' in capsys.readouterr().err
+    assert 'initial.samples' in refusal(capsys, 'evaluate', bag, '--params', params)
 
 
 def test_the_widest_figures_fit_into_a_terminal(capsys):
@@ -187,7 +169,7 @@ def test_a_constant_channel_has_no_normalised_error():
 
 
 def test_time_goes_on_from_one_recording_to_the_next():
-    scores = Scores('effort')
+    scores = VariantScores('effort')
     for origin in (0, 10**18):
         scores.start_recording(origin)
         for second in range(3):
@@ -209,10 +191,8 @@ def test_a_robot_whose_sensor_says_nothing_first_is_evaluated_from_its_first_win
     samples[:still] = [sample._replace(outputs=np.ones(6)) for sample in samples[:still]]
     bag = node_helpers.write_bag(tmp_path / 'still.mcap', samples)
     dump_params(node_helpers.SETTINGS, tmp_path / 'two.yaml')
-    command = ['evaluate', str(bag), '--params', str(tmp_path / 'two.yaml'), '--json', str(tmp_path / 'result.json')]
-    assert cli.main(command) == 0
-    figures = json.loads((tmp_path / 'result.json').read_text())['variants']['SPK-ML']
+    figures = document_of(tmp_path / 'two.yaml', tmp_path / 'result.json', bag)['variants']['SPK-ML']
     assert figures['samples'] == 140 - node_helpers.SETTINGS.initial_samples
     assert capsys.readouterr().err.count('is constant over the initial window') == 2
     never = node_helpers.write_bag(tmp_path / 'never.mcap', samples[:still])
-    assert cli.main([*command[:1], str(never), *command[2:]]) == 2
+    assert semiparam('evaluate', never, '--params', tmp_path / 'two.yaml') == 2

@@ -8,13 +8,13 @@ import pytest
 import yaml
 
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.cli.main import main
 from semiparam_ros.core.robot.consistency import is_consistent
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.export.urdf import described_links
 from semiparam_ros.online import state_file
 from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
+from support.commands import document, refusal, semiparam
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 from support.recordings import FRAME, JOINTS, URDF, write_arm
@@ -37,22 +37,19 @@ def folder(tmp_path_factory):
 
 
 def export(folder, *options, source='arm.mcap', params='p.yaml'):
-    return main(
-        ['export', str(folder / source), '--params', str(folder / params), *map(str, options)]
-    )
+    return semiparam('export', folder / source, '--params', folder / params, *options)
 
 
 def test_a_recording_becomes_a_urdf_and_a_document(folder, capsys):
-    assert export(folder, '--urdf', folder / 'a.urdf', '--json', folder / 'a.json') == 0
+    found = document(folder / 'a.json', 'export', folder / 'arm.mcap', '--params', folder / 'p.yaml',
+                     '--urdf', folder / 'a.urdf')
     told = capsys.readouterr().out
     assert 'r_upper_arm: 0.729 kg to 0.' in told and f'written: {folder / "a.urdf"}' in told
     text = (folder / 'a.urdf').read_text()
     assert text.startswith(URDF.read_text()[:200]) and 'Identified by semiparam_ros' in text
-    body, before = (
-        RigidBody.from_urdf(urdf, JOINTS, 'wrench', FRAME) for urdf in (text, URDF.read_text())
-    )
+    body, before = (RigidBody.from_urdf(urdf, JOINTS, 'wrench', FRAME)
+                    for urdf in (text, URDF.read_text()))
     assert np.allclose(body.base_parameters, 1.2 * before.base_parameters, atol=0.02)
-    found = json.loads((folder / 'a.json').read_text())
     assert found['schema'] == 1 and found['command'] == 'export'
     assert found['offsets']['fz'] == pytest.approx(1.0, abs=0.05)
     assert found['links']['r_upper_arm']['changed'] is True
@@ -61,32 +58,17 @@ def test_a_recording_becomes_a_urdf_and_a_document(folder, capsys):
 
 def test_comments_and_all_other_elements_stay(folder):
     assert export(folder, '--urdf', folder / 'b.urdf') == 0
-    before, after = (
-        text.splitlines() for text in (URDF.read_text(), (folder / 'b.urdf').read_text())
-    )
     touched = ('<origin', '<mass', '<inertia ', 'Identified by')
-    assert [line for line in after if not any(word in line for word in touched)] == [
-        line for line in before if not any(word in line for word in touched)
-    ]
+    before, after = ([line for line in path.read_text().splitlines()
+                      if not any(word in line for word in touched)] for path in (URDF, folder / 'b.urdf'))
+    assert after == before
 
 
 def test_a_load_is_told_in_the_forms_of_controllers(folder):
     files = {form: folder / f'load.{form}' for form in ('ur-payload', 'franka-desk', 'libfranka')}
     options = [part for form, path in files.items() for part in (f'--{form}', path)]
-    assert (
-        export(
-            folder,
-            '--load',
-            'r_hand',
-            '--keep-inertias',
-            '--flange',
-            'r_gripper',
-            '--urdf',
-            folder / 'l.urdf',
-            *options,
-        )
-        == 0
-    )
+    assert export(folder, '--load', 'r_hand', '--keep-inertias', '--flange', 'r_gripper',
+                  '--urdf', folder / 'l.urdf', *options) == 0
     model = pin.buildModelFromXML((folder / 'l.urdf').read_text())
     desk = json.loads(files['franka-desk'].read_text())
     assert set(desk) == {'mass', 'centerOfMass', 'transformation', 'inertia'}
@@ -98,129 +80,73 @@ def test_a_load_is_told_in_the_forms_of_controllers(folder):
     mass, centre, inertia = eval(script.removeprefix('set_target_payload'))
     xx, yy, zz, xy, xz, yz = inertia
     assert np.allclose(centre, desk['centerOfMass'])
-    assert np.allclose(
-        [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], np.array(desk['inertia']).reshape(3, 3)
-    )
+    assert np.allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]],
+                       np.array(desk['inertia']).reshape(3, 3))
     assert is_consistent(load) and mass > 0.0
     assert f'robot.setLoad({desk["mass"]:.10g}, {{{{' in files['libfranka'].read_text()
 
 
 def test_the_weight_on_a_sensor_is_that_of_one_body(folder, tmp_path, capsys):
-    assert export(folder, '--gravity-filter', tmp_path / 'f.yaml') == 2
-    assert 'bodies hang on the sensor and move against each other' in capsys.readouterr().err
+    path = tmp_path / 'f.yaml'
+    assert 'bodies hang on the sensor and move against each other' in refusal(
+        capsys, 'export', folder / 'arm.mcap', '--params', folder / 'p.yaml', '--gravity-filter', path)
     (folder / 'locked.yaml').write_text(
         PARAMS.replace(', r_elbow', '')
-        + '    locked_joints.names: [r_elbow]\n    locked_joints.positions: [1.0]\n'
-    )
-    assert export(folder, '--gravity-filter', tmp_path / 'f.yaml', params='locked.yaml') == 0
-    parameters = yaml.safe_load((tmp_path / 'f.yaml').read_text())['sensor_filter_chain'][
-        'filter1'
-    ]['params']
+        + '    locked_joints.names: [r_elbow]\n    locked_joints.positions: [1.0]\n')
+    assert export(folder, '--gravity-filter', path, params='locked.yaml') == 0
+    parameters = yaml.safe_load(path.read_text())['sensor_filter_chain']['filter1']['params']
     assert parameters['sensor_frame'] == 'r_upper_arm'
-    assert parameters['tool']['gravity_field'] == [
-        0.0,
-        0.0,
-        9.81,
-    ]  # the sensor tells the action on the tool
-    described = sum(
-        values[0]
-        for name, values in described_links(URDF.read_text()).items()
-        if name in ('r_upper_arm', 'r_elbow_1', 'r_forearm', 'r_hand')
-    )
+    # the sensor tells the action on the tool
+    assert parameters['tool']['gravity_field'] == [0.0, 0.0, 9.81]
+    described = sum(values[0] for name, values in described_links(URDF.read_text()).items()
+                    if name in ('r_upper_arm', 'r_elbow_1', 'r_forearm', 'r_hand'))
     assert parameters['tool']['mass'] == pytest.approx(1.2 * described, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    'options, sentence',
-    [
-        (['--ur-payload', 'x'], 'no load is known; expected a payload among the effects'),
-        (['--crisp-friction', 'x'], 'no friction is known; expected outputs: effort'),
-        (
-            ['--load', 'r_hand', '--keep-inertias', '--flange', 'r_upper_arm', '--libfranka', 'x'],
-            "what is carried at 'r_hand' moves against 'r_upper_arm'; expected a link that is",
-        ),
-        (
-            ['--load', 'r_hand', '--keep-inertias', '--flange', 'nothing', '--libfranka', 'x'],
-            "link 'nothing' is not a link of the robot description",
-        ),
-        (['--load', 'nothing'], "effect 'payload' cannot act at 'nothing'; expected payload@PLACE"),
-        (['--urdf', 'nowhere/x'], 'cannot write nowhere/x: there is no folder'),
-    ],
-)
-def test_a_mistake_is_one_sentence_and_no_file(
-    folder, tmp_path, monkeypatch, capsys, options, sentence
-):
+@pytest.mark.parametrize('source, options, sentence', [
+    ('arm.mcap', '--ur-payload x', 'no load is known; expected a payload among the effects'),
+    ('arm.mcap', '--crisp-friction x', 'no friction is known; expected outputs: effort'),
+    ('arm.mcap', '--load r_hand --keep-inertias --flange r_upper_arm --libfranka x',
+     "what is carried at 'r_hand' moves against 'r_upper_arm'; expected a link that is"),
+    ('arm.mcap', '--load r_hand --keep-inertias --flange nothing --libfranka x',
+     "link 'nothing' is not a link of the robot description"),
+    ('arm.mcap', '--load nothing', "effect 'payload' cannot act at 'nothing'; expected payload@PLACE"),
+    ('arm.mcap', '--urdf nowhere/x', 'cannot write nowhere/x: there is no folder'),
+    ('p.yaml', '', 'says what there is, not how much of it; expected a recording or a saved state'),
+])
+def test_a_mistake_is_one_sentence_and_no_file(folder, tmp_path, monkeypatch, capsys, source, options,
+                                               sentence):
     monkeypatch.chdir(tmp_path)
-    assert export(folder, *options, '--json', tmp_path / 'x.json') == 2
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1 and sentence in told[0]
+    assert sentence in refusal(capsys, 'export', folder / source, '--params', folder / 'p.yaml',
+                               *options.split(), '--json', tmp_path / 'x.json')
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_parameter_file_is_no_source(folder, capsys):
-    assert export(folder, source='p.yaml') == 2
-    assert (
-        'says what there is, not how much of it; expected a recording or a saved state'
-        in capsys.readouterr().err
-    )
+def staged(params, variant='SPK-ML'):
+    """Write a parameter file of a small model; return its settings and a learner of them."""
+    params.write_text(PARAMS + f'    robot_description_file: {URDF}\n    initial.samples: 200\n'
+                      f'    variant: {variant}\n    features.count: 20\n')
+    settings = load_params(params)
+    return settings, Stage(settings, InlineBackground(), build_rigid_body(settings))
 
 
 def test_a_saved_state_is_exported_as_it_was_learnt(folder, tmp_path, capsys):
-
-    (tmp_path / 'p.yaml').write_text(
-        PARAMS + f'    robot_description_file: {URDF}\n    initial.samples: 200\n'
-        '    features.count: 20\n'
-    )
-    settings = load_params(tmp_path / 'p.yaml')
-    stage = Stage(settings, InlineBackground(), build_rigid_body(settings))
+    settings, stage = staged(tmp_path / 'p.yaml')
     stage.offer(load_samples(folder / 'arm.mcap', settings).samples)
     state_file.save(tmp_path / 's.npz', stage.learner.state())
-    assert (
-        main(
-            [
-                'export',
-                str(tmp_path / 's.npz'),
-                '--params',
-                str(tmp_path / 'p.yaml'),
-                '--urdf',
-                str(tmp_path / 's.urdf'),
-            ]
-        )
-        == 0
-    )
+    arguments = 'export', tmp_path / 's.npz', '--params', tmp_path / 'p.yaml'
+    assert semiparam(*arguments, '--urdf', tmp_path / 's.urdf') == 0
     assert 'On the samples that the state keeps the normalised error is' in capsys.readouterr().out
-    body, before = (
-        RigidBody.from_urdf(text, JOINTS, 'wrench', FRAME)
-        for text in ((tmp_path / 's.urdf').read_text(), URDF.read_text())
-    )
+    body, before = (RigidBody.from_urdf(path.read_text(), JOINTS, 'wrench', FRAME)
+                    for path in (tmp_path / 's.urdf', URDF))
     assert np.allclose(body.base_parameters, 1.2 * before.base_parameters, atol=0.05)
-    assert (
-        main(
-            [
-                'export',
-                str(tmp_path / 's.npz'),
-                '--params',
-                str(tmp_path / 'p.yaml'),
-                '--load',
-                'r_hand',
-            ]
-        )
-        == 2
-    )
-    assert 'is a saved state; expected a recording' in capsys.readouterr().err
+    assert 'is a saved state; expected a recording' in refusal(capsys, *arguments, '--load', 'r_hand')
 
 
 def test_a_state_without_a_rigid_body_tells_nothing(folder, tmp_path, capsys):
-
-    text = PARAMS + f'    robot_description_file: {URDF}\n    initial.samples: 200\n'
-    (tmp_path / 'p.yaml').write_text(text + '    variant: NP-ML\n    features.count: 20\n')
-    settings = load_params(tmp_path / 'p.yaml')
-    stage = Stage(settings, InlineBackground(), build_rigid_body(settings))
-    for count, sentence in (
-        (0, 'holds no model yet; expected one whose initial window is over'),
-        (300, 'its variant is NP-ML; expected P, SPK-ML or auto'),
-    ):
+    settings, stage = staged(tmp_path / 'p.yaml', 'NP-ML')
+    for count, sentence in ((0, 'holds no model yet; expected one whose initial window is over'),
+                            (300, 'its variant is NP-ML; expected P, SPK-ML or auto')):
         stage.offer(load_samples(folder / 'arm.mcap', settings).samples[:count])
         state_file.save(tmp_path / 's.npz', stage.learner.state())
-        assert main(['export', str(tmp_path / 's.npz'), '--params', str(tmp_path / 'p.yaml')]) == 2
-        assert sentence in capsys.readouterr().err
+        assert sentence in refusal(capsys, 'export', tmp_path / 's.npz', '--params', tmp_path / 'p.yaml')

@@ -9,6 +9,7 @@ import zstandard
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.cli.main import main
 from semiparam_ros.settings import load_params
+from support.commands import refusal
 
 BUNDLED_WITH_ZSTD = (1, 5, 7)
 BUNDLED = ('icub_xy', 'icub_xz', 'icub_undeclared')
@@ -98,10 +99,7 @@ def test_a_parameter_file_names_the_robot(repository, tmp_path):
 ])
 def test_bad_arguments_are_one_sentence(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
-    assert main(['simulate', *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert len(error.strip().splitlines()) == 1
+    assert words in refusal(capsys, 'simulate', *arguments)
     assert not list(tmp_path.iterdir())
 
 

@@ -79,6 +79,15 @@ def check_coefficients(body: RigidBody, effect: Effect) -> None:
         assert set(re.findall('[A-Za-z]+', unit)) <= UNITS, f'{name} [{unit}]'
 
 
+def one_by_one(assembly: CoupledColumns, samples: Samples) -> np.ndarray:
+    """Columns (N, n, p) as a node computes them, a sample at a time."""
+    memory, rows = None, []
+    for sample in samples:
+        row, memory = assembly.one(sample, samples.origin, memory)
+        rows.append(row)
+    return np.array(rows)
+
+
 def check_live_equals_offline(body: RigidBody, effect: Effect) -> None:
     """Columns of one sample at a time, or of pieces, are those of the whole recording."""
     moved = disturbed(effect)
@@ -86,11 +95,7 @@ def check_live_equals_offline(body: RigidBody, effect: Effect) -> None:
     expected, _ = assembly.batch(MOTION)
     assert expected.shape == (len(MOTION), body.n_outputs, assembly.n_columns)
     scale = np.abs(expected).max()
-    memory, rows = None, []
-    for sample in MOTION:
-        row, memory = assembly.one(sample, MOTION.origin, memory)
-        rows.append(row)
-    np.testing.assert_allclose(np.array(rows), expected, rtol=0, atol=1e-10 * scale)
+    np.testing.assert_allclose(one_by_one(assembly, MOTION), expected, rtol=0, atol=1e-10 * scale)
     first, memory = assembly.batch(MOTION[:7])
     second, _ = assembly.batch(MOTION[7:], memory)
     np.testing.assert_allclose(np.concatenate([first, second]), expected, rtol=0, atol=1e-10 * scale)
@@ -343,12 +348,8 @@ def check_late_and_uneven(body: RigidBody, effect: Effect) -> None:
     samples, assembly = late_and_uneven(), CoupledColumns(body, [disturbed(effect)])
     expected, _ = assembly.batch(samples)
     assert np.isfinite(expected).all()
-    memory, rows = None, []
-    for sample in samples:
-        row, memory = assembly.one(sample, ORIGIN, memory)
-        rows.append(row)
     scale = np.maximum(np.abs(expected).max(axis=(0, 1)), 1e-6)  # what is less, at rest, is rounding
-    np.testing.assert_allclose(np.array(rows) / scale, expected / scale, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(one_by_one(assembly, samples) / scale, expected / scale, rtol=0, atol=1e-9)
 
 
 JOINT_FORMS = {'viscous_friction': ({}, {}),

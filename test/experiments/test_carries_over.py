@@ -6,12 +6,9 @@ import sys
 import pytest
 
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.cli.main import main
 from semiparam_ros.settings import Settings, load_params
 
 pytestmark = pytest.mark.slow
-UR3 = ('Base=shoulder_pan_joint,Shoulder=shoulder_lift_joint,Elbow=elbow_joint,Wrist 1=wrist_1_joint,'
-       'Wrist 2=wrist_2_joint,Wrist 3=wrist_3_joint')
 
 
 @pytest.fixture(scope='module')
@@ -21,15 +18,8 @@ def carries_over(repository):
 
 
 @pytest.fixture(scope='module')
-def ur3(shared_data, tmp_path_factory):
-    folder, found = tmp_path_factory.mktemp('ur3'), []
-    for name in ('id1', 'id2'):
-        bag = folder / f'{name}.mcap'
-        assert main(['convert', str(shared_data / 'ur3_arm' / f'{name}.bag'), str(bag), '--topic', '/arm=/joint_states',
-                     '--joint', UR3, '--effort-sign', '-1', '--robot-description',
-                     str(shared_data / 'ur3_arm' / 'ur3.urdf')]) == 0
-        found.append(load_samples(bag, Settings(outputs='effort')))
-    return found
+def ur3(measured_ur3):
+    return [load_samples(measured_ur3 / f'{name}.mcap', Settings(outputs='effort')) for name in ('id1', 'id2')]
 
 
 @pytest.mark.parametrize('back', [False, pytest.param(True, marks=pytest.mark.long)])

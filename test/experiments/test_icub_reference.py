@@ -1,12 +1,11 @@
 """The measured iCub arm: the figures that a plain dense reference reached on the same files."""
 
-import json
 from dataclasses import replace
 
 import pytest
 
-from semiparam_ros.cli.main import main
 from semiparam_ros.settings import dump_params, load_params
+from support.commands import document
 
 pytestmark = pytest.mark.slow
 
@@ -14,12 +13,11 @@ pytestmark = pytest.mark.slow
 def variants(measured_icub, tmp_path_factory):
     """Learnt on the training file, predicted on the test file without learning; a hundred features are enough."""
     folder = tmp_path_factory.mktemp('evaluated')
-    result, params = folder / 'result.json', folder / 'icub.yaml'
+    params = folder / 'icub.yaml'
     dump_params(replace(load_params(measured_icub / 'icub.yaml'), features_count=100), params)
     chosen = [word for variant in ('P', 'NP-ML', 'SPK-ML') for word in ('--variant', variant)]
-    assert main(['evaluate', str(measured_icub / 'test.mcap'), '--train', str(measured_icub / 'train.mcap'),
-                 '--frozen', *chosen, '--params', str(params), '--json', str(result)]) == 0
-    return json.loads(result.read_text())['variants']
+    return document(folder / 'result.json', 'evaluate', measured_icub / 'test.mcap', '--train',
+                    measured_icub / 'train.mcap', '--frozen', *chosen, '--params', params)['variants']
 
 
 def test_every_sample_is_predicted(variants):

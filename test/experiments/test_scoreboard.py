@@ -1,22 +1,19 @@
 """The scoreboard: simulated, diagnosed and counted, by the command itself."""
 
-import json
 
 import pytest
 
 from semiparam_ros import effects
-from semiparam_ros.cli.main import main
 from semiparam_ros.experiments.scoreboard import body_of, summary, true_values
 from semiparam_ros.simulation.causes import kinds
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support.commands import document
 
 
 def test_the_command_diagnoses_every_case_and_counts(tmp_path, capsys):
-    path = tmp_path / 'board.json'
-    assert main(['diagnose', '--benchmark', '--outputs', 'effort', '--kinds', 'viscous_friction', '--seeds', '1',
-                 '--sizes', '1', '--samples', '1500', '--jobs', '1', '--json', str(path)]) == 0
-    result = json.loads(path.read_text())
+    result = document(tmp_path / 'board.json', 'diagnose', '--benchmark', '--outputs', 'effort', '--kinds',
+                      'viscous_friction', '--seeds', 1, '--sizes', 1, '--samples', 1500, '--jobs', 1)
     assert [row['kind'] for row in result['rows']] == ['viscous_friction', 'nothing']
     hidden, clean = result['rows']
     assert hidden['found'][0] == 'viscous_friction' and hidden['removed'] > 0.9 and 0.0 < hidden['visible_share'] < 0.1

@@ -31,7 +31,7 @@ from semiparam_ros.export.urdf import described_links
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.history import KEPT_OF_REST
 from semiparam_ros.online.learner import Learner
-from semiparam_ros.online.learning import Learning, learning_of, observe
+from semiparam_ros.online.learning import Learning, observe
 from semiparam_ros.online.model_switcher import State, same_model
 from semiparam_ros.online.state_file import load, save
 from semiparam_ros.online.worker import known_of, new_estimator
@@ -88,8 +88,7 @@ class Lives(RuleBasedStateMachine):
 
     def answered(self, answer):
         self.answers.append(answer.prediction.sample.stamp)
-        learning = learning_of(answer.prediction, answer.learnt, self.learner.gate)
-        self.given.append((answer.prediction.sample, learning))
+        self.given.append((answer.prediction.sample, answer.learning))
         assert np.isfinite(answer.prediction.mean).all() and np.isfinite(answer.prediction.std).all()
         found = self.external.of(answer.prediction, answer.residual, np.ones(self.body.n_outputs))
         assert np.isfinite([*found.wrench, *found.std]).all() and (found.std >= 0.0).all()
@@ -206,7 +205,7 @@ class Lives(RuleBasedStateMachine):
     def tunes(self, forgetting, horizon, noise):
         self.change(forgetting=forgetting, horizon_length=horizon, noise=noise)
 
-    @rule(auto=st.sampled_from(('off', 'report')))
+    @rule(auto=st.sampled_from(('off', 'report', 'apply')))
     def looks_for_changes(self, auto):
         self.change(diagnosis_auto=auto)
 

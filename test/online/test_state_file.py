@@ -107,7 +107,8 @@ SCRATCH = {
 
 LAYOUT = {
     22: {
-        'meta': 'format gate joints known memory newest origin others passed_over renewal settings version window_left',
+        'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings version '
+                'window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar free level '
                 'mean newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features',

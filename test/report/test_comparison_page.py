@@ -10,9 +10,9 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.experiments.comparison import (
     Comparison,
-    Followed,
+    ComparisonScenario,
     Learnt,
-    Scenario,
+    SubsetRun,
     Trace,
     TrainedModel,
     figures_of,
@@ -39,14 +39,15 @@ def comparison(outputs='wrench', seeds=SEEDS):
     n = 6 if outputs == 'wrench' else 3
     settings = Settings(outputs=outputs, joints=() if outputs == 'wrench' else ('<one>', 'two', 'three'))
     samples = Samples(np.arange(1200), *[np.zeros((1200, 4))] * 3, np.zeros((1200, n)), 0)
-    scenario = Scenario(settings, samples, samples, None, ((0, 600), (600, 1200)), tuple(VARIANTS), tuple(seeds))
+    scenario = ComparisonScenario(settings, samples, samples, None, ((0, 600), (600, 1200)),
+                                  tuple(VARIANTS), tuple(seeds))
     figures = {}
     for level, variant in enumerate(VARIANTS, start=1):
         own = [trace(rng, 0.01 * level, outputs=n) for _ in seeds]
         learnt = [Learnt(TrainedModel(variant, seed, settings, {}),
                          Hyperparameters(0.1, 1.0, (1.0, 2.0, 3.0), 0.1, (1.0,) * n, None, 0.3, 20.0), 1.5, run)
                   for seed, run in zip(seeds, own, strict=True)]
-        followed = [Followed(variant, seed, subset, trace(rng, 0.01 * level, outputs=n), trace(rng, 0.02, outputs=n))
+        followed = [SubsetRun(variant, seed, subset, trace(rng, 0.01 * level, outputs=n), trace(rng, 0.02, outputs=n))
                     for seed in seeds for subset in (0, 1)]
         figures[variant] = figures_of(outputs, learnt, followed)
     return Comparison(scenario, figures, findings_of(figures))

@@ -111,3 +111,47 @@ def test_a_load_is_told_on_a_topic_in_the_status_and_in_a_file(tmp_path):
         assert record['named']['effect']['kind'] == 'payload'
         begun = record['named']['effect']['start_stamp_s']
         assert abs(begun - samples[LOADED].stamp * 1e-9) < 0.2
+
+
+def test_a_load_is_applied_and_taken_back_and_nobody_touches_anything(tmp_path):
+    settings = replace(
+        SETTINGS,
+        variant='P',
+        acceleration_source='measured',
+        diagnosis_auto='apply',
+        state_folder=str(tmp_path / 'states'),
+    )
+    dump_params(settings, tmp_path / 'p.yaml')
+    off = LOADED + 900
+    samples = carrying(off + 300, off)
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
+        client.connect()
+        client.listen(DiagnosticArray, 'change')
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+
+        def decisions():
+            path = tmp_path / 'states' / 'changes.jsonl'
+            lines = path.read_text().splitlines() if path.exists() else []
+            return [each['what'] for line in lines for each in json.loads(line)['decisions'][-1:]]
+
+        named = LOADED + 350  # ten times as fast as the robot: it waits until the load has its name
+        play(client, samples[:named])
+        client.wait(lambda: 'tried beside the model' in decisions(), 'the load to be tried')
+        play(client, samples[named:])
+        client.wait(lambda: 'taken back' in decisions(), 'the load to be taken back')
+        record = json.loads((tmp_path / 'states' / 'changes.jsonl').read_text().splitlines()[-1])
+        tried, applied, over = record['decisions']
+        assert (tried['what'], applied['what']) == ('tried beside the model', 'applied')
+        assert over['evidence'] > 12.0
+        assert over['error_share'] < 0.7
+        assert abs(over['stamp_s'] - samples[off].stamp * 1e-9) < 10.0
+        states = [
+            {entry.key: entry.value for entry in message.status[0].values}['state']
+            for message in client.heard['change']
+        ]
+        assert 'changed, and allowed for' in states
+        told = zip(client.stamps('residual'), client.values('residual'), strict=True)
+        residual = dict(told)
+        sizes = [np.linalg.norm(residual[sample.stamp][:3]) for sample in samples[LOADED - 200 :]]
+        floor, loaded = np.mean(sizes[:200]), np.mean(sizes[1000:1100])
+        assert loaded < 1.5 * floor, 'the last hundred samples with the load'

@@ -36,6 +36,13 @@ from support.replay_peers import (
 pytestmark = pytest.mark.usefixtures('ros_domain')
 
 
+def replayed(tmp_path, *arguments, code=0):
+    """The playback of these arguments, which has ended with this exit code."""
+    with Tool(tmp_path, 'replay', *arguments) as tool:
+        assert tool.wait() == code, tool.output
+    return tool
+
+
 def raw_messages(path, topic):
     with open_bag(path) as bag:
         return [message.raw for message in bag.messages([topic], decode=False)]
@@ -47,9 +54,8 @@ def test_lossless_with_a_short_queue_and_every_byte_as_recorded(tmp_path):
         peer.answer('/wrench', WRENCH, depth=20)
         peer.listen('/joint_states', STATES, raw=True)
         peer.listen('/robot_description', TEXT, LATCHED, raw=True)
-        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--window', 20, '--json',
-                  tmp_path / 'a.json') as tool:
-            assert tool.wait() == 0, tool.output
+        tool = replayed(tmp_path, bag, '--as-fast-as-followed', '--window', 20, '--json',
+                        tmp_path / 'a.json')
         for topic, heard in peer.heard.items():
             assert heard == raw_messages(bag, topic)
     account = json.loads((tmp_path / 'a.json').read_text())
@@ -64,8 +70,8 @@ def test_a_follower_that_falls_silent_ends_the_playback_with_a_sentence(tmp_path
     bag = write_robot(tmp_path / 'a.mcap', 400)
     with Peer('estimator') as peer:
         peer.answer('/wrench', WRENCH, refuses=lambda count: count > 150)
-        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--window', 50, '--answer-timeout', 0.5) as tool:
-            assert tool.wait() == 1, tool.output
+        tool = replayed(tmp_path, bag, '--as-fast-as-followed', '--window', 50, '--answer-timeout',
+                        0.5, code=1)
     assert tool.said('while 50 messages on /wrench wait for it; it answered 150 of 200')
     assert tool.said('answered 150 of 200 messages on /wrench; 50 unanswered, the first stamped 1700000001.500000000 s')
     assert 'Traceback' not in tool.output
@@ -78,8 +84,7 @@ def test_a_subscriber_that_takes_nothing_ends_a_lossless_playback_with_a_sentenc
         peer.answer('/wrench', WRENCH)
         idle.executor.remove_node(idle.node)
         idle.listen('/joint_states', STATES)
-        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--answer-timeout', 1) as tool:
-            assert tool.wait() == 1, tool.output
+        tool = replayed(tmp_path, bag, '--as-fast-as-followed', '--answer-timeout', 1, code=1)
     assert tool.said('failed: /joint_states cannot be published: a reliable subscriber has taken nothing for 1 s')
 
 
@@ -99,8 +104,7 @@ def test_refused_samples_are_counted_and_told(tmp_path):
     bag = write_robot(tmp_path / 'a.mcap', 300)
     with Peer('estimator') as peer:
         peer.answer('/wrench', WRENCH, refuses=lambda count: count % 100 == 50)
-        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
-            assert tool.wait() == 1, tool.output
+        tool = replayed(tmp_path, bag, '--as-fast-as-followed', code=1)
     assert tool.said('3 of 300 messages on /wrench were not answered')
 
 
@@ -109,9 +113,8 @@ def test_two_followers_in_two_namespaces_answer_one_playback(tmp_path):
     with Peer('estimator') as peer:
         peer.answer('/wrench', WRENCH, '/left/residual')
         peer.answer('/joint_states', STATES, '/right/residual')
-        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--follow', '/left/residual',
-                  '/right/residual=/joint_states', '--window', 30) as tool:
-            assert tool.wait() == 0, tool.output
+        tool = replayed(tmp_path, bag, '--as-fast-as-followed', '--follow', '/left/residual',
+                        '/right/residual=/joint_states', '--window', 30)
     assert tool.said('/left/residual answered 500 of 500') and tool.said('/right/residual answered 500 of 500')
 
 
@@ -138,8 +141,7 @@ def test_messages_come_at_their_time(tmp_path):
     with Peer() as peer:
         arrivals = []
         peer.node.create_subscription(peer_type(WRENCH), '/wrench', lambda _: arrivals.append(time.monotonic()), 10)
-        with Tool(tmp_path, 'replay', bag, '--wait-for-subscribers', '--topics', '/wrench') as tool:
-            assert tool.wait() == 0, tool.output
+        replayed(tmp_path, bag, '--wait-for-subscribers', '--topics', '/wrench')
     assert len(arrivals) == 101
     assert arrivals[-1] - arrivals[0] == pytest.approx(1.0, abs=0.1)
 
@@ -153,8 +155,7 @@ def test_a_recording_of_a_follower_is_played_to_it_without_its_old_answers(tmp_p
                 copy.write('/estimator/residual', WRENCH, message.data, message.log_time)
     with Peer('estimator') as peer:
         peer.answer('/wrench', WRENCH)
-        with Tool(tmp_path, 'replay', tmp_path / 'b.mcap', '--as-fast-as-followed') as tool:
-            assert tool.wait() == 0, tool.output
+        tool = replayed(tmp_path, tmp_path / 'b.mcap', '--as-fast-as-followed')
     assert tool.said('/estimator/residual is not played: the follower publishes there.')
     assert tool.said('answered 50 of 50')
 
@@ -169,8 +170,7 @@ def test_a_follower_that_needs_the_description_first_gets_it_first(tmp_path):
             descriptions.append(message)
             peer.answer('/wrench', WRENCH)
         peer.node.create_subscription(peer_type(TEXT), '/robot_description', begin, LATCHED)
-        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed') as tool:
-            assert tool.wait() == 0, tool.output
+        tool = replayed(tmp_path, bag, '--as-fast-as-followed')
     assert len(descriptions) == 1 and tool.said('answered 50 of 50') and tool.said('/robot_description 1,')
 
 
@@ -179,8 +179,7 @@ def test_a_long_run_of_refused_samples_is_passed_when_the_follower_keeps_all(tmp
     with Peer('estimator') as peer:
         peer.node.declare_parameter('queue_depth', 0)
         peer.answer('/wrench', WRENCH, refuses=lambda count: count <= 15)
-        with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--window', 10) as tool:
-            assert tool.wait() == 1, tool.output
+        tool = replayed(tmp_path, bag, '--as-fast-as-followed', '--window', 10, code=1)
     assert tool.said('answered 25 of 40 messages on /wrench; 15 unanswered')
     assert tool.said('failed: 15 of 40 messages on /wrench were not answered.')
 
@@ -197,9 +196,9 @@ def test_another_name_new_stamps_and_the_clock(tmp_path):
         peer.listen('/force', WRENCH, raw=True)
         peer.listen('/joint_states', STATES)
         peer.listen('/clock', 'rosgraph_msgs/msg/Clock')
-        with Tool(tmp_path, 'replay', bag, '--rate', 4, '--wait-for-subscribers', '--remap', '/wrench:=/force',
-                  '--restamp', '--clock', 100, '--regex', 'wrench', '--start-offset', 0.5) as tool:
-            assert tool.wait() == 0, tool.output
+        replayed(tmp_path, bag, '--rate', 4, '--wait-for-subscribers', '--remap',
+                 '/wrench:=/force', '--restamp', '--clock', 100, '--regex', 'wrench',
+                 '--start-offset', 0.5)
     assert len(peer.heard['/force']) == 150 and peer.heard['/joint_states'] == []
     stamps = [read_stamp(raw) for raw in peer.heard['/force']]
     assert stamps == sorted(stamps) and before < stamps[0] < stamps[-1] < time.time_ns()
@@ -280,9 +279,8 @@ def test_a_damaged_bag_plays_as_far_as_it_goes(tmp_path):
         left = sum(1 for _ in damaged.messages(['/wrench'], decode=False))
     with Peer() as peer:
         peer.listen('/wrench', WRENCH)
-        with Tool(tmp_path, 'replay', bag, '--wait-for-subscribers', '--wait-for-all-acked', 5, '--json',
-                  tmp_path / 'a.json') as tool:
-            assert tool.wait() == 0, tool.output
+        tool = replayed(tmp_path, bag, '--wait-for-subscribers', '--wait-for-all-acked', 5,
+                        '--json', tmp_path / 'a.json')
     assert 0 < left < 400 and len(peer.heard['/wrench']) == left
     assert tool.said('is damaged') and 'is damaged' in json.loads((tmp_path / 'a.json').read_text())['losses'][0]
 
@@ -296,8 +294,7 @@ def test_a_damaged_bag_plays_as_far_as_it_goes(tmp_path):
 ])
 def test_mistakes_are_one_sentence(tmp_path, arguments, sentence):
     bag = write_robot(tmp_path / 'a.mcap', 3)
-    with Tool(tmp_path, 'replay', bag, *arguments) as tool:
-        assert tool.wait() == 2, tool.output
+    tool = replayed(tmp_path, bag, *arguments, code=2)
     assert tool.said(sentence) and 'Traceback' not in tool.output and tool.output.count('\n') == 1
 
 
@@ -339,7 +336,6 @@ def test_the_program_of_its_own_name_takes_ros_arguments(tmp_path):
     bag = write_robot(tmp_path / 'a.mcap', 50)
     with Peer() as peer:
         peer.listen('/arm/wrench', WRENCH, EVERYTHING)
-        with Tool(tmp_path, 'replay', bag, '--wait-for-subscribers', '--ros-args', '-r', '/wrench:=/arm/wrench',
-                  '-p', 'rate:=5.0') as tool:
-            assert tool.wait() == 0, tool.output
+        replayed(tmp_path, bag, '--wait-for-subscribers', '--ros-args', '-r',
+                 '/wrench:=/arm/wrench', '-p', 'rate:=5.0')
     assert len(peer.heard['/arm/wrench']) == 50

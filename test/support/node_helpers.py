@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semiparam_ros.bags import recording_layout as layout
+from semiparam_ros.bags import sample_messages
+from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.online.worker import Urgency
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
@@ -124,19 +124,13 @@ def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measur
     """The recording of a robot that measures accelerations or not, its wrenches between the joint states or not."""
     with BagWriter(path) as bag:
         if description:
-            bag.write(layout.ROBOT_DESCRIPTION, 'std_msgs/msg/String', {'data': description}, samples[0].stamp)
+            write_description(bag, description, samples[0].stamp)
         for sample in samples:
-            header = {'stamp': stamp_fields(sample.stamp), 'frame_id': frame}
-            late = {'stamp': stamp_fields(sample.stamp + wrench_late_ns), 'frame_id': frame}
-            force, torque = (dict(zip('xyz', part.tolist(), strict=True)) for part in np.split(sample.outputs, 2))
-            point = {'accelerations': sample.acceleration.tolist()}
-            bag.write(layout.JOINT_STATES, layout.TYPES[layout.JOINT_STATES], {
-                'header': header, 'name': list(joints), 'position': sample.position.tolist(),
-                'velocity': sample.velocity.tolist(), 'effort': []}, sample.stamp)
+            sample_messages.joint_state(
+                sample.stamp, joints, sample.position.tolist(), sample.velocity.tolist()).put(bag)
             if measured:
-                bag.write(layout.JOINT_ACCELERATIONS, layout.TYPES[layout.JOINT_ACCELERATIONS],
-                          {'header': header, 'joint_names': list(joints), 'points': [point]}, sample.stamp)
+                sample_messages.accelerations(
+                    sample.stamp, joints, accelerations=sample.acceleration.tolist()).put(bag)
             if not wrench_late_ns or sample is not samples[-1]:
-                bag.write(layout.WRENCH, layout.TYPES[layout.WRENCH],
-                          {'header': late, 'wrench': {'force': force, 'torque': torque}}, sample.stamp + wrench_late_ns)
+                sample_messages.wrench(sample.stamp + wrench_late_ns, frame, sample.outputs.tolist()).put(bag)
     return path

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from semiparam_ros.bags.recording_layout import JOINT_STATES, ROBOT_DESCRIPTION, TYPES, WRENCH
+from semiparam_ros.bags import sample_messages
+from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.settings import Settings, dump_params
 
 URDF = Path(__file__).resolve().parents[2] / 'config/icub_right_arm.urdf'
@@ -31,16 +31,12 @@ def write_arm(path: Path, length: int, seed: int = 1, start: int = 0, bias: floa
     rng = np.random.default_rng(seed)
     frequency, phase = rng.uniform(0.5, 3.0, 4), rng.uniform(0.0, 6.0, 4)
     with BagWriter(path) as bag:
-        bag.write(ROBOT_DESCRIPTION, TYPES[ROBOT_DESCRIPTION], {'data': urdf}, start)
+        write_description(bag, urdf, start)
         for stamp in itertools.islice(itertools.count(start, PERIOD_NS), length):
             angle = frequency * (stamp - start) * 1e-9 + phase
             position, velocity = np.sin(angle), frequency * np.cos(angle)
             wrench = body.regressor(position, velocity, -(frequency**2) * np.sin(angle)) @ (1.2 * body.base_parameters)
             wrench = wrench + bias + 0.05 * rng.standard_normal(6)
-            header = {'stamp': stamp_fields(stamp), 'frame_id': FRAME}
-            bag.write(JOINT_STATES, TYPES[JOINT_STATES], {
-                'header': header, 'name': list(JOINTS), 'position': position.tolist(), 'velocity': velocity.tolist(),
-                'effort': []}, stamp)
-            force, torque = (dict(zip('xyz', map(float, part), strict=True)) for part in (wrench[:3], wrench[3:]))
-            bag.write(WRENCH, TYPES[WRENCH], {'header': header, 'wrench': {'force': force, 'torque': torque}}, stamp)
+            sample_messages.joint_state(stamp, JOINTS, position.tolist(), velocity.tolist()).put(bag)
+            sample_messages.wrench(stamp, FRAME, wrench.tolist()).put(bag)
     return path

@@ -24,7 +24,6 @@ from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.model import PROVISIONAL_GAMMA
 from semiparam_ros.core.prediction import DesiredOutputs
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.types import Array
 
 RANGE_MARGIN = 0.05
@@ -52,19 +51,20 @@ class Desired(NamedTuple):
 
 
 def desired(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
-            tools: Tools | None = None) -> Desired:
+            added: tuple[Array, Array] | None = None) -> Desired:
     """What the model says of a desired state (n_joints,) each. Nothing is learnt.
 
-    :param tools: that the arm carries beside what the model has learnt.
+    :param added: (n,) what known bodies add that the model has not learnt, as the sensor shows it, and as the arm
+        needs it.
 
     Raises SemiparamError when a value, or what follows from it, is not finite.
     """
     row = position, velocity, acceleration
-    return _answer(estimator, row, estimator.predict_desired(*row), False, tools)
+    return _answer(estimator, row, estimator.predict_desired(*row), False, added)
 
 
 def described(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
-              tools: Tools | None = None) -> Desired:
+              added: tuple[Array, Array] | None = None) -> Desired:
     """What the robot description alone says; its inertial parameters are taken for known to ``PROVISIONAL_GAMMA``.
 
     Raises SemiparamError when a value, or what follows from it, is not finite.
@@ -76,7 +76,7 @@ def described(estimator: Estimator, position: Array, velocity: Array, accelerati
     uncertain = PROVISIONAL_GAMMA * regressor
     covariance = uncertain @ uncertain.T
     require_finite('described outputs of a desired state', np.concatenate([outputs, covariance.diagonal()]))
-    return _answer(estimator, row, DesiredOutputs(outputs, outputs, covariance, 0.0), True, tools)
+    return _answer(estimator, row, DesiredOutputs(outputs, outputs, covariance, 0.0), True, added)
 
 
 def outside_of_the_learnt(estimator: Estimator, row: tuple[Array, Array, Array]) -> tuple[str, ...]:
@@ -91,11 +91,11 @@ def outside_of_the_learnt(estimator: Estimator, row: tuple[Array, Array, Array])
 
 
 def _answer(estimator: Estimator, row: tuple[Array, Array, Array], found: DesiredOutputs, described: bool,
-            tools: Tools | None) -> Desired:
+            added: tuple[Array, Array] | None) -> Desired:
     body, outside = estimator.body, outside_of_the_learnt(estimator, row)
-    if tools is not None and tools.texts:
-        added = tools.outputs(*row)
-        found = found._replace(shown=found.shown + added, needed=found.needed + added)
+    if added is not None:
+        shown, needed = added
+        found = found._replace(shown=found.shown + shown, needed=found.needed + needed)
     std = np.sqrt(found.covariance.diagonal())
     if body.outputs == 'effort':
         wanted, wanted_std = found.needed, std

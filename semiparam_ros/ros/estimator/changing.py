@@ -12,15 +12,13 @@ from rclpy.node import Node
 
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.change_watch import STATES, ChangeRecord
+from semiparam_ros.online.change_watch import QUIET, STATES, ChangeRecord
 from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.ros.estimator.diagnostics import OK, WARN, Report, status
 from semiparam_ros.ros.estimator.publishers import LATCHED
 
 FILE = 'changes.jsonl'
-QUIET = STATES[:3]
-"""States in which nothing is wrong."""
 
 
 class Changing:

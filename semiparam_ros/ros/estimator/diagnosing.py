@@ -91,7 +91,8 @@ class Diagnosing:
         samples = learner.history.span(self._parameters.settings.diagnosis_window)
         assert self._background is not None  # it has made the diagnosis
         self._background.submit(worker.gain_since, learner.body, worker.thinned(samples, 1.0), self._until,
-                                self._examined, found.effects, done=partial(self._declare, reply, found))
+                                self._examined, found.effects, tuple(learner.changes.applied.contributions),
+                                done=partial(self._declare, reply, found))
 
     def _declare(self, reply: Reply, found: Outcome, gain: float | None, error: BaseException | None) -> None:
         try:
@@ -171,7 +172,9 @@ class Diagnosing:
         looked = _looked(samples, part)
         if len(part) < len(worker.thinned(samples, 1.0)):
             looked += f', as it gets {share:.0%} of a processor'
-        job = self._background.submit(worker.diagnose, self._learner().body, part, self._running.effects,
+        learner = self._learner()
+        job = self._background.submit(worker.diagnose, learner.body, part, self._running.effects,
+                                      tuple(learner.changes.applied.contributions),
                                       done=partial(self._then, partial(self._conclude, looked)))
         self._running = self._running._replace(job=job)
         self._node.get_logger().info(f'a diagnosis looks at {looked}, in a process beside the node.')

@@ -67,7 +67,7 @@ class RecordNode(Node):
                                                        profile, raw=True)
 
     def connected(self) -> bool:
-        """Whether every subscription has found the publishers that the graph knows."""
+        """Tell whether every subscription has found the publishers that the graph knows."""
         return all(subscription.get_publisher_count() >= self.count_publishers(topic)
                    for topic, subscription in self._inputs.items())
 

@@ -1,4 +1,4 @@
-"""What a recording can be told."""
+"""Options of a recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DEFAULT_NODE = '/estimator'
 
 @dataclass(frozen=True)
 class Limits:
-    """When a recording ends by itself; None: only by a signal.
+    """Limits at which a recording ends by itself; None: only by a signal.
 
     :param count: after so many messages, on ``count_topic`` or on all topics together
     :param idle_s: when nothing arrived for so long [s], after something did
@@ -33,7 +33,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """Where to, what and how long.
+    """Options of a recording: where to, what and how long.
 
     :param nodes: record what these nodes publish and what they subscribe to
     :param topics: and these topics, whoever publishes them
@@ -60,7 +60,7 @@ class RecordOptions:
 
 
 def parse_count(text: str) -> tuple[int, str | None]:
-    """``N`` or ``TOPIC=N``."""
+    """Parse ``N`` or ``TOPIC=N``."""
     topic, _, number = text.rpartition('=')
     if not number.isdigit():
         raise SemiparamError(f"'{text}' is no count: expected N or TOPIC=N.")

@@ -31,7 +31,7 @@ QUIET_S = 0.5
 
 
 class Recording(Protocol):
-    """What is shown."""
+    """Recording as it is shown."""
 
     @property
     def messages(self) -> int:
@@ -73,7 +73,7 @@ class RecordProgress:
 
 @dataclass(frozen=True)
 class RecordAccount:
-    """What a recording holds."""
+    """Account of a recording."""
 
     path: str
     duration_s: float
@@ -87,12 +87,12 @@ class RecordAccount:
 
     @property
     def sentence(self) -> str:
-        """For the user."""
+        """Account in one sentence."""
         topics = ', '.join(f'{topic} {count}' for topic, count in sorted(self.recorded.items()))
         return f'recorded {self.messages} messages in {self.duration_s:.1f} s to {self.path}: {topics}.'
 
     def to_dict(self) -> dict[str, object]:
-        """For ``--json``."""
+        """Convert to a dictionary for ``--json``."""
         return {'path': self.path, 'duration_s': self.duration_s, 'messages': self.messages,
                 'recorded': dict(self.recorded), 'skipped': list(self.skipped)}
 
@@ -188,10 +188,11 @@ class RecordSession:
         return node.complete or idle or late
 
     def _let_the_last_arrive(self, ros: RosProcess, node: RecordNode) -> None:
-        """What was published before the end may still be on its way: DDS sends again after 3 s what a busy recorder
-        missed, in parts where that was much.
+        """Wait for what was published before the end: DDS sends again after 3 s what a busy
+        recorder missed, in parts where that was much.
 
-        A topic comes in order, so nothing of it is missing once a message arrives that was published after the end.
+        A topic comes in order, so nothing of it is missing once a message arrives that was
+        published after the end.
         """
         end, last, told = time.time_ns(), time.monotonic(), False
         ros.stop_spinning()

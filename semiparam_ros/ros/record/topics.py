@@ -1,4 +1,4 @@
-"""Which topics to record: what nodes publish and subscribe to, by the ROS graph, and how to subscribe to each."""
+"""Topics to record: what nodes publish and subscribe to, and how to subscribe to each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HOUSEKEEPING = ('/parameter_events', '/rosout')
 
 
 class Found(NamedTuple):
-    """What the graph holds at a moment: topic -> type, and the sought nodes that are not there (yet)."""
+    """Snapshot of the graph: topic -> type, and the sought nodes that are not there (yet)."""
 
     topics: dict[str, str]
     missing: tuple[str, ...]
@@ -43,7 +43,7 @@ def find(node: Node, options: RecordOptions) -> Found:
 
 
 def node_topics(node: Node, full_name: str) -> set[str]:
-    """What a node publishes and subscribes to; nothing when there is no such node."""
+    """Topics that a node publishes and subscribes to; none when there is no such node."""
     namespace, _, name = full_name.rpartition('/')
     if not any((name, namespace or '/') == known for known in node.get_node_names_and_namespaces()):
         return set()
@@ -56,7 +56,7 @@ def node_topics(node: Node, full_name: str) -> set[str]:
 
 
 def obstacle(type_name: str) -> str:
-    """Why messages of a type cannot be recorded, '' when they can."""
+    """Reason why messages of a type cannot be recorded, '' when they can."""
     if not is_installed(type_name):
         return f'its type {type_name} is not installed'
     if not schemas.is_jazzy_type(type_name):
@@ -65,7 +65,7 @@ def obstacle(type_name: str) -> str:
 
 
 def offers(node: Node, topic: str) -> list[Qos]:
-    """What the publishers of a topic offer."""
+    """Offers of the publishers of a topic."""
     return [from_rclpy(info.qos_profile) for info in node.get_publishers_info_by_topic(topic)]
 
 
@@ -85,7 +85,7 @@ def best_qos(node: Node, topic: str) -> QoSProfile:
 
 
 def receives_all(profile: QoSProfile, publishers: Iterable[Qos]) -> bool:
-    """Whether a subscription matches every one of these publishers."""
+    """Tell whether a subscription matches every one of these publishers."""
     return all(qos_check_compatible(to_rclpy(each), profile)[0] != QoSCompatibility.ERROR for each in publishers)
 
 

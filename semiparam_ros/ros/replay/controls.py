@@ -37,7 +37,7 @@ class ReplayControls:
             node.create_service(Trigger, f'~/{name}', partial(self._serve, action))
 
     def _declare(self, name: str, value: object, description: str) -> None:
-        """With the value from ``--ros-args -p`` where there is one; SemiparamError when that is refused."""
+        """Declare it with the value from ``--ros-args -p``, which SemiparamError refuses."""
         try:
             self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
@@ -56,7 +56,7 @@ class ReplayControls:
                 'is_paused': self._tell_paused, 'stop': self.stop}
 
     def keys(self) -> dict[str, Callable[[], object]]:
-        """What the keys of ``playback.keyboard`` do; a key that makes no sense at the moment does nothing."""
+        """Actions of the keys of ``playback.keyboard``; one without sense now does nothing."""
         actions = {'pause': self.toggle_paused, 'next': self.play_next, 'faster': self.faster, 'slower': self.slower}
         return {key: partial(self._quietly, action) for key, action in actions.items()}
 
@@ -126,7 +126,7 @@ class ReplayControls:
             self._player.check_seek(self._bag_time(value))
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        """Only what differs from the player's state acts, so that declaring the parameters changes nothing."""
+        """Apply what differs from the player's state: declaring parameters changes nothing."""
         for parameter in parameters:
             name, value = parameter.name, parameter.value
             if name == 'rate' and value != (self._player.rate or 0.0):

@@ -29,7 +29,9 @@ class ReplayNode(Node):
 
     def __init__(self, topics: Mapping[str, tuple[str, Qos]], stopping: threading.Event, *,
                  restamp: bool = False, clock_before_each: bool = False, blocked_s: float = 1.0) -> None:
-        """:param topics: topic -> (type, what to offer)
+        """Make the node.
+
+        :param topics: topic -> (type, what to offer)
         :param stopping: set when the playback is to stop
         :param restamp: replace header stamps by the present time
         :param clock_before_each: publish the bag time on /clock before every message

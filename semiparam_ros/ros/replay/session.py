@@ -87,7 +87,7 @@ class ReplaySession:
             self._player.stop()
 
     def _topics(self, bag: BagReader) -> tuple[dict[str, PlayedTopic], dict[str, str]]:
-        """What is played, and why other chosen topics are not."""
+        """Topics that are played, and the reasons why other chosen ones are not."""
         options = self._options
         overrides = load_overrides(options.qos_overrides) if options.qos_overrides else {}
         played, skipped = {}, {}
@@ -107,7 +107,7 @@ class ReplaySession:
         return played, skipped
 
     def _obstacle(self, topic: str, type_name: str) -> str:
-        """Why a topic is not played, '' when it is."""
+        """Reason why a topic is not played, '' when it is."""
         if not is_installed(type_name):
             return f'its type {type_name or "(unknown)"} is not installed'
         answers = self._options.follow.answers if self._options.follow else {}

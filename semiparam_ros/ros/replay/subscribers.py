@@ -27,7 +27,7 @@ class Subscriber(NamedTuple):
 
 
 def subscribers(node: ReplayNode) -> list[Subscriber]:
-    """Every discovered subscription to what ``node`` publishes."""
+    """Subscriptions that were discovered to what ``node`` publishes."""
     found = []
     for topic, output in node.outputs.items():
         offered = to_rclpy(node.offers[topic])
@@ -39,7 +39,7 @@ def subscribers(node: ReplayNode) -> list[Subscriber]:
 
 
 class SubscriberCheck:
-    """True once at least ``count`` nodes listen, all that they subscribe to is connected, and nothing changes."""
+    """Check that at least ``count`` nodes listen, all connected, and nothing changes."""
 
     def __init__(self, node: ReplayNode, count: int) -> None:
         self._node = node

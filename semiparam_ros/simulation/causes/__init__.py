@@ -1,57 +1,31 @@
-"""Every hidden cause that the simulator knows, by the kind's name."""
+"""Causes that the simulator can hide, by their kind.
+
+A class has the name of the effect in ``semiparam_ros.effects`` that a diagnosis should find for it:
+one kind, seen from the world's side and from the estimator's.
+"""
 
 from __future__ import annotations
 
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site
-from semiparam_ros.simulation.causes.cables import CableHysteresis, CableSpring
-from semiparam_ros.simulation.causes.drive import (
-    Backlash,
-    EffortGain,
-    EffortOffset,
-    JointSpring,
-    RotorInertia,
-    TransmissionRipple,
-)
-from semiparam_ros.simulation.causes.forces import (
-    ExternalForce,
-    Payload,
-    PeriodicDisturbance,
-    QuadraticDrag,
-    ViscousDrag,
-)
-from semiparam_ros.simulation.causes.friction import (
-    AsymmetricFriction,
-    CoulombFriction,
-    LoadFriction,
-    StribeckFriction,
-    ViscousFriction,
-)
-from semiparam_ros.simulation.causes.geometry import GravityTilt, JointOffset, TimeDelay
-from semiparam_ros.simulation.causes.sensor import (
-    SensorCrosstalk,
-    SensorDrift,
-    SensorGain,
-    SensorMisalignment,
-    SensorOffset,
-    ThermalDrift,
-)
-from semiparam_ros.simulation.causes.temperature import TemperatureDrift, TemperatureFriction
-from semiparam_ros.simulation.causes.unlisted import Bump, DriftingFriction, TwoMassFlexibility
+from semiparam_ros.simulation.causes import cables, drive, forces, friction, geometry, sensor, temperature, unlisted
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
 
-__all__ = ['CAUSES', 'LISTED_KINDS', 'UNLISTED_KINDS', 'Cause', 'Quantity', 'Site', 'cause_of', 'kinds']
+__all__ = ['CAUSES', 'LISTED_KINDS', 'UNLISTED_KINDS', 'HiddenCause', 'Site', 'TrueValue', 'cause_of', 'kinds']
 
-_LISTED: tuple[type[Cause], ...] = (
-    Payload, SensorOffset, SensorDrift, ThermalDrift, SensorGain, SensorCrosstalk, SensorMisalignment, TimeDelay,
-    JointOffset, GravityTilt, ExternalForce, ViscousDrag, QuadraticDrag, CableSpring, CableHysteresis,
-    PeriodicDisturbance, ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadFriction,
-    RotorInertia, JointSpring, EffortOffset, EffortGain, TransmissionRipple, Backlash, TemperatureDrift,
-    TemperatureFriction)
-_UNLISTED: tuple[type[Cause], ...] = (Bump, DriftingFriction, TwoMassFlexibility)
+_LISTED: tuple[type[HiddenCause], ...] = (
+    forces.Payload, sensor.SensorOffset, sensor.SensorDrift, sensor.ThermalDrift, sensor.SensorGain,
+    sensor.SensorCrosstalk, sensor.SensorMisalignment, geometry.TimeDelay, geometry.JointOffset,
+    geometry.GravityTilt, forces.ExternalForce, forces.ViscousDrag, forces.QuadraticDrag,
+    cables.CableSpring, cables.CableHysteresis, forces.PeriodicDisturbance,
+    friction.ViscousFriction, friction.CoulombFriction, friction.StribeckFriction,
+    friction.AsymmetricFriction, friction.LoadFriction, drive.RotorInertia, drive.JointSpring,
+    drive.EffortOffset, drive.EffortGain, drive.TransmissionRipple, drive.Backlash,
+    temperature.TemperatureDrift, temperature.TemperatureFriction)
+_UNLISTED: tuple[type[HiddenCause], ...] = (unlisted.Bump, unlisted.DriftingFriction, unlisted.TwoMassFlexibility)
 
 LISTED_KINDS = tuple(cause.kind for cause in _LISTED)
 UNLISTED_KINDS = tuple(cause.kind for cause in _UNLISTED)
-CAUSES: dict[str, type[Cause]] = {cause.kind: cause for cause in (*_LISTED, *_UNLISTED)}
+CAUSES: dict[str, type[HiddenCause]] = {cause.kind: cause for cause in (*_LISTED, *_UNLISTED)}
 
 
 def kinds(outputs: str) -> tuple[str, ...]:
@@ -59,7 +33,7 @@ def kinds(outputs: str) -> tuple[str, ...]:
     return tuple(kind for kind, cause in CAUSES.items() if outputs in cause.acts_on)
 
 
-def cause_of(kind: str, outputs: str) -> type[Cause]:
+def cause_of(kind: str, outputs: str) -> type[HiddenCause]:
     """The class of a kind; an unknown one, or one that does not act on these outputs, raises SemiparamError."""
     if kind not in CAUSES:
         raise SemiparamError(f"there is no effect '{kind}' to simulate; expected one of {', '.join(kinds(outputs))}.")

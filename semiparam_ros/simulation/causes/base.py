@@ -1,4 +1,4 @@
-"""What every hidden cause is: something drawn at random that changes the world by an amount."""
+"""Base of the hidden causes: each is drawn at random and changes the world by an amount."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from semiparam_ros.simulation.world import World
 BOTH = ('wrench', 'effort')
 
 
-class Quantity(NamedTuple):
+class TrueValue(NamedTuple):
     """A number, or a list of numbers, with its unit."""
 
     value: Any
@@ -23,7 +23,7 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Site:
-    """Where a cause is to be drawn: the world without it, and the standard deviation (n,) of its outputs.
+    """Site for the draw of a cause: the world without it, the deviation (n,) of its outputs.
 
     ``where`` and ``start_s`` [s] are what was requested, or None.
     """
@@ -40,7 +40,7 @@ class Site:
         return share * self.world.duration if self.start_s is None else self.start_s
 
     def sign(self) -> float:
-        """-1 or 1 at random."""
+        """Sign at random, -1 or 1."""
         return float(self.rng.choice([-1.0, 1.0]))
 
     def joint(self) -> int:
@@ -77,7 +77,7 @@ class Site:
 
 
 @dataclass(frozen=True)
-class Cause:
+class HiddenCause:
     """A hidden cause with all that is random about it settled; only its magnitude is open.
 
     ``apply`` gives the world with it at a magnitude (in the unit of ``typical``, a first guess), ``parameters`` what a
@@ -95,9 +95,11 @@ class Cause:
     typical: ClassVar[float] = 1.0
     linear: ClassVar[bool] = False
     by_temperature: ClassVar[bool] = False
+    quantity: ClassVar[tuple[str, str]]
+    """Name and unit of the magnitude, for a cause of which it is the only value."""
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         """Settle place, time, direction and shape."""
         raise NotImplementedError
 
@@ -105,11 +107,12 @@ class Cause:
         """The world with this cause in it."""
         raise NotImplementedError
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        """Name -> value and unit."""
-        raise NotImplementedError
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        """Values that a perfect diagnosis would find, by name; here the magnitude alone."""
+        name, unit = self.quantity
+        return {name: TrueValue(magnitude, unit)}
 
 
 def since(time: Array, start_s: float | None) -> Array:
-    """(N, 1): 1 from the start on, 0 before."""
+    """Factor (N, 1) at the times (N,) [s]: 1 from the start on, 0 before."""
     return np.asarray(time >= (-np.inf if start_s is None else start_s), dtype=float)[:, None]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
 from semiparam_ros.simulation.causes.forces import FrameForce
 from semiparam_ros.simulation.fine_states import bouc_wen, fine_motion, sampled
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
@@ -25,7 +25,7 @@ class CableSpring(FrameForce):
     rest_length: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         frame = site.frame()
         anchor, lengths = drawn_anchor(site, frame)
         rest = float(site.rng.uniform(0.3, 0.8) * lengths.min())
@@ -36,9 +36,9 @@ class CableSpring(FrameForce):
         length = np.linalg.norm(rope, axis=1)[:, None]
         return np.asarray(np.maximum(length - self.rest_length, 0.0) * rope / length)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'stiffness': Quantity(magnitude, 'N/m'), 'rest_length': Quantity(self.rest_length, 'm'),
-                'anchor': Quantity(self.anchor, 'm')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'stiffness': TrueValue(magnitude, 'N/m'), 'rest_length': TrueValue(self.rest_length, 'm'),
+                'anchor': TrueValue(self.anchor, 'm')}
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class CableHysteresis(FrameForce):
     beta: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         frame = site.frame()
         anchor, lengths = drawn_anchor(site, frame)
         yield_length = float(site.rng.uniform(0.15, 0.4) * lengths.std())
@@ -64,9 +64,9 @@ class CableHysteresis(FrameForce):
         rope = self.anchor - world.arm.pose(str(self.where), motion.position).place
         return np.asarray(tension[:, None] * rope / np.linalg.norm(rope, axis=1)[:, None])
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'stiffness': Quantity(magnitude, 'N/m'), 'yield_length': Quantity(self.yield_length, 'm'),
-                'anchor': Quantity(self.anchor, 'm')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'stiffness': TrueValue(magnitude, 'N/m'), 'yield_length': TrueValue(self.yield_length, 'm'),
+                'anchor': TrueValue(self.anchor, 'm')}
 
 
 def drawn_anchor(site: Site, frame: str) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Quantity, Site
+from semiparam_ros.simulation.causes.base import Site, TrueValue
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.fine_states import fine_motion, play, sampled
 from semiparam_ros.simulation.trajectory import Instants
@@ -23,13 +23,11 @@ class RotorInertia(JointTorque):
     """The rotor behind the gear is accelerated too: torque = I ddq."""
 
     kind = 'rotor_inertia'
+    quantity = ('inertia', 'kg m^2')
     typical = 0.01
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return motion.acceleration[:, self.joint]
-
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'inertia': Quantity(magnitude, 'kg m^2')}
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,8 @@ class JointSpring(JointTorque):
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(motion.position[:, self.joint] - self.rest)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'stiffness': Quantity(magnitude, 'N m/rad'), 'rest_position': Quantity(self.rest, 'rad')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'stiffness': TrueValue(magnitude, 'N m/rad'), 'rest_position': TrueValue(self.rest, 'rad')}
 
 
 @dataclass(frozen=True)
@@ -65,8 +63,8 @@ class EffortOffset(JointTorque):
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.full(len(motion.time), self.sign)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'offset': Quantity(self.sign * magnitude, 'N m')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'offset': TrueValue(self.sign * magnitude, 'N m')}
 
 
 @dataclass(frozen=True)
@@ -84,8 +82,8 @@ class EffortGain(JointTorque):
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(self.sign * efforts[:, self.joint])
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'gain': Quantity(self.sign * magnitude, '1')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'gain': TrueValue(self.sign * magnitude, '1')}
 
 
 @dataclass(frozen=True)
@@ -103,9 +101,9 @@ class TransmissionRipple(JointTorque):
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(np.sin(self.order * motion.position[:, self.joint] + self.phase))
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'amplitude': Quantity(magnitude, 'N m'), 'order': Quantity(self.order, '1/revolution'),
-                'phase': Quantity(self.phase, 'rad')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'amplitude': TrueValue(magnitude, 'N m'), 'order': TrueValue(self.order, '1/revolution'),
+                'phase': TrueValue(self.phase, 'rad')}
 
 
 @dataclass(frozen=True)
@@ -127,5 +125,5 @@ class Backlash(JointTorque):
         upper, lower = np.maximum(1 - (self.gap - inside) / width, 0.0), np.maximum(1 - inside / width, 0.0)
         return sampled(fine.time, upper - lower, motion.time)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'torque': Quantity(magnitude, 'N m'), 'gap': Quantity(self.gap, 'rad')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'torque': TrueValue(magnitude, 'N m'), 'gap': TrueValue(self.gap, 'rad')}

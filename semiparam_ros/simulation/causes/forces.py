@@ -8,16 +8,16 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, since
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue, since
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
-from semiparam_ros.simulation.world import Body, World
+from semiparam_ros.simulation.world import AttachedBody, World
 
 PAYLOAD_RADIUS_M = 0.03
 
 
 @dataclass(frozen=True)
-class Payload(Cause):
+class Payload(HiddenCause):
     """A solid ball is picked up: a real body of the multi-body model from then on."""
 
     kind = 'payload'
@@ -27,27 +27,27 @@ class Payload(Cause):
     centre: Array
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(site.hand(), site.random_start(), 0.06 * site.rng.uniform(-1, 1, 3))
 
     def apply(self, world: World, magnitude: float) -> World:
         ball = pin.Inertia.FromSphere(magnitude, PAYLOAD_RADIUS_M)
         inertia = pin.Inertia(ball.mass, self.centre, ball.inertia)
-        return world.changed(bodies=(*world.bodies, Body(str(self.where), inertia, float(self.start_s or 0.0))))
+        return world.changed(bodies=(*world.bodies, AttachedBody(str(self.where), inertia, float(self.start_s or 0.0))))
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'mass': Quantity(magnitude, 'kg'), 'centre': Quantity(self.centre, 'm')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'mass': TrueValue(magnitude, 'kg'), 'centre': TrueValue(self.centre, 'm')}
 
 
 @dataclass(frozen=True)
-class FrameForce(Cause):
+class FrameForce(HiddenCause):
     """A force on the origin of a frame."""
 
     can_start = True
     linear = True
 
     def force(self, world: World, motion: Instants) -> Array:
-        """(N, 3) at magnitude 1, in base axes."""
+        """Force (N, 3) at magnitude 1, in base axes."""
         raise NotImplementedError
 
     def apply(self, world: World, magnitude: float) -> World:
@@ -60,20 +60,20 @@ class FrameForce(Cause):
 
 @dataclass(frozen=True)
 class ExternalForce(FrameForce):
-    """Something pulls with a constant force, its direction fixed in the room."""
+    """Constant force, its direction fixed in the room."""
 
     kind = 'external_force'
     direction: Array
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(site.frame(), site.start_s, unit_vector(site.rng))
 
     def force(self, world: World, motion: Instants) -> Array:
         return np.broadcast_to(self.direction, (len(motion.time), 3))
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'force': Quantity(magnitude * self.direction, 'N')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'force': TrueValue(magnitude * self.direction, 'N')}
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class PeriodicDisturbance(FrameForce):
     phase: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         rate = 1.0 / float(np.median(np.diff(site.world.times)))
         frequency, phase = float(site.rng.uniform(0.025, 0.4)) * rate, float(site.rng.uniform(0, 2 * np.pi))
         in_joint = site.rng.uniform() < 0.5 if site.where is None else site.where in site.world.arm.joints
@@ -100,9 +100,9 @@ class PeriodicDisturbance(FrameForce):
         axis = world.arm.pose(str(self.where), motion.position).rotation @ self.direction
         return axis * np.sin(2 * np.pi * self.frequency * motion.time + self.phase)[:, None]
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'frequency': Quantity(self.frequency, 'Hz'), 'force': Quantity(magnitude * self.direction, 'N'),
-                'phase': Quantity(self.phase, 'rad')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'frequency': TrueValue(self.frequency, 'Hz'), 'force': TrueValue(magnitude * self.direction, 'N'),
+                'phase': TrueValue(self.phase, 'rad')}
 
 
 @dataclass(frozen=True)
@@ -116,9 +116,9 @@ class JointDisturbance(JointTorque):
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(np.sin(2 * np.pi * self.frequency * motion.time + self.phase))
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'frequency': Quantity(self.frequency, 'Hz'), 'torque': Quantity(magnitude, 'N m'),
-                'phase': Quantity(self.phase, 'rad')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'frequency': TrueValue(self.frequency, 'Hz'), 'torque': TrueValue(magnitude, 'N m'),
+                'phase': TrueValue(self.phase, 'rad')}
 
 
 @dataclass(frozen=True)
@@ -126,16 +126,14 @@ class ViscousDrag(FrameForce):
     """A slow fluid holds the link back: f = -c v."""
 
     kind = 'viscous_drag'
+    quantity = ('drag', 'N s/m')
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(site.frame(), site.start_s)
 
     def force(self, world: World, motion: Instants) -> Array:
         return -world.arm.pose(str(self.where), motion.position).velocity(motion.velocity)[:, :3]
-
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'drag': Quantity(magnitude, 'N s/m')}
 
 
 @dataclass(frozen=True)
@@ -143,10 +141,8 @@ class QuadraticDrag(ViscousDrag):
     """A fast fluid holds the link back: f = -c |v| v."""
 
     kind = 'quadratic_drag'
+    quantity = ('drag', 'N s^2/m^2')
 
     def force(self, world: World, motion: Instants) -> Array:
         against = super().force(world, motion)
         return np.asarray(against * np.linalg.norm(against, axis=1)[:, None])
-
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'drag': Quantity(magnitude, 'N s^2/m^2')}

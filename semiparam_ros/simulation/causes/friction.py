@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, since
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue, since
 from semiparam_ros.simulation.fine_states import STEP_S, bristle, fine_motion, sampled
 from semiparam_ros.simulation.trajectory import Instants
 from semiparam_ros.simulation.world import World
@@ -17,7 +17,7 @@ PRESLIDING_RAD = 1e-3
 
 
 @dataclass(frozen=True)
-class JointTorque(Cause):
+class JointTorque(HiddenCause):
     """A torque that one motor must hold against."""
 
     acts_on = ('effort',)
@@ -26,17 +26,17 @@ class JointTorque(Cause):
     joint: int
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         joint = site.joint()
         return cls(site.world.arm.joints[joint], site.start_s, joint, *cls.drawn(site, joint))
 
     @classmethod
     def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
-        """What the kind has beyond the joint, in the order of its fields."""
+        """Values that the kind has beyond the joint, in the order of its fields."""
         return ()
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
-        """(N,) at magnitude 1; ``efforts`` (N, n) are those without it."""
+        """Torque (N,) at magnitude 1; ``efforts`` (N, n) are those without it."""
         raise NotImplementedError
 
     def apply(self, world: World, magnitude: float) -> World:
@@ -57,12 +57,10 @@ class ViscousFriction(JointTorque):
     """Oil: torque = b dq."""
 
     kind = 'viscous_friction'
+    quantity = ('viscous', 'N m s/rad')
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return motion.velocity[:, self.joint]
-
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'viscous': Quantity(magnitude, 'N m s/rad')}
 
 
 @dataclass(frozen=True)
@@ -70,12 +68,10 @@ class CoulombFriction(JointTorque):
     """Dry friction: a torque of constant size against the direction of sliding."""
 
     kind = 'coulomb_friction'
+    quantity = ('coulomb', 'N m')
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return self.slide(world, motion)
-
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'coulomb': Quantity(magnitude, 'N m')}
 
 
 @dataclass(frozen=True)
@@ -97,9 +93,9 @@ class StribeckFriction(JointTorque):
         fine = fine_motion(world.trajectory)
         return sampled(fine.time, bristle(fine.position[:, self.joint], PRESLIDING_RAD, level), motion.time)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'coulomb': Quantity(magnitude, 'N m'), 'stiction': Quantity(self.excess * magnitude, 'N m'),
-                'stribeck_velocity': Quantity(self.velocity, 'rad/s')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'coulomb': TrueValue(magnitude, 'N m'), 'stiction': TrueValue(self.excess * magnitude, 'N m'),
+                'stribeck_velocity': TrueValue(self.velocity, 'rad/s')}
 
 
 @dataclass(frozen=True)
@@ -121,12 +117,12 @@ class AsymmetricFriction(JointTorque):
         dry = np.where(slide > 0, slide, self.backward * slide)
         return np.asarray(dry + np.where(velocity > 0, *self.viscous) * velocity)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
         forward, backward = self.viscous
-        return {'coulomb_forward': Quantity(magnitude, 'N m'),
-                'coulomb_backward': Quantity(self.backward * magnitude, 'N m'),
-                'viscous_forward': Quantity(forward * magnitude, 'N m s/rad'),
-                'viscous_backward': Quantity(backward * magnitude, 'N m s/rad')}
+        return {'coulomb_forward': TrueValue(magnitude, 'N m'),
+                'coulomb_backward': TrueValue(self.backward * magnitude, 'N m'),
+                'viscous_forward': TrueValue(forward * magnitude, 'N m s/rad'),
+                'viscous_backward': TrueValue(backward * magnitude, 'N m s/rad')}
 
 
 @dataclass(frozen=True)
@@ -134,10 +130,8 @@ class LoadFriction(JointTorque):
     """Teeth under load rub: a share of the transmitted torque against the direction of sliding."""
 
     kind = 'load_friction'
+    quantity = ('load_coefficient', '1')
     typical = 0.1
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(np.abs(efforts[:, self.joint]) * self.slide(world, motion))
-
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'load_coefficient': Quantity(magnitude, '1')}

@@ -1,4 +1,4 @@
-"""Wrong zeros, wrong gravity, wrong time: the model is right, but looks at the wrong state."""
+"""Geometry and timing that the model has wrong: zeros, gravity, the time of the outputs."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
 from semiparam_ros.simulation.world import World
 
 
 @dataclass(frozen=True)
-class JointOffset(Cause):
+class JointOffset(HiddenCause):
     """An encoder's zero is wrong: the joint stands elsewhere than reported."""
 
     kind = 'joint_offset'
@@ -22,7 +22,7 @@ class JointOffset(Cause):
     sign: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         joint = site.joint()
         return cls(site.world.arm.joints[joint], None, joint, site.sign())
 
@@ -31,12 +31,12 @@ class JointOffset(Cause):
         shift[self.joint] += self.sign * magnitude
         return world.changed(joint_shift=shift)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'offset': Quantity(self.sign * magnitude, 'rad')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'offset': TrueValue(self.sign * magnitude, 'rad')}
 
 
 @dataclass(frozen=True)
-class GravityTilt(Cause):
+class GravityTilt(HiddenCause):
     """The base is not level: gravity comes from another direction in its axes."""
 
     kind = 'gravity_tilt'
@@ -45,7 +45,7 @@ class GravityTilt(Cause):
     axis: Array
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         angle = site.rng.uniform(0, 2 * np.pi)
         return cls(None, None, np.array([np.cos(angle), np.sin(angle), 0.0]))
 
@@ -53,25 +53,23 @@ class GravityTilt(Cause):
         gravity = Rotation.from_rotvec(magnitude * self.axis).inv().apply(world.arm.model.gravity.linear)
         return world.changed(arm=world.arm.with_gravity(gravity))
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
         tilt = magnitude * self.axis
-        return {'tilt_x': Quantity(tilt[0], 'rad'), 'tilt_y': Quantity(tilt[1], 'rad')}
+        return {'tilt_x': TrueValue(tilt[0], 'rad'), 'tilt_y': TrueValue(tilt[1], 'rad')}
 
 
 @dataclass(frozen=True)
-class TimeDelay(Cause):
+class TimeDelay(HiddenCause):
     """The outputs come later than their stamps say: the sensor shows the continuous motion a while ago."""
 
     kind = 'time_delay'
+    quantity = ('delay_s', 's')
     takes_place = False
     typical = 0.01
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(None, None)
 
     def apply(self, world: World, magnitude: float) -> World:
         return world.changed(delay_s=world.delay_s + magnitude)
-
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'delay_s': Quantity(magnitude, 's')}

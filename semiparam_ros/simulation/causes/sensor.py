@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site, since
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue, since
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import World
 
 
 @dataclass(frozen=True)
-class Bias(Cause):
+class Bias(HiddenCause):
     """A wrench ``direction`` (6,), in units of the outputs' standard deviation, comes on top of the reading."""
 
     acts_on = ('wrench',)
@@ -24,18 +24,19 @@ class Bias(Cause):
     typical = 0.1
     direction: Array
 
-    def course(self, time: Array) -> Array:
-        """Factor of the wrench along time, (N, 1)."""
+    def course(self, world: World) -> Array:
+        """Factor (N, 1) of the wrench along the recording."""
         raise NotImplementedError
 
     def apply(self, world: World, magnitude: float) -> World:
         def biased(world: World, motion: Instants, outputs: Array) -> Array:
-            return outputs + magnitude * self.course(world.times) * self.direction
+            return outputs + magnitude * self.course(world) * self.direction
         return world.with_sensing(biased)
 
     @staticmethod
     def random_direction(site: Site) -> Array:
-        """All channels take part, each within a factor of three of the others."""
+        """Direction (6,) in which all channels take part, each within a factor of three of others.
+        """
         signs = site.rng.choice([-1.0, 1.0], 6)
         return np.asarray(site.scale * signs * site.rng.uniform(0.5, 1.5, 6))
 
@@ -47,14 +48,14 @@ class SensorOffset(Bias):
     kind = 'sensor_offset'
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(None, site.random_start(), cls.random_direction(site))
 
-    def course(self, time: Array) -> Array:
-        return since(time, self.start_s)
+    def course(self, world: World) -> Array:
+        return since(world.times, self.start_s)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'offset': Quantity(magnitude * self.direction, 'N, N m')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'offset': TrueValue(magnitude * self.direction, 'N, N m')}
 
 
 @dataclass(frozen=True)
@@ -65,14 +66,14 @@ class SensorDrift(Bias):
     typical = 1e-3
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(None, site.start_s, cls.random_direction(site))
 
-    def course(self, time: Array) -> Array:
-        return np.maximum(time - (self.start_s or 0.0), 0.0)[:, None]
+    def course(self, world: World) -> Array:
+        return np.maximum(world.times - (self.start_s or 0.0), 0.0)[:, None]
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'rate': Quantity(magnitude * self.direction, 'N/s, N m/s')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'rate': TrueValue(magnitude * self.direction, 'N/s, N m/s')}
 
 
 @dataclass(frozen=True)
@@ -83,21 +84,21 @@ class ThermalDrift(Bias):
     time_constant: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         time_constant = float(site.rng.uniform(0.08, 0.3)) * site.world.duration
         return cls(None, site.start_s, cls.random_direction(site), time_constant)
 
-    def course(self, time: Array) -> Array:
-        warm = np.maximum(time - (self.start_s or 0.0), 0.0) / self.time_constant
+    def course(self, world: World) -> Array:
+        warm = np.maximum(world.times - (self.start_s or 0.0), 0.0) / self.time_constant
         return np.asarray(-np.expm1(-warm))[:, None]
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'drift': Quantity(magnitude * self.direction, 'N, N m'),
-                'time_constant_s': Quantity(self.time_constant, 's')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'drift': TrueValue(magnitude * self.direction, 'N, N m'),
+                'time_constant_s': TrueValue(self.time_constant, 's')}
 
 
 @dataclass(frozen=True)
-class ReadingMatrix(Cause):
+class ReadingMatrix(HiddenCause):
     """The reading is multiplied by a matrix near the identity."""
 
     acts_on = ('wrench',)
@@ -105,7 +106,7 @@ class ReadingMatrix(Cause):
     linear = True
 
     def matrix(self, magnitude: float) -> Array:
-        """(6, 6)."""
+        """Reading over true wrench, (6, 6), at a magnitude."""
         raise NotImplementedError
 
     def apply(self, world: World, magnitude: float) -> World:
@@ -123,7 +124,7 @@ class SensorGain(ReadingMatrix):
     sign: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         channel = site.channel()
         return cls(site.world.arm.channels[channel], None, channel, site.sign())
 
@@ -132,8 +133,8 @@ class SensorGain(ReadingMatrix):
         matrix[self.channel, self.channel] += self.sign * magnitude
         return matrix
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'gain': Quantity(self.sign * magnitude, '1')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'gain': TrueValue(self.sign * magnitude, '1')}
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ class SensorCrosstalk(ReadingMatrix):
     pattern: Array
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         pattern = site.rng.uniform(-1, 1, (6, 6)) * np.outer(site.scale, 1 / site.scale)
         np.fill_diagonal(pattern, 0.0)
         return cls(None, None, pattern)
@@ -153,8 +154,8 @@ class SensorCrosstalk(ReadingMatrix):
     def matrix(self, magnitude: float) -> Array:
         return np.asarray(np.eye(6) + magnitude * self.pattern)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'crosstalk': Quantity(magnitude * self.pattern, 'rows and columns N, N m')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'crosstalk': TrueValue(magnitude * self.pattern, 'rows and columns N, N m')}
 
 
 @dataclass(frozen=True)
@@ -167,12 +168,12 @@ class SensorMisalignment(ReadingMatrix):
     axis: Array
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(None, None, unit_vector(site.rng))
 
     def matrix(self, magnitude: float) -> Array:
         turn = Rotation.from_rotvec(magnitude * self.axis).as_matrix()
         return np.asarray(np.kron(np.eye(2), turn.T))
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'rotation_vector': Quantity(magnitude * self.axis, 'rad')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'rotation_vector': TrueValue(magnitude * self.axis, 'rad')}

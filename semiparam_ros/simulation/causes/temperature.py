@@ -1,4 +1,4 @@
-"""What follows the temperature of a joint or of the sensor."""
+"""Causes that follow the temperature of a joint or of the sensor."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Cause, Quantity, Site
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.causes.sensor import Bias
 from semiparam_ros.simulation.trajectory import Instants
@@ -22,7 +22,7 @@ def at_start(world: World, number: int) -> float:
 
 
 def warmer(world: World, time: Array, number: int) -> Array:
-    """(N,) how much warmer it is than then [K]."""
+    """Temperature (N,) of one part over that at the start of the recording [K]."""
     assert world.temperature is not None
     return np.asarray(world.temperature(time)[:, number] - at_start(world, number))
 
@@ -47,10 +47,10 @@ class TemperatureFriction(JointTorque):
         thinner = 1.0 + self.change * warmer(world, motion.time, self.joint)
         return np.asarray(thinner * motion.velocity[:, self.joint])
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'viscous': Quantity(magnitude, 'N m s/rad'),
-                'viscous_per_kelvin': Quantity(self.change * magnitude, 'N m s/(rad K)'),
-                'reference_c': Quantity(self.reference_c, 'deg C')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'viscous': TrueValue(magnitude, 'N m s/rad'),
+                'viscous_per_kelvin': TrueValue(self.change * magnitude, 'N m s/(rad K)'),
+                'reference_c': TrueValue(self.reference_c, 'deg C')}
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,12 @@ class TemperatureDrift(Bias):
     reference_c: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(None, None, cls.random_direction(site), at_start(site.world, 0))
 
-    def apply(self, world: World, magnitude: float) -> World:
-        def biased(world: World, motion: Instants, outputs: Array) -> Array:
-            return outputs + magnitude * warmer(world, world.times, 0)[:, None] * self.direction
-        return world.with_sensing(biased)
+    def course(self, world: World) -> Array:
+        return warmer(world, world.times, 0)[:, None]
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'drift': Quantity(magnitude * self.direction, 'N/K, N m/K'),
-                'reference_c': Quantity(self.reference_c, 'deg C')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'drift': TrueValue(magnitude * self.direction, 'N/K, N m/K'),
+                'reference_c': TrueValue(self.reference_c, 'deg C')}

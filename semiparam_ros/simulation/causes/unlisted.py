@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import BOTH, Cause, Quantity, Site
+from semiparam_ros.simulation.causes.base import BOTH, HiddenCause, Site, TrueValue
 from semiparam_ros.simulation.causes.forces import FrameForce
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.fine_states import sampled
@@ -29,7 +29,7 @@ class Bump(FrameForce):
     width: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         frame = site.hand()
         path = site.world.arm.pose(frame, site.world.now.position).place
         width = float(site.rng.uniform(0.25, 0.5) * np.linalg.norm(path.std(axis=0)))
@@ -41,9 +41,9 @@ class Bump(FrameForce):
         touch = np.exp(-0.5 * np.sum(away**2, axis=1) / self.width**2)
         return np.asarray(touch[:, None] * self.direction)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'force': Quantity(magnitude * self.direction, 'N'), 'centre': Quantity(self.centre, 'm'),
-                'width': Quantity(self.width, 'm')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'force': TrueValue(magnitude * self.direction, 'N'), 'centre': TrueValue(self.centre, 'm'),
+                'width': TrueValue(self.width, 'm')}
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,7 @@ class DriftingFriction(JointTorque):
     """Viscous friction whose coefficient wanders between nothing and twice its mean, with temperature or dirt."""
 
     kind = 'drifting_friction'
+    quantity = ('mean_viscous', 'N m s/rad')
     course_seed: int
 
     @classmethod
@@ -61,15 +62,13 @@ class DriftingFriction(JointTorque):
         course = wander(motion.time, world.duration / 3, np.random.default_rng(self.course_seed))
         return np.asarray((1.0 + np.tanh(course)) * motion.velocity[:, self.joint])
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'mean_viscous': Quantity(magnitude, 'N m s/rad')}
-
 
 @dataclass(frozen=True)
-class TwoMassFlexibility(Cause):
-    """What is measured reaches the sensor over a spring: the outputs ring as a lightly damped second-order system.
+class TwoMassFlexibility(HiddenCause):
+    """Spring before the sensor: the outputs ring as a lightly damped second-order system.
 
-    The magnitude is the compliance 1 / w^2 [s^2] of the oscillator, integrated at a fine step along the motion.
+    The magnitude is the compliance 1 / w^2 [s^2] of the oscillator, integrated at a fine step along
+    the motion.
     """
 
     kind = 'two_mass_flexibility'
@@ -79,7 +78,7 @@ class TwoMassFlexibility(Cause):
     damping: float
 
     @classmethod
-    def draw(cls, site: Site) -> Cause:
+    def draw(cls, site: Site) -> HiddenCause:
         return cls(None, None, float(site.rng.uniform(0.1, 0.3)))
 
     def apply(self, world: World, magnitude: float) -> World:
@@ -91,5 +90,5 @@ class TwoMassFlexibility(Cause):
             return outputs + np.stack(extra, axis=1)
         return world.with_mechanical(ringing)
 
-    def parameters(self, magnitude: float) -> dict[str, Quantity]:
-        return {'frequency': Quantity(magnitude**-0.5 / (2 * np.pi), 'Hz'), 'damping': Quantity(self.damping, '1')}
+    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
+        return {'frequency': TrueValue(magnitude**-0.5 / (2 * np.pi), 'Hz'), 'damping': TrueValue(self.damping, '1')}

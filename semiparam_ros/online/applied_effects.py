@@ -1,0 +1,324 @@
+"""Effects of known coefficients beside the model: tried, applied, taken back.
+
+A change of the robot that was named is an effect with coefficients theta. What it adds to the
+outputs, k = C(x) theta, is taken off them before the model sees them and added to what the model
+predicts, as that of a known tool (:mod:`semiparam_ros.core.robot.tools`). So the model stays that
+of the robot before the change, and nothing is relearnt when the change is over.
+
+Whether an effect is there is asked of every quarter of a second b of motion. With r what the model
+leaves of the outputs, without the effects that are applied, S = diag(s) its standard deviations and
+kappa the usual size of what r / s has (:mod:`semiparam_ros.online.changes`),
+
+    d_b = sum (r' S^-2 r - r~' S^-2 r~) / (2 kappa),    r~ = r - k, or r + k where it is applied,
+
+is the log evidence [nat] for the other state: applied or not. The cumulative sum test of Page
+(1954, Biometrika 41) switches when
+
+    g <- max(0, g + d_b)
+
+exceeds ``SURE``, and g was last zero when it came or went. One that is tried begins with g = 0 after
+it was named: only what comes then speaks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from semiparam_ros.core.columns import CoupledColumns, Memories, Memory
+from semiparam_ros.core.robot.frames import load_transform
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects import Effect, effect_from_text, effect_to_text
+from semiparam_ros.effects.base import STAMP_TOLERANCE_NS, Span
+from semiparam_ros.online.changes import BLOCK_S, SURE, Block
+
+TRIED_S = 30.0
+"""[s of motion] An effect for which nothing speaks so long is dropped."""
+REMEMBERED = 4
+"""So many that were applied, and are over, are known at once when they come again."""
+MOST_CONTRIBUTIONS = 100
+LARGEST = 1e9
+
+
+class Contribution(NamedTuple):
+    """An effect with the span in which it was taken off, and its coefficients (c,)."""
+
+    effect: Effect
+    coefficients: Array
+
+
+@dataclass
+class Trial:
+    """One effect, of the change with a number, that is applied, tried or remembered."""
+
+    number: int
+    effect: Effect
+    coefficients: Array
+    std: Array
+    """(c,) standard deviations of the coefficients."""
+    applied: bool = False
+    remembered: bool = False
+    """It was applied before, and is over."""
+    score: float = 0.0
+    """g [nat]"""
+    since: int = 0
+    """[ns] when g was last zero."""
+    tried_s: float = 0.0
+    reference: Array | None = None
+    """(p,) coefficients of the model from before it was applied."""
+    squares: Array = field(default_factory=lambda: np.zeros((2, 1)))
+    """(2, n) weighed squares of what is left with it and without it, while it is there."""
+
+    @property
+    def share(self) -> float:
+        """The error of all outputs with it over that without it; 0 before anything is known."""
+        with_it, without = self.squares.sum(axis=1)
+        return float(np.sqrt(with_it / without)) if without > 0.0 else 0.0
+
+    @property
+    def shares(self) -> Array:
+        """(n,) the same of each output."""
+        with_it, without = self.squares
+        return np.sqrt(with_it / np.maximum(without, 1e-300))
+
+
+class AppliedEffects:
+    """Those of one robot, the foremost first."""
+
+    def __init__(self, body: RigidBody) -> None:
+        self._body = body
+        self.trials: list[Trial] = []
+        self.contributions: list[Contribution] = []
+        """All that was taken off, for those who need the samples as measured."""
+        self._newest: Array = np.zeros((body.n_outputs, 0))
+        self.added: Array = np.zeros((0, body.n_outputs))
+        """(m, n) k of each trial, of the newest sample."""
+        self._columns = CoupledColumns(body)
+        self._memory: Memories = None
+
+    @property
+    def applied(self) -> list[Trial]:
+        """Those that are there now."""
+        return [trial for trial in self.trials if trial.applied]
+
+    def clear(self) -> None:
+        """Forget all."""
+        self.trials, self.contributions = [], []
+        self._changed()
+
+    def reset(self) -> None:
+        """Forget what effects remember and what speaks for a switch, as after a jump of the clock;
+        what is applied stays."""
+        self._memory = None
+        for trial in self.trials:
+            trial.score = 0.0
+
+    def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
+        """The sample without what is applied, and that (n,); None where nothing is."""
+        if not self.trials:
+            return sample, None
+        columns, self._memory = self._columns.one(sample, 0, self._memory)
+        self._newest = columns
+        self.added = np.array([columns[:, block] @ trial.coefficients for block, trial in self._blocks()])
+        if not self.applied:
+            return sample, None
+        total = self._of_applied(self.added)
+        return sample._replace(outputs=sample.outputs - total), total
+
+    def desired(self, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
+        """(n,) what is applied adds to a desired state, as the sensor shows it, and as the arm needs
+        it."""
+        row = position, velocity, acceleration
+        shown, needed = (
+            self._of_applied(
+                np.array([columns[:, block] @ trial.coefficients for block, trial in self._blocks()])
+            )
+            for columns in self._columns.desired(*row, 0, 0)
+        )
+        return shown, needed
+
+    @property
+    def spread(self) -> Array:
+        """(n,) standard deviation of what is applied, for the newest sample: that of theta, and what
+        errors of the inputs leave of k, which grows with k; its share is measured."""
+        variance = np.zeros(self._body.n_outputs)
+        for (block, trial), added in zip(self._blocks(), self.added, strict=True):
+            if trial.applied:
+                of_theta = (self._newest[:, block] ** 2) @ trial.std**2
+                variance += of_theta + (trial.shares * added) ** 2
+        return np.sqrt(variance)
+
+    def bodies_and_bias(self) -> tuple[Array, Array]:
+        """(p,) base parameters of the loads that are applied, and (n,) what is the sensor's own, of
+        the newest sample."""
+        body = self._body
+        bodies, bias = np.zeros(body.n_parameters), np.zeros(body.n_outputs)
+        for trial, added in zip(self.trials, self.added, strict=True):
+            if trial.applied and trial.effect.is_load:
+                index, transform = load_transform(body, str(trial.effect.where))
+                basis = body.basis[10 * index : 10 * index + 10]
+                bodies += basis.T @ (transform @ trial.coefficients)
+            elif trial.applied and trial.effect.of_sensor:
+                bias += added
+        return bodies, bias
+
+    def of_change(self, number: int) -> Trial | None:
+        """That of the change with a number."""
+        return next((trial for trial in self.trials if trial.number == number), None)
+
+    def offer(
+        self, number: int, effect: Effect, coefficients: Array, std: Array, now: int
+    ) -> bool:
+        """Take an effect and its coefficients (c,) from ``now`` [ns] on as that of a change; whether
+        it is to be tried from now on. One that is applied, or was, keeps its kind and its place."""
+        effect, known = effect.without_span(), self.of_change(number)
+        if known is None or not (known.applied or known.remembered):
+            self._keep(trial for trial in self.trials if trial is not known)
+            self.trials.append(Trial(number, effect, coefficients, std, since=now))
+            self._changed()
+            return True
+        if (known.effect.kind, known.effect.where) == (effect.kind, effect.where):
+            if known.applied:
+                self._end_contribution(known, now)
+            known.effect, known.coefficients, known.std = effect, coefficients, std
+            if known.applied:
+                self._begin_contribution(known, now)
+            self._changed()
+        return False
+
+    def drop(self, number: int) -> None:
+        """Try the effect of a change no more; one that is applied stays."""
+        self._keep(trial for trial in self.trials if trial.number != number or trial.applied)
+
+    def judge(self, block: Block, noise: float, usual: float) -> Trial | None:
+        """Take a finished block into account; the trial whose other state it now speaks for.
+
+        :param noise: kappa of a usual block. :param usual: the weighed squares that one has.
+        """
+        squares, power = block.own[-1], float(block.own[-1].sum())
+        for trial, (along, own) in zip(self.trials, block.added, strict=True):
+            gains = -2.0 * along - own if trial.applied else 2.0 * along - own
+            gained = float(gains.sum())
+            there = (squares, squares - gains)
+            if trial.applied:
+                trial.squares = trial.squares + there
+            elif trial.score > 0.0:
+                trial.squares = trial.squares + there[::-1]
+            kappa = noise * max((power - max(gained, 0.0)) / usual, 1.0)
+            trial.score += gained / (2.0 * kappa)
+            trial.tried_s += BLOCK_S * (not trial.applied and not trial.remembered)
+            if trial.score <= 0.0:
+                trial.score, trial.since = 0.0, block.end
+                trial.squares = trial.squares * trial.applied
+        best = max(self.trials, key=lambda trial: trial.score, default=None)
+        return best if best is not None and best.score > SURE else None
+
+    def switch(self, trial: Trial, now: int) -> None:
+        """Apply it from the sample after ``now`` [ns] on, or take it back."""
+        trial.applied = not trial.applied
+        if trial.applied:
+            self._begin_contribution(trial, now)
+        else:
+            trial.remembered, trial.squares = True, np.zeros((2, 1))
+            self._end_contribution(trial, now)
+        for other in self.trials:
+            other.score = 0.0
+        over = [other for other in self.trials if other.remembered and not other.applied]
+        forgotten = over[:-REMEMBERED]
+        self._keep(other for other in self.trials if other not in forgotten)
+
+    def without_hope(self) -> list[Trial]:
+        """Those for which nothing has spoken as long as one is tried."""
+        return [trial for trial in self.trials if trial.tried_s >= TRIED_S]
+
+    def state(self) -> Memory:
+        """What :meth:`restore` takes back: what is applied or remembered, and what was taken off."""
+        kept = [trial for trial in self.trials if trial.applied or trial.remembered]
+        return {
+            'effects': tuple(effect_to_text(trial.effect) for trial in kept),
+            'coefficients': tuple(np.array([trial.coefficients, trial.std]) for trial in kept),
+            'applied': tuple(trial.applied for trial in kept),
+            'taken_off': tuple(
+                (effect_to_text(effect), coefficients.copy())
+                for effect, coefficients in self.contributions
+            ),
+        }
+
+    def restore(self, state: Memory) -> None:
+        """Go on with what was saved. Raises ValueError or SemiparamError for what cannot be."""
+        self.clear()
+        if not isinstance(state, dict) or state.keys() != cast('dict[str, Memory]', self.state()).keys():
+            raise ValueError('what is applied has other entries')
+        effects, coefficients, applied, taken_off = (
+            cast('tuple[Any, ...]', part) for part in state.values()
+        )
+        for number, (text, theta, on) in enumerate(zip(effects, coefficients, applied, strict=True)):
+            if type(on) is not bool:
+                raise ValueError(f"whether '{text}' is applied is {on!r}")
+            (effect, values), (_, std) = (self._contribution(text, row) for row in theta)
+            self.trials.append(Trial(-1 - number, effect, values, std, on, remembered=not on))
+        self.contributions = [self._contribution(text, theta) for text, theta in taken_off]
+        self._changed()
+
+    def _contribution(self, text: str, theta: object) -> Contribution:
+        effect = effect_from_text(text)
+        effect.check(self._body)
+        size = len(effect.coefficients(self._body))
+        if not (
+            isinstance(theta, np.ndarray)
+            and theta.shape == (size,)
+            and theta.dtype == np.float64
+            and bool((np.abs(theta) < LARGEST).all())
+        ):
+            raise ValueError(f"'{text}' has not {size} coefficients")
+        return Contribution(effect, theta)
+
+    def _blocks(self) -> Iterable[tuple[slice, Trial]]:
+        blocks = self._columns.blocks
+        return [(blocks[str(index)], trial) for index, trial in enumerate(self.trials)]
+
+    def _of_applied(self, added: Array) -> Array:
+        acting = np.array([trial.applied for trial in self.trials], dtype=float)
+        return np.asarray(acting @ added.reshape(len(acting), self._body.n_outputs))
+
+    def _keep(self, trials: Iterable[Trial]) -> None:
+        self.trials = list(trials)
+        self._changed()
+
+    def _changed(self) -> None:
+        """The trials are others: what effects remember begins anew."""
+        self._columns = CoupledColumns(self._body, [trial.effect for trial in self.trials])
+        self._memory = None
+        self._newest = np.zeros((self._body.n_outputs, self._columns.n_columns))
+        self.added = np.zeros((len(self.trials), self._body.n_outputs))
+
+    def _begin_contribution(self, trial: Trial, now: int) -> None:
+        effect = replace(trial.effect, span=Span(start_stamp_s=_after(now)))
+        self.contributions.append(Contribution(effect, trial.coefficients))
+        del self.contributions[:-MOST_CONTRIBUTIONS]
+
+    def _end_contribution(self, trial: Trial, now: int) -> None:
+        for index, (effect, coefficients) in enumerate(self.contributions):
+            same = np.array_equal(coefficients, trial.coefficients)
+            if same and effect.without_span() == trial.effect and not effect.ends:
+                span = replace(effect.span, end_stamp_s=_after(now))
+                self.contributions[index] = Contribution(replace(effect, span=span), coefficients)
+
+
+def _after(stamp: int) -> float:
+    """[s] from which spans hold the samples after one at a stamp [ns]."""
+    return (stamp + 2 * STAMP_TOLERANCE_NS) / NANOSECONDS
+
+
+def as_measured(body: RigidBody, samples: Samples, taken_off: Iterable[Contribution]) -> Samples:
+    """Samples with what was taken off them added again."""
+    outputs = samples.outputs.copy()
+    for effect, coefficients in taken_off:
+        outputs += effect.columns(body, samples, None)[0] @ coefficients
+    return replace(samples, outputs=outputs)

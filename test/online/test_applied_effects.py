@@ -1,0 +1,161 @@
+"""What was named is tried beside the model, applied, taken back, and known when it comes again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.robot.frames import loaded_links
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.effects import effect_from_text
+from semiparam_ros.online import state_file
+from semiparam_ros.online.applied_effects import AppliedEffects, as_measured
+from semiparam_ros.online.change_watch import APPLIED, TAKEN_BACK, TRIED
+from semiparam_ros.online.feedforward import Feedforward
+from semiparam_ros.online.learning import Learning
+from support.changing_arm import LOADED_S, free, loaded, offered, pushed
+
+FLOOR_S = 40.0, 70.0
+
+
+@pytest.fixture(scope='module')
+def carried():
+    """A learner that has seen a load on and off again, with the samples and the load's mass."""
+    body, samples, mass = loaded()
+    return offered(body, samples, diagnosis_auto='apply'), samples, mass
+
+
+def errors(stage, samples):
+    """(N,) root mean square over the outputs, in their standard deviations."""
+    left = (stage.means - samples.outputs) / samples.outputs.std(axis=0)
+    return np.sqrt(np.mean(left**2, axis=1))
+
+
+def between(samples, values, start, end):
+    """The root mean square of values between two times [s]."""
+    return float(np.sqrt(np.mean(values[(samples.time >= start) & (samples.time < end)] ** 2)))
+
+
+def test_the_error_is_back_at_its_floor_with_the_load_and_without_it(carried):
+    stage, samples, _ = carried
+    left = errors(stage, samples)
+    floor = between(samples, left, *FLOOR_S)
+    start, end = LOADED_S
+    assert between(samples, left, start + 12.0, end) < 1.1 * floor, 'as long as it is carried'
+    assert between(samples, left, end + 5.0, samples.time[-1]) < 1.1 * floor, 'when it was put down'
+
+
+def test_every_decision_is_told_with_its_evidence(carried):
+    stage, samples, mass = carried
+    record = stage.changes[-1]
+    tried, applied, over = record.decisions
+    assert [tried.what, applied.what, over.what] == [TRIED, APPLIED, TAKEN_BACK]
+    assert applied.evidence > 12.0
+    assert over.evidence > 12.0
+    assert over.error_share < 0.3, 'what it was worth'
+    assert abs(over.stamp * 1e-9 - samples.origin * 1e-9 - LOADED_S[1]) < 2.0
+    assert record.as_dict()['decisions'][1] == applied.as_dict()
+    assert 'It was taken back at ' in record.sentence
+    assert abs(record.named.parameters['mass'].value - mass) < 0.05 * mass
+    assert stage.learner.changes.state == 'as it was'
+
+
+def test_nothing_is_learnt_of_a_change_before_it_is_applied(carried):
+    stage, samples, _ = carried
+    record, origin = stage.changes[-1], samples.origin
+    learning = stage.learner.history.batch().learning
+    time = (stage.learner.history.batch().stamps - origin) * 1e-9
+    applied = (record.decisions[1].stamp - origin) * 1e-9
+    assert (learning[(time > LOADED_S[0] + 2.0) & (time < applied)] == Learning.OFFSET).all()
+    assert (learning[(time > applied + 0.1) & (time < LOADED_S[1])] == Learning.YES).mean() > 0.99
+
+
+def test_a_load_that_comes_again_is_known_at_once(carried):
+    _, samples, mass = carried
+    body = loaded()[0]
+    again = loaded(between=(112.0, 125.0))[1].outputs
+    both = replace(samples, outputs=np.where((samples.time < 105.0)[:, None], samples.outputs, again))
+    stage = offered(body, both[both.time < 120.0], diagnosis_auto='apply')
+    last = max(stage.learner.changes.records.values(), key=lambda record: record.change.number)
+    assert last.change.number == 2
+    came = last.decisions[-1]
+    assert came.what == APPLIED
+    assert came.stamp * 1e-9 - both.origin * 1e-9 - 112.0 < 1.5
+    picked, load = stage.learner.changes.picked
+    assert picked
+    assert abs(load.parameters[0] - mass) < 0.05 * mass
+    left = errors(stage, both[both.time < 120.0])
+    floor = between(both[both.time < 120.0], left, *FLOOR_S)
+    assert between(both[both.time < 120.0], left, 114.0, 120.0) < 1.1 * floor
+
+
+def test_a_push_is_not_applied_and_not_learnt():
+    body, samples = pushed()
+    stage = offered(body, samples[samples.time < 90.0], diagnosis_auto='apply')
+    assert not stage.learner.changes.applied.trials
+    assert not any(record.was_applied for record in stage.changes)
+    inside = (samples.time > 72.0) & (samples.time < 74.5)
+    learning = stage.learner.history.batch().learning
+    assert not (learning[inside[: len(learning)]] > 0).any()
+
+
+def test_what_is_applied_is_saved_with_the_model_and_goes_on(tmp_path):
+    body, samples, _ = loaded()
+    until = samples[samples.time < LOADED_S[1] - 5.0]
+    stage = offered(body, until, diagnosis_auto='apply')
+    settings = stage.learner.settings
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    other = offered(body, samples[:20], diagnosis_auto='apply')
+    other.learner.restore(state_file.load(tmp_path / 's.npz', settings, body))
+    assert [trial.applied for trial in other.learner.changes.applied.trials] == [True]
+    rest = samples[(samples.time >= LOADED_S[1] - 5.0) & (samples.time < LOADED_S[1])]
+    for each in (stage, other):
+        del each.answers[:]
+        each.offer(rest)
+    np.testing.assert_array_equal(stage.means, other.means)
+    row = samples.position[900], samples.velocity[900], samples.acceleration[900]
+    answers = [Feedforward().answer(each.learner, *row).outputs for each in (stage, other)]
+    np.testing.assert_array_equal(*answers)
+
+
+def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
+    body, samples = free()
+    link = list(loaded_links(body))[-1]
+    applied, theta = AppliedEffects(body), np.array([0.5, 0.01, 0.0, 0.02, *np.zeros(6)])
+    for kind, values in ((f'payload@{link}', theta), ('sensor_offset', np.arange(6.0))):
+        effect = effect_from_text(kind + '{"start_s": 1.0}')
+        assert applied.offer(len(applied.trials), effect, values, 0.0 * values, 0)
+        applied.switch(applied.trials[-1], int(samples.stamps[9]))
+    kept = [applied.taken_off(sample) for sample in list(samples[:40])]
+    off = Samples.from_list([sample for sample, _ in kept])
+    before = np.where(np.arange(40)[:, None] < 10, samples.outputs[:40], off.outputs)
+    again = as_measured(body, replace(samples[:40], outputs=before), applied.contributions)
+    np.testing.assert_allclose(again.outputs, samples.outputs[:40], rtol=0.0, atol=1e-9)
+    row = samples.position[7], samples.velocity[7], samples.acceleration[7]
+    shown, needed = applied.desired(*row)
+    np.testing.assert_allclose(shown, kept[7][1], atol=1e-9)
+    np.testing.assert_allclose(shown - needed, np.arange(6.0), atol=1e-9)
+    bodies, bias = applied.bodies_and_bias()
+    np.testing.assert_allclose(body.regressor(*row) @ bodies, needed, atol=1e-9)
+    np.testing.assert_allclose(bias, np.arange(6.0))
+
+
+@pytest.mark.parametrize(
+    'damage',
+    [
+        {'coefficients': (np.zeros((2, 3)),)},
+        {'applied': (1,)},
+        {'effects': ('payload@nowhere',)},
+        {'taken_off': (('sensor_offset', np.full(6, 1e12)),)},
+    ],
+)
+def test_a_damaged_state_is_refused(damage):
+    body, _ = free()
+    applied = AppliedEffects(body)
+    applied.offer(1, effect_from_text('sensor_offset{"start_s": 1.0}'), np.ones(6), np.ones(6), 0)
+    applied.switch(applied.trials[0], 10**9)
+    state = applied.state()
+    applied.restore(state)
+    assert applied.trials[0].applied
+    with pytest.raises((ValueError, RuntimeError)):
+        applied.restore({**state, **damage})
