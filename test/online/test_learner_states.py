@@ -513,6 +513,21 @@ def test_priors_and_friction_are_switched_and_back(tmp_path, monkeypatch):
         life.comes_to_rest()
 
 
+def test_a_window_given_again_leaves_bands_and_offset_as_the_first_time():
+    """The offset of the model that was given it again ebbed at samples that had not been learnt."""
+    settings = replace(SMALL, variant='SPK-ML')
+    learnt = [True] * 10 + [False] * 30 + [True] * 10
+    first = new_estimator(settings, BODY)
+    for estimator in (first, None):
+        estimator = estimator or new_estimator(settings, BODY, known_of(first))
+        for sample, learn in zip(MOTION, learnt, strict=False):
+            observe(estimator, estimator.predict(sample._replace(temperature=np.zeros(1))), learn)
+    for ours, theirs in zip(first.ensemble.models, estimator.ensemble.models, strict=True):
+        for name in ('calibration', 'wandering'):
+            tables = getattr(ours, name).table, getattr(theirs, name).table
+            np.testing.assert_allclose(*tables, rtol=1e-9, atol=1e-9)
+
+
 def test_a_window_that_follows_a_jump_and_one_without_hyperparameters_has_the_same_time():
     """A model built later counted time from the start, and so took the jump for time."""
     life = Lives()
