@@ -20,7 +20,7 @@ import numpy as np
 from semiparam_ros.bags.loading import LoadedBag, load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.recording_layout import JOINT_STATES, WRENCH
-from semiparam_ros.cli.evaluate import evaluate, print_scores
+from semiparam_ros.cli.evaluate import evaluate, events_of, print_scores
 from semiparam_ros.cli.options import console, output, progress_bar, write_json
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.initial_window import gathered_from
@@ -28,6 +28,7 @@ from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import VariantScores, update_times
+from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.report.horizon_figure import plot_indices
 from semiparam_ros.settings import Settings, load_params
 
@@ -39,6 +40,8 @@ RESIDUAL, HORIZON = '/estimator/residual', '/estimator/horizon_error'
 START_S, PLAY_S, DIAGNOSE_S = 60.0, 600.0, 600.0
 SEAM_S = 1e-4
 COMPARED = ('P', 'NP-ML')
+LOADED_S = 80, 120
+"""When a load is picked up and put down."""
 
 
 def isolated(domain: int) -> dict[str, str]:
@@ -122,7 +125,7 @@ class Program:
 
 
 def demonstrate(args: argparse.Namespace) -> None:
-    """Play, judge, compare, and diagnose."""
+    """Play, judge, compare, diagnose, and follow a change."""
     args.output.mkdir(parents=True, exist_ok=True)
     settings = load_params(args.params)
     bag = load_samples(args.bag, settings)
@@ -138,6 +141,7 @@ def demonstrate(args: argparse.Namespace) -> None:
             results[variant] = scores[variant].result()
     report(args, scores, results)
     diagnose(args)
+    carry(args)
 
 
 def seam_s(path: Path, stamp: int) -> float:
@@ -251,6 +255,33 @@ def diagnose(args: argparse.Namespace) -> None:
     arguments = ['diagnose', args.undeclared, '--params', args.params, '--json', args.output / 'diagnosis.json']
     with Program(arguments, isolated(args.domain)) as program:
         program.finish(DIAGNOSE_S)
+
+
+def carry(args: argparse.Namespace) -> None:
+    """Pick up a load and put it down again: learnt like everything else, and named and applied."""
+    if not args.undeclared.exists():
+        return
+    path, (start, end) = args.output / 'load.mcap', LOADED_S
+    say(f'a load is picked up after {start} s, and put down after {end} s ({path}).')
+    options = ['--motion', 'mixed', '--seconds', 180, '--robot-seed', 6, '--seed', 2019]
+    load = ['--effect', 'payload', '--start', start, '--end', end]
+    with Program(['simulate', path, *options, *load], isolated(args.domain)) as program:
+        program.finish(DIAGNOSE_S)
+    settings = load_params(args.params)
+    bag = load_samples(path, settings)
+    scores: dict[str, VariantScores] = {}
+    records: dict[int, ChangeRecord] = {}
+    with progress_bar() as progress:
+        for auto, label in (('report', 'learnt'), ('apply', 'named and applied')):
+            records = {}
+            chosen = replace(settings, diagnosis_auto=auto)
+            scores[label] = evaluate(chosen, [], [bag], False, progress, changes=records)
+    for record in records.values():
+        output.print(record.sentence, highlight=False)
+    print_scores(output, {label: score.result() for label, score in scores.items()})
+    events = events_of(records.values(), bag.samples.origin)
+    plot_indices(args.output / 'load.png', dict(reversed(scores.items())), events)
+    say(f'plot of both: {args.output / "load.png"}')
 
 
 def say(sentence: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -225,6 +225,11 @@ def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction,
     return append
 
 
+def events_of(records: Iterable[ChangeRecord], origin: int) -> list[tuple[float, str]]:
+    """Times [s] since ``origin`` [ns] of what happened to changes of the robot, and what."""
+    return [((stamp - origin) * 1e-9, what) for record in records for stamp, what in record.events]
+
+
 def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, VariantScores],
                   bags: Sequence[LoadedBag], channels: Sequence[str],
                   changes: Mapping[int, ChangeRecord] | None = None) -> None:
@@ -239,5 +244,5 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
     if args.plot:
         from semiparam_ros.report.horizon_figure import plot_indices
 
-        plot_indices(args.plot, scores)
+        plot_indices(args.plot, scores, events_of((changes or {}).values(), bags[0].samples.origin))
         options.console.print(f'plot: {args.plot}')

@@ -41,6 +41,8 @@ def _add_effect_options(group: argparse._ArgumentGroup) -> None:
                             'deviation, RMS (default: 1)')
     group.add_argument('--start', action='append', default=[], type=float, metavar='S', dest='starts',
                        help='second at which each effect begins, or one for all')
+    group.add_argument('--end', action='append', default=[], type=float, metavar='S', dest='ends',
+                       help='second at which each effect is over, or one for all (default: it stays)')
     group.add_argument('--baseline', default='none', metavar='NAME',
                        help='none, or bundled: the few unmodelled effects of the bundled recordings (default: none)')
     group.add_argument('--noise', type=float, default=1.0, metavar='SCALE',
@@ -117,14 +119,14 @@ def samples_of(args: argparse.Namespace) -> int:
 
 
 def effects_of(args: argparse.Namespace) -> tuple[EffectRequest, ...]:
-    """Effects with their places, sizes and starts."""
+    """Effects with their places, sizes, starts and ends."""
     from semiparam_ros.simulation import EffectRequest
 
     count = len(args.effects)
     sizes, starts = _one_each('--size', args.sizes, count, 1.0), _one_each('--start', args.starts, count, None)
-    parts = [text.partition('@') for text in args.effects]
-    return tuple(EffectRequest(kind, where or None, size, start)
-                 for (kind, _, where), size, start in zip(parts, sizes, starts, strict=True))
+    ends, parts = _one_each('--end', args.ends, count, None), [text.partition('@') for text in args.effects]
+    return tuple(EffectRequest(kind, where or None, size, start, end)
+                 for (kind, _, where), size, start, end in zip(parts, sizes, starts, ends, strict=True))
 
 
 def _one_each(option: str, values: list[float], count: int, default: float | None) -> list[Any]:
@@ -194,6 +196,7 @@ def _report(path: Path, recording: SimulatedRecording) -> None:
     for effect in (*recording.truth, *recording.baseline_truth):
         where = f' at {effect["where"]}' if effect['where'] else ''
         start = '' if effect['start_s'] is None else f' from {effect["start_s"]:.1f} s on'
+        start += '' if effect['end_s'] is None else f' until {effect["end_s"]:.1f} s'
         output.print(f'  {effect["kind"]}{where}{start}: {100 * effect["rms_share"]:.1f} % of the outputs, of which '
                      f'{100 * effect["unexplained_share"]:.1f} % no rigid body explains.',
                      soft_wrap=True)

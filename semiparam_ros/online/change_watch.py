@@ -141,6 +141,13 @@ class ChangeRecord:
         return change.since / NANOSECONDS, ended
 
     @property
+    def events(self) -> list[tuple[int, str]]:
+        """Stamps [ns] of what happened, and what, for a plot."""
+        found = [(self.change.since, f'{self.change.kind or "change"} begins')]
+        found += [(decision.stamp, decision.what) for decision in self.decisions]
+        return found if self.change.ended is None else [*found, (self.change.ended, 'over')]
+
+    @property
     def sentence(self) -> str:
         """For people."""
         change, effect = self.change, self.effect

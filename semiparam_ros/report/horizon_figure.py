@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +19,13 @@ if TYPE_CHECKING:
 LABELS = {'eps_force': r'$\varepsilon^F$', 'eps_torque': r'$\varepsilon^T$', 'eps_effort': r'$\varepsilon$'}
 
 
-def plot_indices(path: Path, scores: Mapping[str, VariantScores]) -> None:
-    """One panel for each index, one line for each variant, logarithmic; the format is that of the file's suffix."""
+def plot_indices(
+    path: Path, scores: Mapping[str, VariantScores], events: Sequence[tuple[float, str]] = ()
+) -> None:
+    """One panel for each index, one line for each variant, logarithmic; the format is that of the file's suffix.
+
+    :param events: times [s] since the start of the recording, and what happened then.
+    """
     from matplotlib.figure import Figure
 
     names = [name for name in next(iter(scores.values())).index_names if name in LABELS]
@@ -33,6 +38,11 @@ def plot_indices(path: Path, scores: Mapping[str, VariantScores]) -> None:
             panel.plot(times, values[:, index], linewidth=0.8, label=variant, zorder=3.0 - 0.1 * order)
         panel.set(yscale='log', ylabel=LABELS[name])
         panel.grid(alpha=0.3)
+        for seconds, _ in events:
+            panel.axvline(seconds, color='black', linewidth=0.8, linestyle=':')
+    for seconds, what in events:
+        panels[-1].text(seconds, 0.02, f' {what}', rotation=90, fontsize='small', va='bottom', ha='right',
+                        transform=panels[-1].get_xaxis_transform())
     panels[-1].set_xlabel('time [s]')
     panels[0].legend(ncols=len(scores), fontsize='small')
     save_figure(path, figure)

@@ -9,7 +9,7 @@ same cable with the same stiffness. Only the warming up belongs to the recording
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -143,7 +143,7 @@ def hide(world: World, effect: EffectRequest, scale: Array, fit: RigidBodyFit, r
     without = world.outputs
     for _ in range(DRAWS):
         site = Site(world, scale, effect.where, effect.start_s, rng)
-        cause = cause_of(effect.kind, world.arm.outputs).draw(site)
+        cause = replace(cause_of(effect.kind, world.arm.outputs).draw(site), end_s=effect.end_s)
         drawn.append(_sized(cause, world, without, effect.size, scale, fit))
         if drawn[-1].truth['unexplained_share'] >= VISIBLE * drawn[-1].truth['rms_share']:
             break
@@ -155,6 +155,7 @@ def described(hidden: Hidden, change: Array, scale: Array, fit: RigidBodyFit) ->
     quantities = {name: {'value': np.asarray(entry.value).tolist(), 'unit': entry.unit}
                   for name, entry in hidden.cause.parameters(hidden.magnitude).items()}
     return {'kind': hidden.cause.kind, 'where': hidden.cause.where, 'start_s': hidden.cause.start_s,
+            'end_s': hidden.cause.end_s,
             'size': round(share(change, scale) / SHARE_OF_SIZE, 9), 'rms_share': share(change, scale),
             'unexplained_share': fit.unexplained(change), 'parameters': quantities}
 

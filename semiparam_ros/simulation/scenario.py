@@ -12,13 +12,15 @@ from semiparam_ros.core.types import Array, Stamps
 class EffectRequest:
     """One hidden cause. ``size`` 1 changes the outputs by 10 % of their standard deviation (RMS, mean over channels).
 
-    ``where`` (a joint, frame or channel) and ``start_s`` [s] are drawn from the seed where they are None.
+    ``where`` (a joint, frame or channel) and ``start_s`` [s] are drawn from the seed where they are None; one without
+    ``end_s`` [s] stays.
     """
 
     kind: str
     where: str | None = None
     size: float = 1.0
     start_s: float | None = None
+    end_s: float | None = None
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,12 @@ Change: TypeAlias = Callable[['World', Instants, Array], Array]
 
 
 class AttachedBody(NamedTuple):
-    """A body that hangs on ``frame`` from ``start_s`` [s] on."""
+    """A body that hangs on ``frame`` from ``start_s`` [s] until ``end_s``."""
 
     frame: str
     inertia: pin.Inertia
     start_s: float
+    end_s: float
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,9 @@ class World:
 
     def rigid(self, motion: Instants) -> Array:
         """Outputs (N, n) of the arm with the bodies that hang on it at each instant, by recursive Newton-Euler."""
-        hanging = np.array([motion.time >= body.start_s for body in self.bodies]).reshape(-1, len(motion.time)).T
+        time = motion.time
+        there = [(time >= body.start_s) & (time < body.end_s) for body in self.bodies]
+        hanging = np.array(there).reshape(-1, len(time)).T
         outputs = np.empty((len(motion.time), len(self.arm.channels)))
         for present in np.unique(hanging, axis=0):
             rows = (hanging == present).all(1)

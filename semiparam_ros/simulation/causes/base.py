@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -81,17 +81,20 @@ class HiddenCause:
     """A hidden cause with all that is random about it settled; only its magnitude is open.
 
     ``apply`` gives the world with it at a magnitude (in the unit of ``typical``, a first guess), ``parameters`` what a
-    perfect diagnosis would find. ``start_s`` is None where the cause is there from the beginning. What a ``linear``
+    perfect diagnosis would find. ``start_s`` is None where the cause is there from the beginning, ``end_s`` where it
+    stays. What a ``linear``
     cause changes is proportional to its magnitude. One ``by_temperature`` needs a world that has temperatures.
     """
 
     where: str | None
     start_s: float | None
+    end_s: float | None = field(default=None, kw_only=True)
 
     kind: ClassVar[str]
     acts_on: ClassVar[tuple[str, ...]] = BOTH
     takes_place: ClassVar[bool] = True
     can_start: ClassVar[bool] = False
+    can_end: ClassVar[bool] = False
     typical: ClassVar[float] = 1.0
     linear: ClassVar[bool] = False
     by_temperature: ClassVar[bool] = False
@@ -107,12 +110,13 @@ class HiddenCause:
         """The world with this cause in it."""
         raise NotImplementedError
 
+    def acting(self, time: Array) -> Array:
+        """Factor (N, 1) at the times (N,) [s]: 1 from the start to the end, 0 before and after."""
+        start, end = self.start_s, self.end_s
+        later = time >= (-np.inf if start is None else start)
+        return np.asarray(later & (time < (np.inf if end is None else end)), dtype=float)[:, None]
+
     def parameters(self, magnitude: float) -> dict[str, TrueValue]:
         """Values that a perfect diagnosis would find, by name; here the magnitude alone."""
         name, unit = self.quantity
         return {name: TrueValue(magnitude, unit)}
-
-
-def since(time: Array, start_s: float | None) -> Array:
-    """Factor (N, 1) at the times (N,) [s]: 1 from the start on, 0 before."""
-    return np.asarray(time >= (-np.inf if start_s is None else start_s), dtype=float)[:, None]

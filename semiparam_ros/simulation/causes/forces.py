@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue, since
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import AttachedBody, World
@@ -18,10 +18,10 @@ PAYLOAD_RADIUS_M = 0.03
 
 @dataclass(frozen=True)
 class Payload(HiddenCause):
-    """A solid ball is picked up: a real body of the multi-body model from then on."""
+    """A solid ball is picked up: a real body of the multi-body model until it is put down."""
 
     kind = 'payload'
-    can_start = True
+    can_start = can_end = True
     linear = True
     typical = 0.1
     centre: Array
@@ -33,7 +33,9 @@ class Payload(HiddenCause):
     def apply(self, world: World, magnitude: float) -> World:
         ball = pin.Inertia.FromSphere(magnitude, PAYLOAD_RADIUS_M)
         inertia = pin.Inertia(ball.mass, self.centre, ball.inertia)
-        return world.changed(bodies=(*world.bodies, AttachedBody(str(self.where), inertia, float(self.start_s or 0.0))))
+        end = np.inf if self.end_s is None else self.end_s
+        ball_in_hand = AttachedBody(str(self.where), inertia, float(self.start_s or 0.0), end)
+        return world.changed(bodies=(*world.bodies, ball_in_hand))
 
     def parameters(self, magnitude: float) -> dict[str, TrueValue]:
         return {'mass': TrueValue(magnitude, 'kg'), 'centre': TrueValue(self.centre, 'm')}
@@ -43,7 +45,7 @@ class Payload(HiddenCause):
 class FrameForce(HiddenCause):
     """A force on the origin of a frame."""
 
-    can_start = True
+    can_start = can_end = True
     linear = True
 
     def force(self, world: World, motion: Instants) -> Array:
@@ -52,7 +54,7 @@ class FrameForce(HiddenCause):
 
     def apply(self, world: World, magnitude: float) -> World:
         def pushed(world: World, motion: Instants, outputs: Array) -> Array:
-            force = magnitude * since(motion.time, self.start_s) * self.force(world, motion)
+            force = magnitude * self.acting(motion.time) * self.force(world, motion)
             pose = world.arm.pose(str(self.where), motion.position)
             return outputs + world.arm.load_of_force(pose, force, motion.position)
         return world.with_mechanical(pushed)

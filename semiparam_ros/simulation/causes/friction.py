@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue, since
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
 from semiparam_ros.simulation.fine_states import STEP_S, bristle, fine_motion, sampled
 from semiparam_ros.simulation.trajectory import Instants
 from semiparam_ros.simulation.world import World
@@ -21,7 +21,7 @@ class JointTorque(HiddenCause):
     """A torque that one motor must hold against."""
 
     acts_on = ('effort',)
-    can_start = True
+    can_start = can_end = True
     linear = True
     joint: int
 
@@ -43,7 +43,7 @@ class JointTorque(HiddenCause):
         def loaded(world: World, motion: Instants, outputs: Array) -> Array:
             added = np.zeros_like(outputs)
             added[:, self.joint] = magnitude * self.torque(world, motion, outputs)
-            return outputs + since(motion.time, self.start_s) * added
+            return outputs + self.acting(motion.time) * added
         return world.with_mechanical(loaded)
 
     def slide(self, world: World, motion: Instants) -> Array:

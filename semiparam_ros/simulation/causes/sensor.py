@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue, since
+from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import World
 
@@ -46,13 +46,14 @@ class SensorOffset(Bias):
     """The sensor is overloaded or zeroed again: its offset jumps."""
 
     kind = 'sensor_offset'
+    can_end = True
 
     @classmethod
     def draw(cls, site: Site) -> HiddenCause:
         return cls(None, site.random_start(), cls.random_direction(site))
 
     def course(self, world: World) -> Array:
-        return since(world.times, self.start_s)
+        return self.acting(world.times)
 
     def parameters(self, magnitude: float) -> dict[str, TrueValue]:
         return {'offset': TrueValue(magnitude * self.direction, 'N, N m')}
