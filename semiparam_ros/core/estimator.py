@@ -244,8 +244,11 @@ class Estimator:
                              self.columns.n_columns)
 
     def discard_window(self) -> None:
-        """Gather another initial window, as one that gave no hyperparameters is no good; what P has learnt stays."""
-        self.window, self.motion = self.new_window(), None
+        """Gather another initial window, as one that gave no hyperparameters is no good; what P has
+        learnt stays. Time goes on, and effects remember nothing: as for a model that is built from
+        the samples that follow."""
+        self.window = self.new_window()
+        self._newest = self._memory = self.motion = None
 
     def with_window_alone(self) -> Estimator:
         """A copy without what the rigid body has learnt so far: its window can be finished while this one goes on."""

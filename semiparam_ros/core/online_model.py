@@ -105,7 +105,8 @@ class OnlineModel:
         innovations = recursion.learn(prior, outputs) if due else None
         if not due:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
-        if is_news:  # at rest nothing tells how wide the bands of motion are
+        # At rest nothing tells how wide the bands of motion are; the window held what was learnt.
+        if is_news and (learn or not self.window_left):
             self.window_left -= min(self.window_left, learn)
             self._follow(outputs, prior, learn or follow)
         parts = None if self.wandering is None else self.wandering.parts
@@ -140,8 +141,7 @@ class OnlineModel:
             self.wandering.learn(residual, self.calibration.factor * prior.std)
         elif self.wandering is not None:
             self.wandering.rest()
-        if follow or not self.window_left:
-            self.calibration.learn(innovation, prior.std)
+        self.calibration.learn(innovation, prior.std)
 
     def learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
         """Learn a sample of the window; mean and standard deviation (n,) that were predicted for it, in N and N m."""

@@ -291,7 +291,7 @@ class OfflineLearner:
             if not before.ready:
                 self.failed_windows.append(sentence_of(error))
                 before.discard_window()
-                self.history.discard()
+                self.history.discard(before.origin)
             elif self._later is None:
                 self._renewal.clear()
             return

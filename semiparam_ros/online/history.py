@@ -177,8 +177,8 @@ class History:
 
     def __init__(self, first: int, latest: int, n_joints: int, origin: int | None = None) -> None:
         self._n_joints, self._first, self._latest = n_joints, first, max(latest, 1)
-        self.origin = origin
-        self.discard()
+        self.origin: int | None
+        self.discard(origin)
 
     def __len__(self) -> int:
         return len(self._window) + len(self._recent)
@@ -205,7 +205,7 @@ class History:
 
     def refill(self, batch: SampleBatch) -> None:
         """Keep what another history kept, in place of anything else; time goes on counting from where it did there."""
-        self.discard()
+        self.discard(self.origin)
         learnt = np.cumsum(batch.learnt)
         end = min(int(np.searchsorted(learnt, self._first)) + 1, 2 * self._first, len(batch))
         self._window.extend(batch.part(0, end))
@@ -213,8 +213,10 @@ class History:
         self._learnt = int(learnt[-1]) if len(learnt) else 0
         self.origin = batch.origin if len(batch) else self.origin
 
-    def discard(self) -> None:
-        """Forget all samples, and begin with the first again; time goes on."""
+    def discard(self, origin: int | None) -> None:
+        """Forget all samples, and begin with the first again; time counts from ``origin`` [ns], which
+        has moved along when the clock jumped."""
+        self.origin = origin
         self._window, self._recent = SampleLog(), SampleLog(self._latest)
         self._at_rest: deque[Sample] = deque(maxlen=KEPT_OF_REST)
         self._learnt = 0

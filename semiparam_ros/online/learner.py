@@ -349,7 +349,7 @@ class Learner:
         self._listener.announce(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
         self.estimator.discard_window()
         self._taken_over()
-        self.history.discard()
+        self.history.discard(self.estimator.origin)
         self.switcher.retire_all()
         self._follow_settings(retry=True)
 

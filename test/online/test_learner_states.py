@@ -342,6 +342,12 @@ class Lives(RuleBasedStateMachine):
                 np.testing.assert_allclose([ours.sigma, *ours.output_scale], [theirs.sigma, *theirs.output_scale],
                                            rtol=5e-3)
             fresh = self.given_again(known_of(learner.estimator))
+        assert learner.estimator.origin == fresh.origin, 'time counts from the same moment'
+        for ours, theirs in zip(learner.estimator.ensemble.models, fresh.ensemble.models, strict=True):
+            for name in ('calibration', 'wandering'):  # of a model that weighs little an answer shows nothing
+                if (found := getattr(ours, name)) is not None:
+                    np.testing.assert_allclose(found.table, getattr(theirs, name).table, rtol=1e-6, atol=1e-6)
+            assert ours.window_left == theirs.window_left
         for sample in self.motion[::80]:
             sample = self.now(sample)
             expected, found = fresh.predict(sample), learner.estimator.predict(sample)
@@ -505,6 +511,37 @@ def test_priors_and_friction_are_switched_and_back(tmp_path, monkeypatch):
         save(tmp_path / 's.npz', life.learner.state())
         life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, life.body))
         life.comes_to_rest()
+
+
+def test_a_window_given_again_leaves_bands_and_offset_as_the_first_time():
+    """The offset of the model that was given it again ebbed at samples that had not been learnt."""
+    settings = replace(SMALL, variant='SPK-ML')
+    learnt = [True] * 10 + [False] * 30 + [True] * 10
+    first = new_estimator(settings, BODY)
+    for estimator in (first, None):
+        estimator = estimator or new_estimator(settings, BODY, known_of(first))
+        for sample, learn in zip(MOTION, learnt, strict=False):
+            observe(estimator, estimator.predict(sample._replace(temperature=np.zeros(1))), learn)
+    for ours, theirs in zip(first.ensemble.models, estimator.ensemble.models, strict=True):
+        for name in ('calibration', 'wandering'):
+            tables = getattr(ours, name).table, getattr(theirs, name).table
+            np.testing.assert_allclose(*tables, rtol=1e-9, atol=1e-9)
+
+
+def test_a_window_that_follows_a_jump_and_one_without_hyperparameters_has_the_same_time():
+    """A model built later counted time from the start, and so took the jump for time."""
+    life = Lives()
+    life.begin()
+    life.declares(['payload@ft{"start_s": 0.5}'])
+    life.moves_with_a_dead_sensor(5)
+    life.clock_jumps(YEAR_NS)
+    life.moves_with_a_dead_sensor(16)
+    life.background.run()
+    assert not life.given
+    life.moves(40)
+    life.comes_to_rest()
+    life.chooses('SP2-VS')
+    life.comes_to_rest()
 
 
 def test_what_is_rest_is_judged_once_by_the_model_in_force():
