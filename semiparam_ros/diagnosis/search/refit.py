@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import CoefficientPrior, Fit, refit_weights, with_effects
+from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.data.rest import sliding
+from semiparam_ros.diagnosis.regression import CoefficientPrior, Fit, refit_weights, refitted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
 from semiparam_ros.effects import Effect
 
@@ -96,12 +98,41 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
 
 
 def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
-    """The model with these calibrations settled, and the weights those of what that leaves."""
+    """The model with these calibrations settled, and the weights those of what that leaves.
+
+    Where one of them moves friction, they are settled on the outputs of joints that slide.
+    """
+    counted, slides = fit.counted, any(told_by_sliding(fit, effect) for effect in calibrations)
+    fit = sliding_part(fit) if slides else fit
     while calibrations:
         scale, fit = fit.scale, refit_weights(gauss_newton(fit, calibrations))
         if np.all(fit.scale > fit.config.reweighted * scale):
             break  # else the prior was weighed against noise that there is not
-    return fit
+    return refit_weights(refitted(fit, fit.effects, fit.nuisance, counted)) if slides else fit
+
+
+def told_by_sliding(fit: Fit, effect: Effect) -> bool:
+    """Whether a calibration is told by joints that slide: at a turn, an earlier one looks like another form of
+    friction."""
+    return effect.moves_friction and fit.body.outputs == 'effort'
+
+
+_sliding: WeakKeyDictionary[Fit, Fit] = WeakKeyDictionary()
+"""Those asked for before, as long as somebody needs the whole."""
+
+
+def sliding_part(fit: Fit) -> Fit:
+    """The same effects fitted to the outputs of joints that slide, with weights of their own."""
+    if fit not in _sliding:
+        _sliding[fit] = refit_weights(refitted(fit, fit.effects, fit.nuisance, _sliding_outputs(fit)))
+    return _sliding[fit]
+
+
+def _sliding_outputs(fit: Fit) -> Mask:
+    """(N, n) outputs that count, of joints that slide; all of a joint that hardly ever does."""
+    found = fit.counted & sliding(fit.samples, fit.config)[:, fit.body.output_index]
+    few = found[fit.train_mask].sum(axis=0) < fit.config.least_working_samples
+    return np.where(few, fit.counted, found)
 
 
 def _with_own_load(fit: Fit) -> Fit:
