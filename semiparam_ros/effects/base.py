@@ -282,6 +282,15 @@ class Effect:
         """False for a calibration so small that it may merely make the best of noise in the inputs."""
         return True
 
+    @property
+    def late_s(self) -> float:
+        """[s] by how much later than the joint states the outputs come."""
+        return 0.0
+
+    def led(self: Self, lead_s: float) -> Self:
+        """The same effect with what turns over with the motion so much earlier, where its form has a time for that."""
+        return self
+
     def finer(self: Self) -> Self:
         """The same effect with the values of its form open that a search leaves as they usually are."""
         return self

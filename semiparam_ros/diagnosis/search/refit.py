@@ -100,15 +100,20 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
 def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
     """The model with these calibrations settled, and the weights those of what that leaves.
 
-    Where one of them moves friction, they are settled on the outputs of joints that slide.
+    Where one of them moves friction, they are settled on the outputs of joints that slide. Leads of frictions follow a
+    delay: in the efforts their turns stay where they are.
     """
-    counted, slides = fit.counted, any(told_by_sliding(fit, effect) for effect in calibrations)
+    whole, slides = fit, any(told_by_sliding(fit, effect) for effect in calibrations)
     fit = sliding_part(fit) if slides else fit
     while calibrations:
         scale, fit = fit.scale, refit_weights(gauss_newton(fit, calibrations))
         if np.all(fit.scale > fit.config.reweighted * scale):
             break  # else the prior was weighed against noise that there is not
-    return refit_weights(refitted(fit, fit.effects, fit.nuisance, counted)) if slides else fit
+    if not slides:
+        return fit
+    later = sum(effect.late_s for effect in fit.effects) - sum(effect.late_s for effect in whole.effects)
+    led = [effect.led(later) for effect in fit.effects]
+    return refit_weights(refitted(fit, led, fit.nuisance, whole.counted))
 
 
 def told_by_sliding(fit: Fit, effect: Effect) -> bool:
