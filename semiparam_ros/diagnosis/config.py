@@ -241,7 +241,7 @@ class DiagnosisConfig:
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
     reweighted: float = 0.5
     """Settles calibrations once more where what is left of a channel fell below this share (chosen)."""
-    gauss_newton_steps: int = 4
+    gauss_newton_steps: int = 12
     """Settles calibrations in at most so many Gauss-Newton steps (chosen)."""
     shape_steps: int = 12
     """Settles the nonlinear values of effects in at most so many (chosen: they are further off)."""

@@ -19,27 +19,29 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     """Move the calibrations of the effects ``moving`` to their most likely values, all together.
 
     A step that would raise the loss is shortened, one that would hardly lower it is not taken. Derivatives are costly
-    and are kept as long as they shorten the steps well.
+    and are kept as long as they shorten the steps well, but they are new where it ends: those of a delay hold noise of
+    the motion, and where kept ones end is not the least loss.
     """
     places, slopes, last = {identity(effect) for effect in moving}, None, np.inf
     for _ in range(fit.config.gauss_newton_steps):
         moving = [effect for effect in fit.effects if identity(effect) in places]
+        fresh = slopes is None
         if slopes is None:
             slopes = [added_columns(fit, effect) for effect in moving]
         explained = fit.explain(np.concatenate(slopes, axis=2), prior_of_steps(fit, moving))
-        if fit.counts @ (1.0 - explained.squares / np.maximum(fit.squares, 1e-300)) < fit.config.settled_gain:
-            break
+        gained = fit.counts @ (1.0 - explained.squares / np.maximum(fit.squares, 1e-300))
         step = explained.coefficients
-        after = _stepped(fit, moving, step)
+        after = _stepped(fit, moving, step) if gained >= fit.config.settled_gain else fit
         while objective(after) > objective(fit) and np.abs(step).max() > fit.config.settled_step:
             step = step * fit.config.backtracking
             after = _stepped(fit, moving, step)
-        if objective(after) > objective(fit):
+        if after is fit or objective(after) > objective(fit):
+            size = 0.0
+        else:
+            fit, size = after, float(np.abs(step).max())
+        if fresh and size < fit.config.settled_step:
             break
-        fit, size = after, float(np.abs(step).max())
-        if size < fit.config.settled_step:
-            break
-        if size > fit.config.shortened_step * last:
+        if size > fit.config.shortened_step * last or size < fit.config.settled_step:
             slopes = None
         last = size
     return fit
