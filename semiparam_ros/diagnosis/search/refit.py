@@ -113,9 +113,13 @@ def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
             break  # else the prior was weighed against noise that there is not
     if not slides:
         return fit
-    later = sum(effect.late_s for effect in fit.effects) - sum(effect.late_s for effect in whole.effects)
-    led = [effect.led(later) for effect in fit.effects]
-    return refit_weights(refitted(fit, led, fit.nuisance, whole.counted))
+    return refit_weights(refitted(fit, following(fit.effects, whole.effects), fit.nuisance, whole.counted))
+
+
+def following(effects: Sequence[Effect], before: Sequence[Effect]) -> list[Effect]:
+    """The effects of a model, leads of frictions moved with the delay that other ones had ``before``."""
+    later = sum(effect.late_s for effect in effects) - sum(effect.late_s for effect in before)
+    return [effect.led(later) for effect in effects] if later else list(effects)
 
 
 def told_by_sliding(fit: Fit, effect: Effect) -> bool:

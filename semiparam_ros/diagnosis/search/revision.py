@@ -9,7 +9,7 @@ from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.prior_odds import price, prices, usual
-from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.refit import declare, following
 from semiparam_ros.diagnosis.search.score import gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 from semiparam_ros.diagnosis.search.shapes import settled
@@ -100,4 +100,4 @@ def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
             return fit
         gone = {number for total, number in weak if total < 0.0} or {min(weak)[1]}
         kept = [effect for number, effect in enumerate(fit.effects) if number not in gone]
-        fit = declare(with_effects(fit, kept), [])
+        fit = declare(with_effects(fit, following(kept, fit.effects)), [])
