@@ -13,7 +13,6 @@ from semiparam_ros.diagnosis.search.refit import declare, following
 from semiparam_ros.diagnosis.search.score import gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 from semiparam_ros.diagnosis.search.shapes import settled
-from semiparam_ros.effects.application_point import POINT
 
 
 def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
@@ -25,24 +24,23 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
                and not effect.is_calibration and (effect.searched or effect.finer() != effect)]
     if not numbers:
         return fit
-    opened = sum(fit.effects[number].finer() != fit.effects[number] for number in numbers)
-    tried = [(settled(fit, numbers), 0.0),
-             (settled(_opened(fit, numbers), numbers), opened * math.log(max(len(kinds), 1)))]
+    opened = [number for number in numbers if fit.effects[number].finer() != fit.effects[number]]
+    tried = [(settled(fit, numbers), 0.0)]
+    if opened:
+        tried.append((settled(_opened(fit, opened), numbers), len(opened) * math.log(max(len(kinds), 1))))
     options = [(0.0, fit), *((gain(fit, after).total - spent, after) for after, spent in tried
                              if all_plausible(fit, after))]
     return max(options, key=lambda option: option[0])[1]
 
 
 def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
-    """The model with the finer forms of the effects with these numbers, each value where a line search finds it, new
-    ones first: a sharp form says nothing of what is further off."""
+    """The model with the finer forms of the effects with these numbers, each new value where a line search finds it:
+    a sharp form says nothing of what is further off."""
     effects = list(fit.effects)
     for number in numbers:
-        known = fit.effects[number]
-        rest, finer = with_effects(fit, others(fit, known)), known.finer()
-        for name in sorted(finer.searched, key=lambda name: name in known.parameters):
-            if name not in POINT:
-                finer = line_searched(rest, finer, name)
+        rest, finer = with_effects(fit, others(fit, fit.effects[number])), fit.effects[number].finer()
+        for name in sorted(finer.parameters.keys() - fit.effects[number].parameters.keys()):
+            finer = line_searched(rest, finer, name)
         effects[number] = finer
     return with_effects(fit, effects)
 
