@@ -19,9 +19,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from windows import BASES, SURE_DEVIATIONS, Recording, _cached, _causes, diagnosed
-
 from support.mujoco_arm import Robot
+from windows import BASES, SURE_DEVIATIONS, Recording, _cached, _causes, diagnosed
 
 MOTION = {'xArm7': 'circles', 'UR10': 'sines', 'Panda': 'points'}
 DELAYS_MS = {20: (0, 1, 2), 10: (3,), 5: (4,), -10: (5,), 0: (6, 7)}

@@ -41,7 +41,8 @@ class DiagnosisConfig:
     rest_speed_share: float = 0.01
     """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
     sliding_s: float = 0.05
-    """Calls a joint sliding when it is not slow within this time [s], the longest lead of a friction (chosen)."""
+    """Calls a joint sliding when it is not slow within this time [s]: the longest lead of a friction
+    (chosen)."""
     rest_s: float = 0.1
     """Asks of a rest that it lasts so long [s]: a joint that turns back is faster before and after. Joints that stick
     where they turn back, for 0.07 s and more, bent friction and rotors beyond two deviations with 0.2 (measured)."""

@@ -288,7 +288,7 @@ class Effect:
         return 0.0
 
     def led(self: Self, lead_s: float) -> Self:
-        """The same effect with what turns over with the motion so much earlier, where its form has a time for that."""
+        """The same effect, turning over so much further ahead of the motion where its form has a lead."""
         return self
 
     def finer(self: Self) -> Self:

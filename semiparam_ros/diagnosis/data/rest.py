@@ -1,7 +1,8 @@
 """Joints at rest and joints that slide: what their efforts tell.
 
-Static friction holds any effort up to its own, so the effort of a joint at rest tells nothing. Where a joint is slow or
-turns back, the form of its dry friction decides what its effort is; where it slides, dry friction is constant.
+Static friction holds any effort up to its own, so the effort of a joint at rest tells nothing. Where a
+joint is slow or turns back, the form of its dry friction decides what its effort is; where it slides,
+dry friction is constant.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ def resting(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
 
 
 def sliding(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
-    """(N, n_joints) true where a joint goes one way faster than ``config.friction_turn_share`` of its highest speed,
-    and within ``config.sliding_s`` too."""
+    """(N, n_joints) true where a joint goes one way, and faster than ``config.friction_turn_share`` of
+    its highest speed, for ``config.sliding_s`` before and after."""
     size = 2 * max(round(config.sliding_s / typical_step(samples.time)), 1) + 1
     velocity = samples.velocity
     slow = config.friction_turn_share * np.abs(velocity).max(axis=0)

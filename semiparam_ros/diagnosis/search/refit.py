@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from semiparam_ros.core.types import Array, Mask
-from semiparam_ros.diagnosis.data.rest import sliding
-from semiparam_ros.diagnosis.regression import CoefficientPrior, Fit, refit_weights, refitted, with_effects
+from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.regression import (
+    CoefficientPrior,
+    Fit,
+    refit_weights,
+    refitted,
+    with_effects,
+)
 from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
 from semiparam_ros.effects import Effect
 
@@ -18,9 +22,9 @@ from semiparam_ros.effects import Effect
 def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     """Move the calibrations of the effects ``moving`` to their most likely values, all together.
 
-    A step that would raise the loss is shortened, one that would hardly lower it is not taken. Derivatives are costly
-    and are kept as long as they shorten the steps well, but they are new where it ends: those of a delay hold noise of
-    the motion, and where kept ones end is not the least loss.
+    A step that would raise the loss is shortened, one that would hardly lower it is not taken.
+    Derivatives are costly and are kept as long as they shorten the steps well, but they are new where
+    it ends: those of a delay hold noise of the motion, and kept ones end beside the least loss.
     """
     places, slopes, last = {identity(effect) for effect in moving}, None, np.inf
     for _ in range(fit.config.gauss_newton_steps):
@@ -102,48 +106,31 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
 def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
     """The model with these calibrations settled, and the weights those of what that leaves.
 
-    Where one of them moves friction, they are settled on the outputs of joints that slide. Leads of frictions follow a
-    delay: in the efforts their turns stay where they are.
+    Where one of them moves friction, they are settled on the outputs of joints that slide. Leads of
+    frictions follow a delay: in the efforts their turns stay where they are.
     """
     whole, slides = fit, any(told_by_sliding(fit, effect) for effect in calibrations)
-    fit = sliding_part(fit) if slides else fit
+    fit = fit.sliding if slides else fit
     while calibrations:
         scale, fit = fit.scale, refit_weights(gauss_newton(fit, calibrations))
         if np.all(fit.scale > fit.config.reweighted * scale):
             break  # else the prior was weighed against noise that there is not
     if not slides:
         return fit
-    return refit_weights(refitted(fit, following(fit.effects, whole.effects), fit.nuisance, whole.counted))
+    led = following(fit.effects, whole.effects)
+    return refit_weights(refitted(fit, led, fit.nuisance, whole.counted))
 
 
 def following(effects: Sequence[Effect], before: Sequence[Effect]) -> list[Effect]:
-    """The effects of a model, leads of frictions moved with the delay that other ones had ``before``."""
+    """The effects of a model, where leads of frictions follow the delay from what it was ``before``."""
     later = sum(effect.late_s for effect in effects) - sum(effect.late_s for effect in before)
     return [effect.led(later) for effect in effects] if later else list(effects)
 
 
 def told_by_sliding(fit: Fit, effect: Effect) -> bool:
-    """Whether a calibration is told by joints that slide: at a turn, an earlier one looks like another form of
+    """Whether a calibration is told by joints that slide, for at a turn it looks like another form of
     friction."""
     return effect.moves_friction and fit.body.outputs == 'effort'
-
-
-_sliding: WeakKeyDictionary[Fit, Fit] = WeakKeyDictionary()
-"""Those asked for before, as long as somebody needs the whole."""
-
-
-def sliding_part(fit: Fit) -> Fit:
-    """The same effects fitted to the outputs of joints that slide, with weights of their own."""
-    if fit not in _sliding:
-        _sliding[fit] = refit_weights(refitted(fit, fit.effects, fit.nuisance, _sliding_outputs(fit)))
-    return _sliding[fit]
-
-
-def _sliding_outputs(fit: Fit) -> Mask:
-    """(N, n) outputs that count, of joints that slide; all of a joint that hardly ever does."""
-    found = fit.counted & sliding(fit.samples, fit.config)[:, fit.body.output_index]
-    few = found[fit.train_mask].sum(axis=0) < fit.config.least_working_samples
-    return np.where(few, fit.counted, found)
 
 
 def _with_own_load(fit: Fit) -> Fit:

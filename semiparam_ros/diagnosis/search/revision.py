@@ -27,19 +27,21 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
     opened = [number for number in numbers if fit.effects[number].finer() != fit.effects[number]]
     tried = [(settled(fit, numbers), 0.0)]
     if opened:
-        tried.append((settled(_opened(fit, opened), numbers), len(opened) * math.log(max(len(kinds), 1))))
+        price_of_guesses = len(opened) * math.log(max(len(kinds), 1))
+        tried.append((settled(_opened(fit, opened), numbers), price_of_guesses))
     options = [(0.0, fit), *((gain(fit, after).total - spent, after) for after, spent in tried
                              if all_plausible(fit, after))]
     return max(options, key=lambda option: option[0])[1]
 
 
 def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
-    """The model with the finer forms of the effects with these numbers, each new value where a line search finds it:
-    a sharp form says nothing of what is further off."""
+    """The model with the finer forms of the effects with these numbers, each new value where a line
+    search finds it: from where it usually is, the slopes of a sharp form lead nowhere."""
     effects = list(fit.effects)
     for number in numbers:
-        rest, finer = with_effects(fit, others(fit, fit.effects[number])), fit.effects[number].finer()
-        for name in sorted(finer.parameters.keys() - fit.effects[number].parameters.keys()):
+        known, finer = fit.effects[number], fit.effects[number].finer()
+        rest = with_effects(fit, others(fit, known))
+        for name in sorted(finer.parameters.keys() - known.parameters.keys()):
             finer = line_searched(rest, finer, name)
         effects[number] = finer
     return with_effects(fit, effects)

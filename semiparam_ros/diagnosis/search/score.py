@@ -26,7 +26,7 @@ import numpy as np
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity
-from semiparam_ros.diagnosis.search.refit import calibrated_values, sliding_part, told_by_sliding
+from semiparam_ros.diagnosis.search.refit import calibrated_values, told_by_sliding
 
 
 class ChannelGrams(NamedTuple):
@@ -175,7 +175,7 @@ def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Arr
     Models of which one has a calibration that moves friction are compared where joints slide.
     """
     if _told_by_sliding(before) != _told_by_sliding(after):
-        before, after = sliding_part(before), sliding_part(after)
+        before, after = before.sliding, after.sliding
     edges, repeated = block_edges(before, times_s), repetition(after)
     return _least([_densities(after, edges, repeated, taken) - _densities(before, edges, repeated, taken)
                    for taken in _views(before)])
@@ -228,8 +228,9 @@ def worth(fit: Fit) -> list[Gain]:
     """Of each effect of the model: what it gains over the model without it, nothing else searched anew."""
     gains = _worth(fit)
     told = [told_by_sliding(fit, effect) for effect in fit.effects]
-    sliding = _worth(sliding_part(fit)) if any(told) else gains
-    return [there if slides else each for each, there, slides in zip(gains, sliding, told, strict=True)]
+    sliding = _worth(fit.sliding) if any(told) else gains
+    return [there if slides else each
+            for each, there, slides in zip(gains, sliding, told, strict=True)]
 
 
 def _worth(fit: Fit) -> list[Gain]:
