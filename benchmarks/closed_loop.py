@@ -304,8 +304,9 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
     delays, errors, right = list[float](), list[float](), set[int]()
     ends = [*case.times[1:], float(time[-1])]
     back_s = [
-        back_after(time, squares, floors[1 - number % 2], at, end)
+        after
         for number, (at, end) in enumerate(zip(case.times, ends, strict=False))
+        if np.isfinite(after := back_after(time, squares, floors[1 - number % 2], at, end))
     ]
     decided = [
         seconds(decision.stamp) for record in told for decision in record.decisions[-1:]
@@ -342,7 +343,7 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
         named,
         delays,
         errors,
-        int(np.isfinite(back_s).sum()),
+        len(back_s),
         back_s,
         len(wrong) - sum(wrong),
         sum(wrong),
@@ -419,7 +420,7 @@ def main() -> int:
         'false',
         'taken back',
     )
-    everything = {}
+    runs = []
     for name, robot in robots.items():
         for change in given.changes:
             if change == 'friction' and 'iCub' in name:
@@ -429,12 +430,13 @@ def main() -> int:
             rows = [
                 judged(with_auto(robot(seed), given.auto), change, seed) for seed in seeds[:only]
             ]
-            everything[f'{name}, {change}'] = [row._asdict() for row in rows]
+            runs += [{'robot': name, 'change': change, **row._asdict()} for row in rows]
             table.add_row(name, change, *summed(rows))
             print(name, change, *summed(rows), sep=' | ', flush=True)
     Console(width=140).print(table)
     if given.json:
-        Path(given.json).write_text(json.dumps(everything, indent=1))
+        command = ' '.join(['closed_loop', *sys.argv[1:]])
+        Path(given.json).write_text(json.dumps({'command': command, 'runs': runs}, indent=1) + '\n')
     return 0
 
 

@@ -14,6 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 FOLDER = Path(__file__).resolve().parent
@@ -167,12 +168,35 @@ def exported_arms(found: Document) -> Table:
         (run['arm'], *(run[name].replace('%', ' %') for name in names)) for run in found['runs']])
 
 
+def changes(found: Document) -> Table:
+    """Changes of the robot: noticed, named, and the error back at its floor."""
+    rows, runs = [], found['runs']
+    for robot, change in dict.fromkeys((run['robot'], run['change']) for run in runs):
+        own = [run for run in runs if (run['robot'], run['change']) == (robot, change)]
+
+        def total(name: str, own: Sequence[Document] = own) -> int:
+            return sum(run[name] for run in own)
+
+        def every(name: str, own: Sequence[Document] = own) -> list[float]:
+            return [value for run in own for value in run[name]]
+
+        count = total('changes')
+        told, back, errors = every('delays'), every('back_s'), every('mass_errors')
+        shares = [f'{total(name)} of {count}' if count else '' for name in ('noticed', 'named', 'back')]
+        mass = f'{percent(median(errors), 1)}, {percent(max(errors))}' if errors else ''
+        rows.append((robot, change, shares[0], f'{median(told):.2g}' if told else '', shares[1], mass,
+                     shares[2], f'{median(back):.2g}' if back else '', str(total('false')),
+                     str(total('retracted'))))
+    return Table(('Robot', 'Change', 'Noticed', 'Told after [s]', 'Named', 'Mass error: median, largest',
+                  'Back', 'After [s]', 'False', 'Taken back'), rows)
+
+
 MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
     'variants': ('variants', variants), 'frozen_variants': ('variants', frozen_variants),
     'mujoco_arms': ('mujoco_arms', measured_arms),
     **{make.__name__: (make.__name__, make) for make in
        (other_motion, bench, many_joints, measured_arms, scoreboard, put_down, tracking,
-        exported_arms)}}
+        exported_arms, changes)}}
 """The file and the function of each table that a command's JSON gives."""
 
 

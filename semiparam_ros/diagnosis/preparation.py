@@ -111,6 +111,8 @@ def measured_lags(samples: Samples, inputs: Inputs, config: DiagnosisConfig = DE
 
 def _lag(recorded: Array, told: Array, derivative: Array, config: DiagnosisConfig) -> float:
     differs = told - recorded
+    if len(differs) < 2:
+        return 0.0
     weight = 1.0 / np.maximum(differs.var(axis=0), 1e-300)
     right, left = ((values @ weight) for values in (differs * derivative, derivative**2))
     blocks = np.array_split(np.arange(len(right)), config.blocks)

@@ -208,7 +208,7 @@ def _other_belongings(joints: Sequence[str], samples: Samples, moving: Array,
     changes, integrals = _spans(samples.time, samples.position, samples.velocity, config)
     number = min((samples.time[-1] - samples.time[0]) / config.span_s, len(changes))
     sizes, likeness = np.linalg.norm(changes, axis=0), _correlation(changes, integrals)
-    ratio = np.linalg.norm(integrals, axis=0) / np.maximum(sizes, 1e-300)[:, None]
+    ratio = np.linalg.norm(integrals, axis=0) / np.maximum(sizes, 1e-100)[:, None]
     as_declared, least = 1.0 + ratio**2 - 2.0 * ratio * likeness, 1.0 - config.own_correlation**2
     cost = np.minimum(0.5 * number * np.log(np.maximum(as_declared, least)),
                       0.5 * number * np.log(np.maximum(1.0 - likeness**2, least)) + config.setup_evidence)
