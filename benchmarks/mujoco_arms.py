@@ -177,7 +177,7 @@ def _reported(setting: Setting, position: Array, velocity: Array, outputs: Array
     if setting.gains:
         outputs = outputs * (1.0 + np.array(setting.gains))
     late = round(setting.late_s / STEP_S)
-    outputs = np.concatenate([outputs[:1].repeat(late, axis=0), outputs[:len(outputs) - late]])
+    outputs = outputs[np.clip(np.arange(len(outputs)) - late, 0, len(outputs) - 1)]
     every = round(1.0 / STEP_S / setting.rate_hz)
     position, velocity, outputs = position[::every], velocity[::every], outputs[::every]
     noise = rng.standard_normal(outputs.shape)

@@ -40,6 +40,9 @@ class DiagnosisConfig:
     """Recommends one of so many times the rate (chosen)."""
     rest_speed_share: float = 0.01
     """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
+    sliding_s: float = 0.05
+    """Calls a joint sliding when it is not slow within this time [s]: the longest lead of a friction
+    (chosen)."""
     rest_s: float = 0.1
     """Asks of a rest that it lasts so long [s]: a joint that turns back is faster before and after. Joints that stick
     where they turn back, for 0.07 s and more, bent friction and rotors beyond two deviations with 0.2 (measured)."""
@@ -210,8 +213,6 @@ class DiagnosisConfig:
     """Tries so many other kinds and places in place of each effect that was found (chosen)."""
     worth_swapping: float = 0.5
     """Tries those that, coarse as they are, reach this share of its evidence (chosen)."""
-    moved: tuple[float, ...] = (-0.4, -0.2, 0.0, 0.2, 0.4)
-    """Begins at these shares of what a calibration may be, where it moves what other effects depend on (chosen)."""
     tried: int = 8
     """Scores so many of the candidates of a round, the most credible first (chosen)."""
 
@@ -241,7 +242,7 @@ class DiagnosisConfig:
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
     reweighted: float = 0.5
     """Settles calibrations once more where what is left of a channel fell below this share (chosen)."""
-    gauss_newton_steps: int = 4
+    gauss_newton_steps: int = 12
     """Settles calibrations in at most so many Gauss-Newton steps (chosen)."""
     shape_steps: int = 12
     """Settles the nonlinear values of effects in at most so many (chosen: they are further off)."""

@@ -17,9 +17,10 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.correlation import correlation_times
+from semiparam_ros.diagnosis.data.rest import sliding
 from semiparam_ros.effects import Effect
 
-LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives')
+LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives', 'sliding')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
 OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'support',
               'at_prior')
@@ -253,6 +254,15 @@ class Fit:
     def counts(self) -> Array:
         """(n,) number of outputs in use of each channel."""
         return np.asarray(self.counted[self.train_mask].sum(axis=0), dtype=float)
+
+    @cached_property
+    def sliding(self) -> Fit:
+        """The same effects fitted to the outputs of joints that slide, with weights of their own; to all of
+        a joint that hardly ever does."""
+        slides = self.counted & sliding(self.samples, self.config)[:, self.body.output_index]
+        few = slides[self.train_mask].sum(axis=0) < self.config.least_working_samples
+        counted = np.where(few, self.counted, slides)
+        return refit_weights(refitted(self, self.effects, self.nuisance, counted))
 
     def forget(self) -> None:
         """Let go of the arrays that are large and can be computed anew from the samples and the effects."""

@@ -293,6 +293,15 @@ class Effect:
         """Tell whether a calibration does more than make the best of noise in the inputs."""
         return True
 
+    @property
+    def late_s(self) -> float:
+        """[s] by how much later than the joint states the outputs come."""
+        return 0.0
+
+    def led(self: Self, lead_s: float) -> Self:
+        """The same effect, turning over so much further ahead of the motion where its form has a lead."""
+        return self
+
     def finer(self: Self) -> Self:
         """The same effect with the values of its form open that a search leaves as they usually are."""
         return self

@@ -126,6 +126,10 @@ class _Sliding(JointEffect):
         known = 'turn_speed' not in self.parameters or 'lead_s' in self.parameters
         return self if known else self.with_values(lead_s=0.0)
 
+    def led(self: Self, lead_s: float) -> Self:
+        lead = float(np.clip(self.value('lead_s') + lead_s, -LONGEST_LEAD_S, LONGEST_LEAD_S))
+        return self.with_values(lead_s=lead) if 'lead_s' in self.parameters else self
+
     def direction(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
         """Direction (N,) of sliding in [-1, 1]: the velocity's, or that of a bristle that bends."""
         if 'presliding' in self.parameters:

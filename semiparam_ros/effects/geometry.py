@@ -88,6 +88,10 @@ class TimeDelay(Effect):
     kept: ClassVar[int] = 64
     least_step: ClassVar[float] = 0.03
 
+    @property
+    def late_s(self) -> float:
+        return self.value('delay_s')
+
     def is_noticeable(self, samples: Samples) -> bool:
         """Tell whether a delay is over 3 % of a step: interpolating averages neighbours' noise.
 

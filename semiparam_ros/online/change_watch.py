@@ -142,10 +142,13 @@ class ChangeRecord:
 
     @property
     def events(self) -> list[tuple[int, str]]:
-        """Stamps [ns] of what happened, and what, for a plot."""
-        found = [(self.change.since, f'{self.change.kind or "change"} begins')]
-        found += [(decision.stamp, decision.what) for decision in self.decisions]
-        return found if self.change.ended is None else [*found, (self.change.ended, 'over')]
+        """Stamps [ns] of what happened, and what, for a plot: it began, was applied, was over."""
+        effect, change = self.effect, self.change
+        kind = change.kind if effect is None else effect.kind
+        found = [(change.since, f'{kind or "change"} begins')]
+        found += [(each.stamp, each.what) for each in self.decisions if each.what != TRIED]
+        ended = change.ended if not self.was_applied else None
+        return found if ended is None else [*found, (ended, 'over')]
 
     @property
     def sentence(self) -> str:

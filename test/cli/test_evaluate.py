@@ -44,6 +44,27 @@ def test_the_external_wrench_as_a_table(params, recording, tmp_path, capsys):
     assert not table.exists()
 
 
+def test_a_load_is_applied_and_taken_back_and_the_plot_marks_it(tmp_path, capsys):
+    bag, settings, plot = tmp_path / 'load.mcap', tmp_path / 'p.yaml', tmp_path / 'load.png'
+    motion = ['--motion', 'mixed', '--seconds', 75, '--seed', 2]
+    load = ['--effect', 'payload', '--start', 45, '--end', 60]
+    assert semiparam('simulate', bag, *motion, *load) == 0
+    dump_params(
+        replace(load_params('config/icub_right_arm.yaml'), variant='P', initial_samples=200), settings
+    )
+    errors, changes = {}, []
+    for auto in ('report', 'apply'):
+        found = document(tmp_path / f'{auto}.json', 'evaluate', bag, '--params', settings,
+                         '--auto', auto, '--plot', plot)
+        errors[auto], changes = found['variants']['P']['nmse_mean'], found['changes']
+    assert plot.read_bytes().startswith(b'\x89PNG')
+    assert errors['apply'] < 0.9 * errors['report']
+    (change,) = changes
+    decisions = [decision['what'] for decision in change['decisions']]
+    assert decisions == ['tried beside the model', 'applied', 'taken back']
+    assert 'It was taken back at' in capsys.readouterr().out.replace('\n', ' ')
+
+
 def test_figures_of_each_variant(evaluate, recording, capsys):
     found = evaluate(recording, '--variant', 'P', '--variant', 'SPK-ML')
     assert found['schema'] == 1

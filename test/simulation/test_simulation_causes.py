@@ -73,6 +73,16 @@ def test_payload_begins_when_it_says_and_weighs_what_it_says(bare):
     assert truth['where'] == 'r_hand'
 
 
+@pytest.mark.parametrize('kind', ['payload', 'sensor_offset', 'external_force'])
+def test_an_end_can_be_asked_for(bare, kind):
+    difference, _, truth, recording = change(bare, kind, start_s=10.0, end_s=20.0)
+    assert (truth['start_s'], truth['end_s']) == (10.0, 20.0)
+    time = seconds(recording)
+    inside = (time >= 10.0) & (time < 20.0)
+    assert not difference[~inside].any()
+    assert np.abs(difference[inside]).max(axis=1).min() > 0.0
+
+
 def test_a_start_can_be_asked_for(bare):
     difference, _, truth, recording = change(bare, 'viscous_drag', start_s=10.0)
     assert truth['start_s'] == 10.0

@@ -95,6 +95,8 @@ def test_the_baseline_belongs_to_the_robot():
     ({'effects': (EffectRequest('payload', size=0.0),)}, "size 0.0 of effect 'payload' is out of range"),
     ({'effects': (EffectRequest('payload', start_s=100.0),)}, 'lies outside the recording of 40 s'),
     ({'effects': (EffectRequest('gravity_tilt', start_s=1.0),)}, 'cannot have a start'),
+    ({'effects': (EffectRequest('sensor_drift', end_s=1.0),)}, 'cannot have an end'),
+    ({'effects': (EffectRequest('payload', start_s=2.0, end_s=1.0),)}, 'end 1.0 s .* more than its start'),
     ({'effects': (EffectRequest('time_delay', 'r_elbow'),)}, "has no place; leave out '@r_elbow'"),
     ({'effects': (EffectRequest('joint_offset', 'elbow'),)}, "there is no joint 'elbow'; expected one of r_shoulder"),
     ({'effects': (EffectRequest('sensor_gain', 'fa'),)}, "there is no channel 'fa'; expected one of fx"),

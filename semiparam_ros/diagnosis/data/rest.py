@@ -1,4 +1,9 @@
-"""Joints at rest: static friction then holds any effort up to its own, so the effort of such a joint tells nothing."""
+"""Joints at rest and joints that slide: what their efforts tell.
+
+Static friction holds any effort up to its own, so the effort of a joint at rest tells nothing. Where a
+joint is slow or turns back, the form of its dry friction decides what its effort is; where it slides,
+dry friction is constant.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +29,16 @@ def resting(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
     travel = maximum_filter1d(position, size, axis=0) - minimum_filter1d(position, size, axis=0)
     still = travel < config.rest_speed_share * np.abs(samples.velocity).max(axis=0) * window
     return np.asarray(binary_dilation(still, np.ones((size, 1))))
+
+
+def sliding(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
+    """(N, n_joints) true where a joint goes one way, and faster than ``config.friction_turn_share`` of
+    its highest speed, for ``config.sliding_s`` before and after."""
+    size = 2 * max(round(config.sliding_s / typical_step(samples.time)), 1) + 1
+    velocity = samples.velocity
+    slow = config.friction_turn_share * np.abs(velocity).max(axis=0)
+    return np.asarray((minimum_filter1d(velocity, size, axis=0) > slow)
+                      | (maximum_filter1d(velocity, size, axis=0) < -slow))
 
 
 def counted_outputs(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:

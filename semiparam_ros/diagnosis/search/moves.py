@@ -12,7 +12,7 @@ from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.prior_odds import prices
-from semiparam_ros.diagnosis.search.refit import declare, moved_by
+from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import bent, formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, refined
@@ -133,10 +133,7 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
     for kind in kinds.values():
         if formed and kind.moves_friction and kind.kind not in known and None in kind.places(fit.body):
             nothing = kind(None, {coefficient.name: 0.0 for coefficient in kind.calibrations})
-            spread = nothing.calibration_scale(fit.body)
-            starts = [moved_by(nothing, share * spread) for share in fit.config.moved]
-            tried = [formed_anew(with_effects(fit, [*fit.effects, start]), fixed) for start in starts]
-            after = declare(min(tried, key=lambda model: model.loss), [])
+            after = declare(formed_anew(declare(fit, [nothing]), fixed), [])
             after = reshaped(without_impossible(after, fixed), fixed, kinds)
             added = next(effect for effect in after.effects if effect.kind == kind.kind)
             if added.is_noticeable(fit.samples) and all_plausible(fit, after):

@@ -8,7 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import CoefficientPrior, Fit, refit_weights, with_effects
+from semiparam_ros.diagnosis.regression import (
+    CoefficientPrior,
+    Fit,
+    refit_weights,
+    refitted,
+    with_effects,
+)
 from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
 from semiparam_ros.effects import Effect
 
@@ -16,28 +22,30 @@ from semiparam_ros.effects import Effect
 def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     """Move the calibrations of the effects ``moving`` to their most likely values, all together.
 
-    A step that would raise the loss is shortened, one that would hardly lower it is not taken. Derivatives are costly
-    and are kept as long as they shorten the steps well.
+    A step that would raise the loss is shortened, one that would hardly lower it is not taken.
+    Derivatives are costly and are kept as long as they shorten the steps well, but they are new where
+    it ends: those of a delay hold noise of the motion, and kept ones end beside the least loss.
     """
     places, slopes, last = {identity(effect) for effect in moving}, None, np.inf
     for _ in range(fit.config.gauss_newton_steps):
         moving = [effect for effect in fit.effects if identity(effect) in places]
+        fresh = slopes is None
         if slopes is None:
             slopes = [added_columns(fit, effect) for effect in moving]
         explained = fit.explain(np.concatenate(slopes, axis=2), prior_of_steps(fit, moving))
-        if fit.counts @ (1.0 - explained.squares / np.maximum(fit.squares, 1e-300)) < fit.config.settled_gain:
-            break
+        gained = fit.counts @ (1.0 - explained.squares / np.maximum(fit.squares, 1e-300))
         step = explained.coefficients
-        after = _stepped(fit, moving, step)
+        after = _stepped(fit, moving, step) if gained >= fit.config.settled_gain else fit
         while objective(after) > objective(fit) and np.abs(step).max() > fit.config.settled_step:
             step = step * fit.config.backtracking
             after = _stepped(fit, moving, step)
-        if objective(after) > objective(fit):
+        if after is fit or objective(after) > objective(fit):
+            size = 0.0
+        else:
+            fit, size = after, float(np.abs(step).max())
+        if fresh and size < fit.config.settled_step:
             break
-        fit, size = after, float(np.abs(step).max())
-        if size < fit.config.settled_step:
-            break
-        if size > fit.config.shortened_step * last:
+        if size > fit.config.shortened_step * last or size < fit.config.settled_step:
             slopes = None
         last = size
     return fit
@@ -96,12 +104,33 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
 
 
 def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
-    """The model with these calibrations settled, and the weights those of what that leaves."""
+    """The model with these calibrations settled, and the weights those of what that leaves.
+
+    Where one of them moves friction, they are settled on the outputs of joints that slide. Leads of
+    frictions follow a delay: in the efforts their turns stay where they are.
+    """
+    whole, slides = fit, any(told_by_sliding(fit, effect) for effect in calibrations)
+    fit = fit.sliding if slides else fit
     while calibrations:
         scale, fit = fit.scale, refit_weights(gauss_newton(fit, calibrations))
         if np.all(fit.scale > fit.config.reweighted * scale):
             break  # else the prior was weighed against noise that there is not
-    return fit
+    if not slides:
+        return fit
+    led = following(fit.effects, whole.effects)
+    return refit_weights(refitted(fit, led, fit.nuisance, whole.counted))
+
+
+def following(effects: Sequence[Effect], before: Sequence[Effect]) -> list[Effect]:
+    """The effects of a model, where leads of frictions follow the delay from what it was ``before``."""
+    later = sum(effect.late_s for effect in effects) - sum(effect.late_s for effect in before)
+    return [effect.led(later) for effect in effects] if later else list(effects)
+
+
+def told_by_sliding(fit: Fit, effect: Effect) -> bool:
+    """Whether a calibration is told by joints that slide, for at a turn it looks like another form of
+    friction."""
+    return effect.moves_friction and fit.body.outputs == 'effort'
 
 
 def _with_own_load(fit: Fit) -> Fit:

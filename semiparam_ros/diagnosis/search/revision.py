@@ -9,9 +9,9 @@ from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.prior_odds import price, prices, usual
-from semiparam_ros.diagnosis.search.refit import declare
+from semiparam_ros.diagnosis.search.refit import declare, following
 from semiparam_ros.diagnosis.search.score import gain, worth
-from semiparam_ros.diagnosis.search.scoring import coarse_trial
+from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 from semiparam_ros.diagnosis.search.shapes import settled
 
 
@@ -24,14 +24,27 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
                and not effect.is_calibration and (effect.searched or effect.finer() != effect)]
     if not numbers:
         return fit
-    finer = [effect.finer() if number in numbers else effect for number, effect in enumerate(fit.effects)]
-    opened = sum(one != other for one, other in zip(finer, fit.effects, strict=True))
+    opened = [number for number in numbers if fit.effects[number].finer() != fit.effects[number]]
     tried = [(settled(fit, numbers), 0.0)]
     if opened:
-        tried.append((settled(with_effects(fit, finer), numbers), opened * math.log(max(len(kinds), 1))))
+        price_of_guesses = len(opened) * math.log(max(len(kinds), 1))
+        tried.append((settled(_opened(fit, opened), numbers), price_of_guesses))
     options = [(0.0, fit), *((gain(fit, after).total - spent, after) for after, spent in tried
                              if all_plausible(fit, after))]
     return max(options, key=lambda option: option[0])[1]
+
+
+def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
+    """The model with the finer forms of the effects with these numbers, each new value where a line
+    search finds it: from where it usually is, the slopes of a sharp form lead nowhere."""
+    effects = list(fit.effects)
+    for number in numbers:
+        known, finer = fit.effects[number], fit.effects[number].finer()
+        rest = with_effects(fit, others(fit, known))
+        for name in sorted(finer.parameters.keys() - known.parameters.keys()):
+            finer = line_searched(rest, finer, name)
+        effects[number] = finer
+    return with_effects(fit, effects)
 
 
 def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
@@ -89,4 +102,4 @@ def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
             return fit
         gone = {number for total, number in weak if total < 0.0} or {min(weak)[1]}
         kept = [effect for number, effect in enumerate(fit.effects) if number not in gone]
-        fit = declare(with_effects(fit, kept), [])
+        fit = declare(with_effects(fit, following(kept, fit.effects)), [])

@@ -25,8 +25,8 @@ import numpy as np
 
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.search.candidates import added_columns
-from semiparam_ros.diagnosis.search.refit import calibrated_values
+from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity
+from semiparam_ros.diagnosis.search.refit import calibrated_values, told_by_sliding
 
 
 class ChannelGrams(NamedTuple):
@@ -170,10 +170,19 @@ def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
 
 def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Array:
     """(B,) the same of each block; where models have columns for errors of the inputs, with or without these, whichever
-    gains less: what only makes up for what they spoil explains nothing, nor does what only they do better."""
+    gains less: what only makes up for what they spoil explains nothing, nor does what only they do better.
+
+    Models of which one has a calibration that moves friction are compared where joints slide.
+    """
+    if _told_by_sliding(before) != _told_by_sliding(after):
+        before, after = before.sliding, after.sliding
     edges, repeated = block_edges(before, times_s), repetition(after)
     return _least([_densities(after, edges, repeated, taken) - _densities(before, edges, repeated, taken)
                    for taken in _views(before)])
+
+
+def _told_by_sliding(fit: Fit) -> list[Place]:
+    return sorted(identity(effect) for effect in fit.effects if told_by_sliding(fit, effect))
 
 
 def _views(fit: Fit) -> tuple[bool, ...]:
@@ -217,6 +226,14 @@ def summed(gains: Array) -> Gain:
 
 def worth(fit: Fit) -> list[Gain]:
     """Of each effect of the model: what it gains over the model without it, nothing else searched anew."""
+    gains = _worth(fit)
+    told = [told_by_sliding(fit, effect) for effect in fit.effects]
+    sliding = _worth(fit.sliding) if any(told) else gains
+    return [there if slides else each
+            for each, there, slides in zip(gains, sliding, told, strict=True)]
+
+
+def _worth(fit: Fit) -> list[Gain]:
     edges, repeated, gains = block_edges(fit), repetition(fit), []
     views = _views(fit)
     whole = [_densities(fit, edges, repeated, taken) for taken in views]

@@ -151,7 +151,7 @@ def _refined_once(fit: Fit, trial: Trial) -> Trial:
     effect = trial.effect
     for name in effect.searched:
         if name not in POINT:
-            effect = _line_search(fit, effect, name)
+            effect = line_searched(fit, effect, name)
     best = _linear_trial(fit, effect.without_span())
     return best if effect.parameters.keys() & POINT.keys() else _at_best_link(fit, best)
 
@@ -198,7 +198,7 @@ def _towards_best_point(fit: Fit, effect: Effect) -> Effect:
     return replace(effect, where=link).with_values(**dict(zip(POINT, inside.tolist(), strict=True)))
 
 
-def _line_search(fit: Fit, effect: Effect, name: str) -> Effect:
+def line_searched(fit: Fit, effect: Effect, name: str) -> Effect:
     """One nonlinear parameter at its best near its present value."""
     low, high = effect.bounds(name, fit.body, fit.samples, fit.residual)
 

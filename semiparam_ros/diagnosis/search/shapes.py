@@ -14,7 +14,13 @@ import numpy as np
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import CoefficientPrior, Fit, predicted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns
-from semiparam_ros.diagnosis.search.refit import calibrations_moved, declare, objective, prior_of_steps
+from semiparam_ros.diagnosis.search.refit import (
+    calibrations_moved,
+    declare,
+    objective,
+    prior_of_steps,
+    told_by_sliding,
+)
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
 
@@ -68,7 +74,8 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
         shapes = shapes_of(fit, found)
         if not shapes:
             break
-        calibrations = [effect for effect in fit.effects if effect.is_calibration]
+        calibrations = [effect for effect in fit.effects
+                        if effect.is_calibration and not told_by_sliding(fit, effect)]
         slopes = [shape_columns(fit, shapes), *(added_columns(fit, effect) for effect in calibrations)]
         known = prior_of_steps(fit, calibrations)
         free = np.zeros(len(shapes))
