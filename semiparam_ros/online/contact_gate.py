@@ -540,9 +540,11 @@ def explained(ratio: Array, maps: Array) -> Array:
     It is the posterior mean of what a Gaussian force brings about, beside noise of unit variance, of whichever place
     explains most of an output.
     """
-    covariance = FORCE_N**2 * maps @ np.swapaxes(maps, 1, 2) + np.eye(len(ratio))
-    rest = np.linalg.solve(covariance, np.broadcast_to(ratio[:, None], (len(maps), len(ratio), 1)))[:, :, 0]
-    return np.asarray(np.abs(ratio - rest).max(axis=0))
+    # By the singular values: the covariance may be singular to rounding.
+    left, stretch, _ = np.linalg.svd(FORCE_N * maps, full_matrices=False)
+    along = np.swapaxes(left, 1, 2) @ ratio
+    shares = stretch**2 / (stretch**2 + 1.0)
+    return np.asarray(np.abs((left @ (shares * along)[:, :, None])[:, :, 0]).max(axis=0))
 
 
 def standardised_innovation(prediction: Prediction) -> float:

@@ -9,8 +9,9 @@ from scipy.signal import lfilter
 from semiparam_ros.core.motion import at_start
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.recursion import Prior
+from semiparam_ros.core.robot.external_wrench import FORCE_N
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.online.contact_gate import ContactGate
+from semiparam_ros.online.contact_gate import ContactGate, explained
 from semiparam_ros.settings import Settings
 
 RATE_HZ = 20
@@ -306,3 +307,15 @@ def test_reset_opens_it_and_keeps_what_is_usual_and_forget_does_not():
     assert not stand.gate.closed and stand.judge(push).all()
     stand.gate.forget()
     assert not stand.gate.closed and not stand.judge(push).any()
+
+
+def test_what_a_push_explains_is_told_whatever_the_usual_peaks_are():
+    """Behind a dead sensor peaks were of rounding: the covariance was singular, and the sample lost."""
+    rng = np.random.default_rng(0)
+    ratio, maps = rng.standard_normal(6), rng.standard_normal((4, 6, 3))
+    covariance = FORCE_N**2 * maps @ maps.swapaxes(1, 2) + np.eye(6)
+    expected = np.abs(ratio - np.array([np.linalg.solve(each, ratio) for each in covariance]))
+    np.testing.assert_allclose(explained(ratio, maps), expected.max(axis=0), rtol=1e-9)
+    beside_rounding = 1e13 * maps[:1, :, :1] * [1.0, 0.5, 0.25]  # of one joint, as efforts have it
+    pushed = beside_rounding[0] @ np.ones(3)
+    np.testing.assert_allclose(explained(pushed, beside_rounding), np.abs(pushed), rtol=1e-9)
