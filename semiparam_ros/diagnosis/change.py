@@ -40,7 +40,7 @@ from semiparam_ros.effects.drive import EffortOffset
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 
 
-class Rival(NamedTuple):
+class ChangeRival(NamedTuple):
     """Another effect in place of the likeliest: by how much [nat] that one is better."""
 
     kind: str
@@ -64,7 +64,7 @@ class NamedChange:
     effect: Effect | None
     gain: Gain
     price: float
-    rivals: tuple[Rival, ...]
+    rivals: tuple[ChangeRival, ...]
     parameters: dict[str, Quantity]
     before: EvaluationFigures
     without: EvaluationFigures
@@ -139,7 +139,7 @@ def name_change(
         gain=tried[0].gain if tried else Gain(0.0, 0.0),
         price=tried[0].price if tried else 0.0,
         rivals=tuple(
-            Rival(other.added[0].kind, other.added[0].where, best.net - other.net)
+            ChangeRival(other.added[0].kind, other.added[0].where, best.net - other.net)
             for other in tried[1:4]
         )
         if best

@@ -8,7 +8,7 @@ other blocks of the recording. The laws of causes that are there hold on unseen 
 from __future__ import annotations
 
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.residual.flexible import Motion, block_sums, explained
+from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, block_sums, explained
 from semiparam_ros.diagnosis.residual.structure import samples_to_look_at
 from semiparam_ros.diagnosis.search.score import summed
 
@@ -21,6 +21,6 @@ def function_explains_more(first: Fit, final: Fit) -> bool:
     if final is first or len(rows) < config.structure_least_samples:
         return False
     missing, left = ((fit.residual * fit.counted)[rows] / final.scale for fit in (first, final))
-    found, _ = explained(Motion(final.body.joints, final.samples[rows], config), missing)
+    found, _ = explained(StandardisedInputs(final.body.joints, final.samples[rows], config), missing)
     gains = summed(block_sums(left**2 - (missing - found)**2, config.blocks).sum(axis=1))
     return gains.total > gains.error

@@ -36,7 +36,7 @@ from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text
 from semiparam_ros.effects.base import STAMP_TOLERANCE_NS, Span
-from semiparam_ros.online.changes import BLOCK_S, SURE, Block
+from semiparam_ros.online.changes import BLOCK_S, SURE, MotionBlock
 
 TRIED_S = 30.0
 """[s of motion] An effect for which nothing speaks so long is dropped."""
@@ -54,7 +54,7 @@ class Contribution(NamedTuple):
 
 
 @dataclass
-class Trial:
+class KnownEffect:
     """One effect, of the change with a number, that is applied, tried or remembered."""
 
     number: int
@@ -93,7 +93,7 @@ class AppliedEffects:
 
     def __init__(self, body: RigidBody) -> None:
         self._body = body
-        self.trials: list[Trial] = []
+        self.trials: list[KnownEffect] = []
         self.contributions: list[Contribution] = []
         """All that was taken off, for those who need the samples as measured."""
         self._newest: Array = np.zeros((body.n_outputs, 0))
@@ -103,7 +103,7 @@ class AppliedEffects:
         self._memory: Memories = None
 
     @property
-    def applied(self) -> list[Trial]:
+    def applied(self) -> list[KnownEffect]:
         """Those that are there now."""
         return [trial for trial in self.trials if trial.applied]
 
@@ -168,7 +168,7 @@ class AppliedEffects:
                 bias += added
         return bodies, bias
 
-    def of_change(self, number: int) -> Trial | None:
+    def of_change(self, number: int) -> KnownEffect | None:
         """That of the change with a number."""
         return next((trial for trial in self.trials if trial.number == number), None)
 
@@ -180,7 +180,7 @@ class AppliedEffects:
         effect, known = effect.without_span(), self.of_change(number)
         if known is None or not (known.applied or known.remembered):
             self._keep(trial for trial in self.trials if trial is not known)
-            self.trials.append(Trial(number, effect, coefficients, std, since=now))
+            self.trials.append(KnownEffect(number, effect, coefficients, std, since=now))
             self._changed()
             return True
         if (known.effect.kind, known.effect.where) == (effect.kind, effect.where):
@@ -196,7 +196,7 @@ class AppliedEffects:
         """Try the effect of a change no more; one that is applied stays."""
         self._keep(trial for trial in self.trials if trial.number != number or trial.applied)
 
-    def judge(self, block: Block, noise: float, usual: float) -> Trial | None:
+    def judge(self, block: MotionBlock, noise: float, usual: float) -> KnownEffect | None:
         """Take a finished block into account; the trial whose other state it now speaks for.
 
         :param noise: kappa of a usual block. :param usual: the weighed squares that one has.
@@ -219,7 +219,7 @@ class AppliedEffects:
         best = max(self.trials, key=lambda trial: trial.score, default=None)
         return best if best is not None and best.score > SURE else None
 
-    def switch(self, trial: Trial, now: int) -> None:
+    def switch(self, trial: KnownEffect, now: int) -> None:
         """Apply it from the sample after ``now`` [ns] on, or take it back."""
         trial.applied = not trial.applied
         if trial.applied:
@@ -233,7 +233,7 @@ class AppliedEffects:
         forgotten = over[:-REMEMBERED]
         self._keep(other for other in self.trials if other not in forgotten)
 
-    def without_hope(self) -> list[Trial]:
+    def without_hope(self) -> list[KnownEffect]:
         """Those for which nothing has spoken as long as one is tried."""
         return [trial for trial in self.trials if trial.tried_s >= TRIED_S]
 
@@ -262,7 +262,7 @@ class AppliedEffects:
             if type(on) is not bool:
                 raise ValueError(f"whether '{text}' is applied is {on!r}")
             (effect, values), (_, std) = (self._contribution(text, row) for row in theta)
-            self.trials.append(Trial(-1 - number, effect, values, std, on, remembered=not on))
+            self.trials.append(KnownEffect(-1 - number, effect, values, std, on, remembered=not on))
         self.contributions = [self._contribution(text, theta) for text, theta in taken_off]
         self._changed()
 
@@ -279,7 +279,7 @@ class AppliedEffects:
             raise ValueError(f"'{text}' has not {size} coefficients")
         return Contribution(effect, theta)
 
-    def _blocks(self) -> Iterable[tuple[slice, Trial]]:
+    def _blocks(self) -> Iterable[tuple[slice, KnownEffect]]:
         blocks = self._columns.blocks
         return [(blocks[str(index)], trial) for index, trial in enumerate(self.trials)]
 
@@ -287,7 +287,7 @@ class AppliedEffects:
         acting = np.array([trial.applied for trial in self.trials], dtype=float)
         return np.asarray(acting @ added.reshape(len(acting), self._body.n_outputs))
 
-    def _keep(self, trials: Iterable[Trial]) -> None:
+    def _keep(self, trials: Iterable[KnownEffect]) -> None:
         self.trials = list(trials)
         self._changed()
 
@@ -298,12 +298,12 @@ class AppliedEffects:
         self._newest = np.zeros((self._body.n_outputs, self._columns.n_columns))
         self.added = np.zeros((len(self.trials), self._body.n_outputs))
 
-    def _begin_contribution(self, trial: Trial, now: int) -> None:
+    def _begin_contribution(self, trial: KnownEffect, now: int) -> None:
         effect = replace(trial.effect, span=Span(start_stamp_s=_after(now)))
         self.contributions.append(Contribution(effect, trial.coefficients))
         del self.contributions[:-MOST_CONTRIBUTIONS]
 
-    def _end_contribution(self, trial: Trial, now: int) -> None:
+    def _end_contribution(self, trial: KnownEffect, now: int) -> None:
         for index, (effect, coefficients) in enumerate(self.contributions):
             same = np.array_equal(coefficients, trial.coefficients)
             if same and effect.without_span() == trial.effect and not effect.ends:

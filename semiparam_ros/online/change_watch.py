@@ -28,8 +28,8 @@ from semiparam_ros.effects.base import Span, place
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
-from semiparam_ros.online.applied_effects import AppliedEffects, Trial
-from semiparam_ros.online.changes import BLOCK_S, LASTING, Block, Change, ChangeDetector
+from semiparam_ros.online.applied_effects import AppliedEffects, KnownEffect
+from semiparam_ros.online.changes import BLOCK_S, LASTING, Change, ChangeDetector, MotionBlock
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.worker import Background, Urgency
@@ -309,7 +309,7 @@ class ChangeWatch:
         if self._due and not self._naming and now >= self._due[0][0]:
             self._name(self._due.pop(0)[1], history, estimator.columns.effects, now)
 
-    def _judge(self, detector: ChangeDetector, block: Block) -> None:
+    def _judge(self, detector: ChangeDetector, block: MotionBlock) -> None:
         """Apply what the blocks speak for, take back what they speak against, drop the rest."""
         applied, now = self.applied, block.end
         trial = applied.judge(block, detector.noise, detector.usual_squares)
@@ -322,7 +322,7 @@ class ChangeWatch:
             applied.drop(trial.number)
             self._decide(trial.number, Decision(DROPPED, now, trial.score))
 
-    def _switch(self, detector: ChangeDetector, trial: Trial, now: int) -> None:
+    def _switch(self, detector: ChangeDetector, trial: KnownEffect, now: int) -> None:
         """What stood out was this effect that came, or went: go on with the model as it was."""
         score, since = trial.score, trial.since
         came_again = trial.remembered and not trial.applied
@@ -347,7 +347,7 @@ class ChangeWatch:
             self._record(record.change._replace(noticed=now, ended=since), now)
 
     def _record_of(
-        self, trial: Trial, known: ChangeRecord | None, number: int, since: int, now: int
+        self, trial: KnownEffect, known: ChangeRecord | None, number: int, since: int, now: int
     ) -> ChangeRecord:
         """That of an effect that comes again, or that was there before the node began."""
         effect = trial.effect

@@ -141,7 +141,7 @@ class Change(NamedTuple):
     ended: int | None = None
 
 
-class Block(NamedTuple):
+class MotionBlock(NamedTuple):
     """Products of a quarter of a second of motion from ``start`` to ``end`` [ns]."""
 
     start: int
@@ -259,7 +259,7 @@ class Followed:
     """A change that was told, with the sums of all blocks since it began: its coefficients, in
     units of their prior."""
 
-    def __init__(self, change: Change, judged: Judged, blocks: Sequence[Block]) -> None:
+    def __init__(self, change: Change, judged: Judged, blocks: Sequence[MotionBlock]) -> None:
         self.change, self.cause, self.blocks = change, judged.cause, 0
         self.theta = judged.theta
         self._latest: deque[Array] = deque(maxlen=SETTLED)
@@ -268,7 +268,7 @@ class Followed:
         for block in blocks:
             self.add(block)
 
-    def add(self, block: Block) -> None:
+    def add(self, block: MotionBlock) -> None:
         """One more; the newest ones are left to say whether it goes on."""
         part = self.cause.part
         self._gram += block.gram[part, part]
@@ -306,7 +306,7 @@ class ChangeDetector:
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock; what is usual stays."""
-        self._blocks: deque[Block] = deque(maxlen=max(LENGTHS))
+        self._blocks: deque[MotionBlock] = deque(maxlen=max(LENGTHS))
         self._count = 0
         self._newest: int | None = None
         self._reference: Array | None = None
@@ -317,7 +317,7 @@ class ChangeDetector:
         self._compared: Array = np.zeros(3)
         """Weighed squares of the model from before, and as it stands, over so many blocks; none
         while they are one."""
-        self.finished: Block | None = None
+        self.finished: MotionBlock | None = None
         """The block that the newest sample finished, None where it did not."""
         self._begin_block()
 
@@ -432,7 +432,7 @@ class ChangeDetector:
         assert self._reference is not None
         learnt = (theta - self._reference)[: len(directions)]
         live = float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
-        block = Block(
+        block = MotionBlock(
             self._start,
             stamp,
             directions.T @ self._gram @ directions,
@@ -467,7 +467,7 @@ class ChangeDetector:
             self._calm(block, theta)
         return None
 
-    def _calm(self, block: Block, theta: Array) -> None:
+    def _calm(self, block: MotionBlock, theta: Array) -> None:
         """Nothing stands out: go on with the model as it stands, unless the one from before
         predicts better."""
         if self.followed is None:
@@ -484,7 +484,7 @@ class ChangeDetector:
             None,
         )
 
-    def _compare(self, block: Block) -> None:
+    def _compare(self, block: MotionBlock) -> None:
         """Charge what is left of a block by the model from before, with the change that is
         followed, and as it stands."""
         left = float(block.own[-1].sum())

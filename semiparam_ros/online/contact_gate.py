@@ -172,7 +172,7 @@ class Band:
         self.clear()
 
 
-class Turns:
+class TurnPeaks:
     """Usual peaks (n,) of efforts while their own joints turn round or set out, at whatever speed.
 
     Dry friction is then between its two values. What the model does not know of it comes as a burst, at every turn.
@@ -298,7 +298,7 @@ class ContactGate:
         self._tails = (Tail(self._n_outputs), Tail(self._n_outputs))
         self._bands = [Band(self._n_outputs) for _ in range(len(SPEEDS) + 1)]
         self._meanwhile = Band(self._n_outputs)
-        self._turns = Turns(self._n_outputs) if self._joints is not None else None
+        self._turns = TurnPeaks(self._n_outputs) if self._joints is not None else None
         self._mean: Array = np.zeros(self._n_outputs)
         self._closures: tuple[int, ...] = ()
         self._closed_ratio: Array = np.zeros(self._n_outputs)

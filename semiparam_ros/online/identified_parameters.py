@@ -68,7 +68,7 @@ def conditioning(model: Model, prior_scale: Array) -> Conditioning | None:
     return Conditioning(float(spread[-1] / max(spread[0], TINY)), int(np.sum(spread > 0.25)), len(spread))
 
 
-class Quantity(NamedTuple):
+class LearntCoefficient(NamedTuple):
     """One coefficient of the coupled columns."""
 
     name: str
@@ -77,7 +77,7 @@ class Quantity(NamedTuple):
     unit: str
 
 
-class Payload(NamedTuple):
+class CarriedLoad(NamedTuple):
     """What the arm carries beyond its description, in the frame of ``link``; inertia (3, 3) about its centre.
 
     ``std`` is of the same kind and has the standard deviations. What cannot be told is not a number: the centre and the
@@ -88,14 +88,14 @@ class Payload(NamedTuple):
     mass: float  # [kg]
     centre: Array  # (3,) [m]
     inertia: Array  # (3, 3) [kg m^2]
-    std: Payload | None = None
+    std: CarriedLoad | None = None
 
 
-def quantities(estimator: Estimator) -> list[Quantity]:
+def quantities(estimator: Estimator) -> list[LearntCoefficient]:
     """Every coefficient in its order; of a non-parametric model those of effects alone."""
     model = estimator.model
     labels = _labels(estimator.columns)[model.covered]
-    return [Quantity(name, float(value), float(std), unit) for (name, unit), value, std in
+    return [LearntCoefficient(name, float(value), float(std), unit) for (name, unit), value, std in
             zip(labels, model.theta, model.theta_std(), strict=True)]
 
 
@@ -107,7 +107,7 @@ class Load(NamedTuple):
     covariance: Array  # (10, 10)
 
 
-def payload(estimator: Estimator, before: Array | None = None, picked: Load | None = None) -> Payload | None:
+def payload(estimator: Estimator, before: Array | None = None, picked: Load | None = None) -> CarriedLoad | None:
     """The declared loads that are there now, or else what the estimate adds to the last link that the outputs feel;
     and what was picked up since.
 
@@ -171,10 +171,10 @@ def _added_load(body: RigidBody, link: str, theta: Array, covariance: Array) -> 
     return spread @ rows.T @ whitened @ ((theta - body.base_parameters) / std), spread
 
 
-def _payload(link: str, parameters: Array, covariance: Array) -> Payload:
+def _payload(link: str, parameters: Array, covariance: Array) -> CarriedLoad:
     """From mass, first moment and inertia about the link's origin, (10,), and their covariance (10, 10)."""
     mass, mass_std = float(parameters[0]), float(np.sqrt(covariance[0, 0]))
-    unknown = Payload(link, mass, np.full(3, np.nan), np.full((3, 3), np.nan))
+    unknown = CarriedLoad(link, mass, np.full(3, np.nan), np.full((3, 3), np.nan))
     if not mass > max(SMALLEST_MASS, 2.0 * mass_std):
         return unknown._replace(std=unknown._replace(mass=mass_std))
     step = 1e-6 * mass
@@ -184,7 +184,7 @@ def _payload(link: str, parameters: Array, covariance: Array) -> Payload:
     inertia, inertia_std = found[3:].reshape(3, 3), std[3:].reshape(3, 3)
     if not _has_a_body(inertia):
         inertia = unknown.inertia
-    return Payload(link, mass, found[:3], inertia, Payload(link, mass_std, std[:3], inertia_std))
+    return CarriedLoad(link, mass, found[:3], inertia, CarriedLoad(link, mass_std, std[:3], inertia_std))
 
 
 def _centred(parameters: Array) -> Array:

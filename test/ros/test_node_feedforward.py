@@ -20,7 +20,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.estimator.desired_trajectory import (
     MOST_NAMES,
     MOST_POINTS,
-    Point,
+    TrajectoryPoint,
     TrajectoryReader,
     TrajectoryWriter,
     desired_state,
@@ -286,12 +286,12 @@ def test_trajectories_that_lack_something_are_refused_by_name():
         joint_order([f'a_very_long_name_of_a_joint_{index}' * 100 for index in range(1000)], ('a', 'b'))
     assert len(str(refusal.value)) < 600 and '992 more' in str(refusal.value)
     full = [np.array(values) for values in ([1.0, 2.0], [3.0, 4.0], [5.0, 6.0])]
-    state = desired_state(Point((*full, np.zeros(0)), 0), [1, 0], 2, 0)
+    state = desired_state(TrajectoryPoint((*full, np.zeros(0)), 0), [1, 0], 2, 0)
     assert [part.tolist() for part in state] == [[2.0, 1.0], [4.0, 3.0], [6.0, 5.0]]
     with pytest.raises(SemiparamError, match='point 7 of desired_trajectory has 0 accelerations for 2 joints'):
-        desired_state(Point((*full[:2], np.zeros(0), np.zeros(0)), 0), [0, 1], 2, 7)
+        desired_state(TrajectoryPoint((*full[:2], np.zeros(0), np.zeros(0)), 0), [0, 1], 2, 7)
     for value in (np.nan, np.inf, 1e160):
         with pytest.raises(SemiparamError, match='point 3 of desired_trajectory has velocities'):
-            desired_state(Point((full[0], np.array([0.0, value]), full[2], np.zeros(0)), 0), [0, 1], 2, 3)
+            desired_state(TrajectoryPoint((full[0], np.array([0.0, value]), full[2], np.zeros(0)), 0), [0, 1], 2, 3)
     with pytest.raises(SemiparamError, match='point 3 of desired_trajectory lies at'):
-        stamp_of(2**31 * 10**9, Point((), 2**31 * 10**9), 3)
+        stamp_of(2**31 * 10**9, TrajectoryPoint((), 2**31 * 10**9), 3)

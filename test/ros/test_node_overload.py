@@ -6,7 +6,7 @@ from dataclasses import replace
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from semiparam_ros.ros.estimator import diagnostics, subscriptions
-from semiparam_ros.ros.estimator.subscriptions import Turns
+from semiparam_ros.ros.estimator.subscriptions import MessageTurns
 from support.node_helpers import JOINTS, SETTINGS, motion
 from support.parameter_ends import EVERY_KIND
 
@@ -28,7 +28,7 @@ class Line:
 def test_what_comes_after_many_messages_waits_for_one_turn_only(monkeypatch):
     monkeypatch.setattr(subscriptions, 'TURN_S', 0.0)
     line, seen = Line(), []
-    turns = Turns(line.later, lambda message: seen.append(message.reading), most=10)
+    turns = MessageTurns(line.later, lambda message: seen.append(message.reading), most=10)
     for number in range(4):
         turns.add('states', number)
     line.later(lambda: seen.append('a service'))
@@ -42,7 +42,7 @@ def test_what_comes_after_many_messages_waits_for_one_turn_only(monkeypatch):
 
 def test_the_oldest_of_a_topic_are_lost_to_newer_ones_and_no_other_topic_suffers():
     line, seen = Line(), []
-    turns = Turns(line.later, lambda message: seen.append((message.topic, message.reading)), most=3)
+    turns = MessageTurns(line.later, lambda message: seen.append((message.topic, message.reading)), most=3)
     turns.add('wrench', 0)
     for number in range(8):
         turns.add('states', number)
@@ -55,7 +55,7 @@ def test_the_oldest_of_a_topic_are_lost_to_newer_ones_and_no_other_topic_suffers
     assert seen[-3:] == [('states', 8), ('states', 9), ('states', 10)] and turns.lost == 5
 
 
-class Inputs:
+class InputStream:
     def __init__(self, turns):
         self.turns, self.stopwatch = turns, subscriptions.Stopwatch()
 
@@ -63,8 +63,8 @@ class Inputs:
 def test_what_is_late_or_lost_is_told_with_its_cause_once(monkeypatch):
     monkeypatch.setattr(diagnostics, 'LATE_S', 0.0)
     line, news = Line(), []
-    turns = Turns(line.later, lambda message: None, most=3)
-    report = diagnostics.TimingReport(Inputs(turns), news.append)
+    turns = MessageTurns(line.later, lambda message: None, most=3)
+    report = diagnostics.TimingReport(InputStream(turns), news.append)
     assert report.make().message == 'no answer yet.'
     for number in range(3):
         turns.add('states', number)

@@ -19,7 +19,7 @@ from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.cli.main import main
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.ros.estimator import diagnostics
-from semiparam_ros.ros.estimator.subscriptions import Inputs
+from semiparam_ros.ros.estimator.subscriptions import InputStream
 from semiparam_ros.settings import Settings, dump_params
 from support.arms import ICUB_JOINTS
 from support.node_client import PATIENCE_S, Client, NodeProcess, set_stamp
@@ -106,7 +106,7 @@ def until(executor, condition):
 def test_a_temperature_that_stops_coming_is_told_and_samples_go_on_with_the_last(ros, monkeypatch):
     node, executor = ros
     settings, listener = Settings(joints=JOINTS, outputs='effort', temperatures=('b',)), Listener()
-    inputs = Inputs(node, settings, listener, executor.create_task)
+    inputs = InputStream(node, settings, listener, executor.create_task)
     inputs.open(JOINTS)
     states = node.create_publisher(JointState, 'joint_states', 10)
     warmth = node.create_publisher(Temperature, 'temperature', 10)
@@ -148,6 +148,6 @@ def test_a_temperature_that_stops_coming_is_told_and_samples_go_on_with_the_last
 
 def test_nothing_is_listened_to_unless_it_is_asked_for(ros):
     node, executor = ros
-    inputs = Inputs(node, replace(LIVE, temperatures=()), Listener(), executor.create_task)
+    inputs = InputStream(node, replace(LIVE, temperatures=()), Listener(), executor.create_task)
     assert inputs.topics == ['joint_states', 'joint_accelerations']
     assert not node.get_subscriptions_info_by_topic('/temperature')

@@ -100,7 +100,7 @@ def _with_noise(samples: Samples, motion: Samples, noise: Array, measured: int, 
 
 @lru_cache(maxsize=8)
 def _hyperparameters(samples: Samples, measured: int, order: int) -> list[Array]:
-    """Of each joint :meth:`_Problem.best`."""
+    """Of each joint :meth:`_SmoothingProblem.best`."""
     return [_problem(samples.time, _measured(samples, joint, measured), order)[0].liveliest(TUNING_SAMPLES).best()
             for joint in range(samples.position.shape[1])]
 
@@ -110,11 +110,11 @@ def _measured(samples: Samples, joint: int, count: int) -> list[Array]:
     return [values[:, joint] for values in (samples.position, samples.velocity, samples.acceleration)[:count]]
 
 
-def _problem(time: Array, motion: list[Array], order: int) -> tuple[_Problem, float, float]:
+def _problem(time: Array, motion: list[Array], order: int) -> tuple[_SmoothingProblem, float, float]:
     """One joint's motion (N,) in units of its typical step, that step [s], and the middle of its positions."""
     step, centre = float(np.median(np.diff(time))), float(motion[0].mean())
     scaled = [values * step**power for power, values in enumerate([motion[0] - centre, *motion[1:]])]
-    return _Problem(_steps(time), scaled, order), step, centre
+    return _SmoothingProblem(_steps(time), scaled, order), step, centre
 
 
 def _steps(time: Array) -> Array:
@@ -138,7 +138,7 @@ def acceleration_errors(samples: Samples, measured: int = 2, order: int = ORDER,
     return np.array(errors).T
 
 
-class _Problem:
+class _SmoothingProblem:
     """One joint in units of its typical step, so that the blocks are well conditioned.
 
     :param steps: (N-1,) steps of time. :param order: which derivative is white.
@@ -155,13 +155,13 @@ class _Problem:
         self._prior = _diagonals(back @ self._transition, -back, self._precision)
         self._workspace = np.empty_like(self._prior)
 
-    def liveliest(self, count: int) -> _Problem:
+    def liveliest(self, count: int) -> _SmoothingProblem:
         """The ``count`` samples in a row that hold most motion: a joint at rest says nothing of its snap."""
         steps = np.where(self._gaps, 0.0, np.abs(np.diff(self.motion[0])))
         travelled = np.concatenate([[0.0], np.cumsum(steps)])
         first = int(np.argmax(travelled[count - 1:] - travelled[:1 - count])) if count < len(travelled) else 0
         part = slice(first, first + count)
-        return _Problem(self.steps[part][:count - 1], [values[part] for values in self.motion],
+        return _SmoothingProblem(self.steps[part][:count - 1], [values[part] for values in self.motion],
                         self.order)
 
     def best(self) -> Array:
@@ -234,7 +234,7 @@ class _Problem:
         the noise is so small beside the motion that rounding spoils the factor."""
         powers = np.array([self.order - 0.5, *range(len(self.motion))])
         count = 2 * SEEN + 1
-        problem = _Problem(np.ones(count - 1), [np.zeros(count)] * len(self.motion), self.order)
+        problem = _SmoothingProblem(np.ones(count - 1), [np.zeros(count)] * len(self.motion), self.order)
         finer, middle = logs - np.log(times) * powers, SEEN * self.order + 2  # in units of the shorter step
         one = np.zeros(count * self.order)
         one[middle] = 1.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.config import DiagnosisConfig
-from semiparam_ros.diagnosis.residual.flexible import Motion, bells, predictions, random_features
+from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, bells, predictions, random_features
 
 
 class Dependence(NamedTuple):
@@ -20,7 +20,7 @@ class Dependence(NamedTuple):
     share: float
 
 
-def dependences(motion: Motion, targets: Array, within_reach: float) -> tuple[Dependence, ...]:
+def dependences(motion: StandardisedInputs, targets: Array, within_reach: float) -> tuple[Dependence, ...]:
     """Variables of which a smooth function predicts targets (M, k), the most telling first.
 
     :param within_reach: share of the targets that a function of all variables predicts.

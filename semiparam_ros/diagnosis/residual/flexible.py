@@ -19,7 +19,7 @@ from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 Family = tuple[str, Callable[[], Array]]
 
 
-class Motion:
+class StandardisedInputs:
     """Standardised inputs of M samples: variables (M, k) with names, time last [-1, 1]."""
 
     def __init__(self, joints: tuple[str, ...], samples: Samples, config: DiagnosisConfig = DEFAULTS) -> None:
@@ -115,7 +115,7 @@ def predictions(features: Array, targets: Array, config: DiagnosisConfig = DEFAU
     return np.asarray(np.where(losses.min(axis=0) < np.sum(targets**2, axis=0), chosen, 0.0))
 
 
-def explained(motion: Motion, targets: Array, with_time: bool = True) -> tuple[Array, dict[str, float]]:
+def explained(motion: StandardisedInputs, targets: Array, with_time: bool = True) -> tuple[Array, dict[str, float]]:
     """(M, n) what all families together predict of unseen blocks, and the share of the targets that each adds."""
     found, shares = np.zeros_like(targets), {}
     power = float(np.sum(targets**2)) + 1e-300

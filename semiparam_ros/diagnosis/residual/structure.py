@@ -11,7 +11,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.residual.dependence import Dependence, dependences
-from semiparam_ros.diagnosis.residual.flexible import Motion, block_sums, explained
+from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, block_sums, explained
 from semiparam_ros.diagnosis.residual.formula import Formula, find_formula
 from semiparam_ros.diagnosis.residual.noise import coloured_noise, without_input_errors
 from semiparam_ros.effects.terms import Terms
@@ -69,7 +69,7 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, trai
     rows = samples_to_look_at(train_mask, config)
     if len(rows) < config.structure_least_samples:
         return Structure(share=0.0, channel_shares=np.zeros(body.n_outputs), significant=False)
-    motion = Motion(body.joints, samples[rows], config)
+    motion = StandardisedInputs(body.joints, samples[rows], config)
     guarded = (without_input_errors(body, samples, residual, train_mask, scale, config) * counted)[rows] / scale
     found, families = explained(motion, guarded)
     gains = block_sums(guarded**2 - (guarded - found) ** 2, config.structure_blocks)
@@ -90,8 +90,8 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, trai
                       Structure(share=share, channel_shares=shares, significant=True, families=families))
 
 
-def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Array, scale: Array, affected: Array,
-               structure: Structure) -> Structure:
+def _described(body: RigidBody, samples: Samples, motion: StandardisedInputs, residual: Array,
+               scale: Array, affected: Array, structure: Structure) -> Structure:
     """The structure with its channels, its variables and its formulas."""
     numbers = np.flatnonzero(affected)
     variables = dependences(motion, (residual / scale)[:, numbers], float(structure.channel_shares[numbers].mean()))
@@ -102,7 +102,7 @@ def _described(body: RigidBody, samples: Samples, motion: Motion, residual: Arra
                    formulas=tuple(formula for formula in formulas if formula is not None))
 
 
-def _beyond_chance(motion: Motion, residual: Array) -> tuple[bool, Mask]:
+def _beyond_chance(motion: StandardisedInputs, residual: Array) -> tuple[bool, Mask]:
     """Whether more is explained than of noise of the residual's colour: in all channels together, and (n,) in each.
 
     Asked twice, for time takes what is slow: once with it, and once of the motion alone.

@@ -106,14 +106,14 @@ def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Arra
     return change, left - rows @ change
 
 
-class Evidence(NamedTuple):
+class MisfitEvidence(NamedTuple):
     """Log evidence [nat] of the outputs, and the parameters' (c,) most likely departure from the mean."""
 
     log: float
     change: Array
 
 
-def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> Evidence:
+def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvidence:
     """Of outputs (N, n) when ``share`` of the samples count."""
     deviation, telling = channel_scale(outputs, not len(equal.power)), np.ptp(outputs, axis=0) > 0.0
     size, count = equal.size, len(outputs)
@@ -131,7 +131,7 @@ def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> Evidence:
     change = scaled / size
     likelihood = -share * count * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
     likelihood += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(factor[0]) * size).sum())
-    return Evidence(likelihood + _braking(equal, change, deviation, factor, size), change)
+    return MisfitEvidence(likelihood + _braking(equal, change, deviation, factor, size), change)
 
 
 def independent(equal: Equations, outputs: Array, change: Array) -> float:

@@ -45,7 +45,7 @@ SLICE_S = 0.0005
 """How long the points of a trajectory are worked on before samples get their turn."""
 
 
-class Point(NamedTuple):
+class TrajectoryPoint(NamedTuple):
     """One point: ``values`` of positions, velocities, accelerations and effort in this order, as the message has them,
     and the time from the trajectory's start [ns]."""
 
@@ -77,7 +77,7 @@ class TrajectoryReader:
         _limit('points', self.n_points, MOST_POINTS)
         _limit('bytes', self._size, MOST_BYTES)
 
-    def points(self) -> Iterator[Point]:
+    def points(self) -> Iterator[TrajectoryPoint]:
         """Every point; raises SemiparamError where the message breaks off."""
         for _ in range(self.n_points):
             try:
@@ -85,7 +85,7 @@ class TrajectoryReader:
                 seconds, nanoseconds = self._numbers('iI')
             except (error, ValueError) as failure:
                 raise self._refusal(failure) from None
-            yield Point(values, seconds * NANOSECONDS + nanoseconds)
+            yield TrajectoryPoint(values, seconds * NANOSECONDS + nanoseconds)
 
     def _usual(self, raw: bytes) -> bytes:
         """In the machine's byte order, whatever encoding the sender chose."""
@@ -275,7 +275,7 @@ def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
     return [names.index(joint) for joint in joints]
 
 
-def desired_state(point: Point, order: Sequence[int], n_names: int, index: int) -> list[Array]:
+def desired_state(point: TrajectoryPoint, order: Sequence[int], n_names: int, index: int) -> list[Array]:
     """Position, velocity and acceleration in our order; raises SemiparamError for a point that lacks one."""
     state = []
     for what, values in zip(SEQUENCES[:3], point.values, strict=False):
@@ -289,7 +289,7 @@ def desired_state(point: Point, order: Sequence[int], n_names: int, index: int) 
     return state
 
 
-def stamp_of(start: int, point: Point, index: int) -> int:
+def stamp_of(start: int, point: TrajectoryPoint, index: int) -> int:
     """Time of a point [ns]; raises SemiparamError for one that no stamp can tell."""
     stamp = start + point.from_start
     if not all(-END_OF_TIME_NS <= time < END_OF_TIME_NS for time in (start, point.from_start, stamp)):

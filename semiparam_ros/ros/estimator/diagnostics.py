@@ -23,8 +23,8 @@ from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import (
     MOVED_ENOUGH,
+    CarriedLoad,
     Excitation,
-    Payload,
     conditioning,
     payload,
     quantities,
@@ -32,7 +32,7 @@ from semiparam_ros.online.identified_parameters import (
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
 from semiparam_ros.ros.estimator.publishers import inertia_message
-from semiparam_ros.ros.estimator.subscriptions import WRENCH, Inputs
+from semiparam_ros.ros.estimator.subscriptions import WRENCH, InputStream
 
 DESCRIPTION, PARAMETERS = 'robot_description', 'parameters'
 CHECKPOINTS = 'checkpoints'
@@ -146,7 +146,7 @@ class Tally:
 class InputReport:
     """Rates, silence, and what was refused."""
 
-    def __init__(self, inputs: Inputs, rejections: Rejections) -> None:
+    def __init__(self, inputs: InputStream, rejections: Rejections) -> None:
         self._inputs, self._rejections = inputs, rejections
         self._since = time.monotonic()
         self._before: Counter[str] = Counter()
@@ -213,7 +213,7 @@ class TimingReport:
     :param say: receives a sentence when answers begin to be late, and when they are in time again.
     """
 
-    def __init__(self, inputs: Inputs, say: Callable[[str], None]) -> None:
+    def __init__(self, inputs: InputStream, say: Callable[[str], None]) -> None:
         self._inputs, self._say = inputs, say
         self._lost, self._is_late = 0, False
 
@@ -372,7 +372,7 @@ def errors_report(errors: InternalErrors, twins: str = '') -> Report:
     return Report(ERROR if errors.counts else OK, errors.last or 'no internal error.', values)
 
 
-def believed_payload(learner: Learner, tally: Tally) -> tuple[Payload | None, str]:
+def believed_payload(learner: Learner, tally: Tally) -> tuple[CarriedLoad | None, str]:
     """What the arm carries and a sentence of it; None and the reason while that cannot be told."""
     if not learner.estimator.ready:
         return None, 'withheld: the initial window is not over.'
@@ -417,7 +417,7 @@ class Reports:
     :param unseen: see :meth:`Outside.unseen <semiparam_ros.ros.estimator.outside.Outside.unseen>`.
     """
 
-    def __init__(self, node: Node, inputs: Inputs, rejections: Rejections, errors: InternalErrors,
+    def __init__(self, node: Node, inputs: InputStream, rejections: Rejections, errors: InternalErrors,
                  learner: Callable[[], Learner | None], feedforward: Feedforward,
                  others: Mapping[str, Callable[[], Report]], twins: Callable[[], str],
                  unseen: Callable[[], str]) -> None:

@@ -43,7 +43,7 @@ from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answ
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Services
-from semiparam_ros.ros.estimator.subscriptions import Inputs
+from semiparam_ros.ros.estimator.subscriptions import InputStream
 from semiparam_ros.settings.files import located
 from semiparam_ros.settings.parameter_table import BY_NAME
 from semiparam_ros.settings.snapshot import Settings, unknown_name
@@ -77,7 +77,7 @@ class EstimatorNode(Node):
         guarded = partial(later, self._guarded, 'the background')
         self._background = ProcessBackground(guarded, first=worker)
         self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
-        self._inputs = Inputs(self, settings, self, later)
+        self._inputs = InputStream(self, settings, self, later)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
         others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report(),

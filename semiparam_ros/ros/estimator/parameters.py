@@ -34,7 +34,7 @@ ROS_TYPES = {'bool': RosParameter.Type.BOOL, 'integer': RosParameter.Type.INTEGE
 LARGEST = {'double': 1.7976931348623157e308, 'integer': 2**63 - 1}
 
 
-class Held(NamedTuple):
+class DelayedReply(NamedTuple):
     """A reply that waits, and how to send it."""
 
     send: Callable[[], None]
@@ -49,7 +49,7 @@ class HeldReplies:
 
     def __init__(self, node: Node, announcement: Callable[[], str]) -> None:
         self._node, self._announcement = node, announcement
-        self._held: list[Held] = []
+        self._held: list[DelayedReply] = []
         self._timer: Timer | None = None
         for service in node.services:
             if service.srv_name.endswith(NAMES):
@@ -78,13 +78,13 @@ class HeldReplies:
         def send_or_hold(response: Response, header: object) -> None:
             announcement = self._announcement()
             if announcement and any(result.reason == announcement for result in results_of(response)):
-                self._hold(Held(lambda: send(response, header), response))
+                self._hold(DelayedReply(lambda: send(response, header), response))
             else:
                 send(response, header)
 
         service.send_response = send_or_hold  # type: ignore[method-assign, assignment]
 
-    def _hold(self, reply: Held) -> None:
+    def _hold(self, reply: DelayedReply) -> None:
         self.release()  # an earlier wish is overtaken by this one
         self._held.append(reply)
         self._timer = self._node.create_timer(PATIENCE_S, self.release, clock=Clock(clock_type=ClockType.STEADY_TIME))

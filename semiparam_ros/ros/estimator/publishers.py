@@ -18,7 +18,7 @@ from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.core.types import Array
-from semiparam_ros.online.identified_parameters import Payload
+from semiparam_ros.online.identified_parameters import CarriedLoad
 from semiparam_ros.online.learner import Answer
 from semiparam_ros.ros.cdr import Layout, joint_state_layout, wrench_layout
 
@@ -29,7 +29,7 @@ PARTS = ('predicted', 'std', 'residual', 'contact_level')
 """What ``~/answer`` holds of every output."""
 
 
-def inertia_message(stamp: int, payload: Payload) -> InertiaStamped:
+def inertia_message(stamp: int, payload: CarriedLoad) -> InertiaStamped:
     """A payload as geometry_msgs/InertiaStamped: centre of mass in the link's frame, inertia about it; stamp in ns."""
     message = InertiaStamped()
     message.header.stamp, message.header.frame_id = Time(**stamp_fields(stamp)), payload.link

@@ -77,7 +77,7 @@ class Waiting(NamedTuple):
     arrived: float
 
 
-class Turns:
+class MessageTurns:
     """Messages in the order in which they came, worked on a few at a time.
 
     Between two turns the executor serves what has come meanwhile: services, reports, the end. Where it worked on each
@@ -136,7 +136,7 @@ class Turns:
             self._later(self._take_turn)
 
 
-class Held(NamedTuple):
+class OutdatedMessage(NamedTuple):
     """A message that came with a stamp before the last one."""
 
     topic: str
@@ -148,20 +148,20 @@ class ClockWatch:
 
     def __init__(self, needed: int = NEEDED) -> None:
         self._needed = needed
-        self._held: list[Held] = []
+        self._held: list[OutdatedMessage] = []
 
     def accepted(self, topic: str) -> None:
         """The topic goes on as before: its messages that went back were wrong."""
         if self._held:
             self._held = [held for held in self._held if held.topic != topic]
 
-    def refused(self, topic: str, reading: Reading) -> list[Held]:
+    def refused(self, topic: str, reading: Reading) -> list[OutdatedMessage]:
         """A message went back in time; once the clock must have jumped, all that were held, in order of arrival."""
         own = [held for held in self._held if held.topic == topic]
         if own and reading.stamp <= own[-1].reading.stamp:
             self.accepted(topic)
             own = []
-        self._held.append(Held(topic, reading))
+        self._held.append(OutdatedMessage(topic, reading))
         if len(own) + 1 < self._needed:
             return []
         jumped, self._held = self._held, []
@@ -205,7 +205,7 @@ class InputsListener(Protocol):
         """A message was refused, or could not be handled."""
 
 
-class Inputs:
+class InputStream:
     """Subscriptions, and the stream they feed once the robot's joints are known; until then messages are kept.
 
     :param later: see :data:`~semiparam_ros.online.worker.Later`.
@@ -213,7 +213,7 @@ class Inputs:
 
     def __init__(self, node: Node, settings: Settings, listener: InputsListener, later: Later) -> None:
         self._node, self._settings, self._listener = node, settings, listener
-        self.turns = Turns(later, self._take, settings.queue_depth or MOST_WAITING)
+        self.turns = MessageTurns(later, self._take, settings.queue_depth or MOST_WAITING)
         self.counts: Counter[str] = Counter()
         self.stopwatch = Stopwatch()
         self.arrived: dict[str, float] = {}
