@@ -71,14 +71,19 @@ class Arm:
         return np.array(rows)
 
     def follow(self, motion: str, seconds: float, take: int, forward: Forward,
-               heard: Callable[[Sample], None] = lambda sample: None, start_ns: int = 0) -> Array:
-        """(N, n) tracking errors [rad] of every step of ``STEP_S``."""
+               heard: Callable[[Sample], None] = lambda sample: None, start_ns: int = 0,
+               before: Callable[[float], None] = lambda seconds: None) -> Array:
+        """(N, n) tracking errors [rad] of every step of ``STEP_S``.
+
+        :param before: called before each sample with the time [s] since the start; may change the model.
+        """
         wanted, speed, change, rng = self.path(motion, seconds, take)
         data, every = mujoco.MjData(self.model), round(1.0 / self.rate_hz / STEP_S)
         data.qpos[self.dofs], data.qvel[self.dofs] = wanted[0], speed[0]
         rates, errors, effort = CausalDifferentiator(len(self.dofs), Settings().acceleration_cutoff), [], None
         for step, (q, dq, ddq) in enumerate(zip(wanted, speed, change, strict=True)):
             if step % every == 0:
+                before(step * STEP_S)
                 position = data.qpos[self.dofs] + ENCODER * rng.standard_normal(len(self.dofs))
                 velocity = data.qvel[self.dofs] + 1e-3 * rng.standard_normal(len(self.dofs))
                 stamp = start_ns + round(step * STEP_S * 1e9)

@@ -1,0 +1,164 @@
+"""How well an arm follows while a load comes and goes: ``python benchmarks/carried_load.py ROBOTS``.
+
+ROBOTS is the folder ``robots`` of example-robot-data. The arms, their controller and the feedforward
+are those of ``tracking.py``. A minute of one motion is learnt. Then the arm follows another one; a
+load is put into its hand, taken out of it and put into it again, half a minute each. Feedforward comes
+from the description, or from the learner of the node with ``diagnosis.auto`` ``report`` and ``apply``.
+A change is named four seconds after that is asked for, as in the node's process beside.
+
+*Before* is the error of the twenty seconds before the first change. After each change: the error of
+the next thirty seconds, that of their worst second, and that of the last ten, over the one before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault('OMP_NUM_THREADS', '1')
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from mujoco_arms import SETTINGS, Setting
+from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.types import Array
+from semiparam_ros.experiments.evaluation import AtOnce
+from semiparam_ros.online.feedforward import Feedforward
+from semiparam_ros.online.learner import Learner
+from semiparam_ros.online.worker import name_change
+from semiparam_ros.settings import Settings
+from support.mujoco_arm import STEP_S
+from tracking import ARMS, Arm, size
+
+LEARNT_S, CHANGES_S, END_S = 60.0, (20.0, 50.0, 80.0), 110.0
+NAMING_S = 4.0
+CARRIERS = dict(zip(ARMS, ('wrist_3_link', 'panda_link7'), strict=True))
+EMPTY_KG = 1e-6
+MODES = ('description', 'report', 'apply')
+
+
+class Later(AtOnce):
+    """A background that names a change ``NAMING_S`` of the robot's time after that was asked for."""
+
+    def __init__(self) -> None:
+        self.now = 0
+        self._waiting: list[tuple[float, Callable[[], None]]] = []
+
+    def submit(self, function: Callable[..., Any], *arguments: object, done: Any, **urgency: Any) -> Any:
+        """See :class:`~semiparam_ros.online.worker.Background`."""
+        if function is not name_change:
+            return super().submit(function, *arguments, done=done)
+
+        def deliver(result: Any, error: BaseException | None) -> None:
+            self._waiting.append((self.now + NAMING_S * 1e9, lambda: done(result, error)))
+
+        return super().submit(function, *arguments, done=deliver)
+
+    def arrive(self, now: int) -> None:
+        """Hand over what is due at a stamp [ns]."""
+        self.now = now
+        while self._waiting and self._waiting[0][0] <= now:
+            self._waiting.pop(0)[1]()
+
+
+class Silent:
+    """Hears what a learner tells, and keeps its decisions."""
+
+    def __init__(self) -> None:
+        self.records: dict[int, Any] = {}
+
+    def change_told(self, record: Any) -> None:
+        """Keep the latest of each change."""
+        self.records[record.change.number] = record
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *_: None
+
+
+def followed(setting: Setting, urdf: str, mode: str, kilograms: float) -> tuple[Array, list[str]]:
+    """(N, n) errors [rad] of every step of the second motion, and what was decided."""
+    arm, background, silent = Arm(setting, urdf), Later(), Silent()
+    settings = Settings(outputs='effort', joints=setting.joints, robot_description=urdf)
+    settings = replace(settings, diagnosis_auto='report' if mode == 'description' else mode)
+    learner = Learner(settings, arm.body, background, silent)
+    feedforward = Feedforward()
+
+    def described(*row: Array) -> Array:
+        return np.asarray(arm.body.regressor(*row) @ arm.body.base_parameters)
+
+    def forward(*row: Array) -> Array:
+        return feedforward.answer(learner, *row).efforts
+
+    def heard(sample: Sample) -> None:
+        background.arrive(sample.stamp)
+        learner.offer(sample)
+
+    def loaded(seconds: float) -> None:
+        after = sum(seconds >= change for change in CHANGES_S)
+        mass = kilograms if after % 2 else EMPTY_KG
+        if arm.model.body('load').mass[0] != mass:
+            arm.model.body('load').mass, arm.model.body('load').inertia = mass, [2e-3 * mass] * 3
+            mujoco.mj_setConst(arm.model, mujoco.MjData(arm.model))
+
+    loaded(0.0)
+    arm.follow('points', LEARNT_S, 1, described, heard)
+    start = round((LEARNT_S + 1.0) * 1e9)
+    chosen = described if mode == 'description' else forward
+    errors = arm.follow('sines', END_S, 2, chosen, heard, start, loaded)
+    told = [f'{(each.stamp - start) * 1e-9:.1f} s: {each.what}' for record in silent.records.values()
+            for each in record.decisions]
+    return errors, told
+
+
+def judged(errors: Array) -> dict[str, Any]:
+    """Figures [mrad] of one run."""
+    def part(start: float, end: float) -> float:
+        return 1e3 * size(errors[round(start / STEP_S):round(end / STEP_S)], 0.0)
+
+    before = part(2.0, CHANGES_S[0])
+    after = [[part(change, change + 30.0),
+              max(part(second, second + 1.0) for second in np.arange(change, change + 29.5, 0.5)),
+              part(change + 20.0, change + 30.0)] for change in CHANGES_S]
+    return {'before': before, 'after': after}
+
+
+def main() -> None:
+    """A row for each arm, seed and kind of feedforward."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('robots', type=Path)
+    parser.add_argument('--seeds', type=int, default=1)
+    parser.add_argument('--kilograms', type=float, default=1.0)
+    parser.add_argument('--json', type=Path, metavar='FILE')
+    args = parser.parse_args()
+    runs, console = [], Console(width=150)
+    table = Table('arm', 'seed', 'feedforward', 'before [mrad]', 'picked up', 'put down', 'picked up again')
+    for key in ARMS:
+        chosen = next(setting for setting in SETTINGS if setting.name.startswith(key))
+        for seed in range(args.seeds):
+            setting = replace(chosen, late_s=0.0, asymmetry=0.0, seed=seed, carrier=CARRIERS[key],
+                              payload_kg=args.kilograms)
+            urdf, arm = (args.robots / setting.urdf).read_text(), key.split(',')[0].split(' at')[0]
+            for mode in MODES:
+                errors, told = followed(setting, urdf, mode, args.kilograms)
+                found = judged(errors)
+                runs.append({'arm': arm, 'seed': seed, 'mode': mode, 'decisions': told, **found})
+                over = [', '.join(f'{value / found["before"]:.2f}' for value in row) for row in found['after']]
+                cells = (arm, str(seed), mode, f'{found["before"]:.2f}', *over)
+                console.print(*cells, *told, sep=' | ')
+                table.add_row(*cells)
+    console.print(table)
+    if args.json:
+        document = json.dumps({'command': 'carried_load', 'runs': runs}, indent=1)
+        args.json.write_text(document + '\n', encoding='utf-8')
+
+
+if __name__ == '__main__':
+    main()
