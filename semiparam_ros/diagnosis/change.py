@@ -29,7 +29,7 @@ from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, working_factor
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.moves import Move
-from semiparam_ros.diagnosis.search.plausibility import all_plausible
+from semiparam_ros.diagnosis.search.plausibility import plausible
 from semiparam_ros.diagnosis.search.score import Gain, gain, repetition, summed
 from semiparam_ros.diagnosis.search.spans import with_best_edge
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
@@ -287,7 +287,7 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> M
         for name, time_s in span.values.items():
             acting = with_best_edge(fit, acting, name, (time_s - near, time_s + near))
         after = refit_weights(with_effects(fit, [*fit.effects, acting]))
-        if effect.is_load and not all_plausible(fit, after):
+        if effect.is_load and not plausible(after, len(fit.effects)):
             continue
         times = acting.span.values.values()
         trial = Move((acting,), after, gain(fit, after, times), _price(acting, fit))

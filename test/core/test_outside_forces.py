@@ -170,7 +170,8 @@ def test_desired_efforts_carry_the_tools():
         '</robot>', SNIPPET.replace('<link name="ft"/>', '', 1) + '</robot>')))
     model = with_tool.arm
     wanted = np.array(pin.rnea(model, model.createData(), *(with_tool.arm_vector(values) for values in state)))
-    found = described(estimator, *state, tools=Tools(BODY, [TEXT]))
+    added = Tools(BODY, [TEXT]).outputs(*state)
+    found = described(estimator, *state, added=(added, added))
     np.testing.assert_allclose(found.efforts, wanted[with_tool.arm_columns], atol=1e-9)
 
 

@@ -16,8 +16,8 @@ from semiparam_ros.diagnosis.search.refit import declare
 def all_plausible(before: Fit, after: Fit) -> bool:
     """Whether no effect has impossible values in the second model that had none in the first."""
     wrong = {identity(effect) for index, effect in enumerate(before.effects)
-             if not _plausible(before, index)}
-    return all(_plausible(after, index) or identity(effect) in wrong
+             if not plausible(before, index)}
+    return all(plausible(after, index) or identity(effect) in wrong
                for index, effect in enumerate(after.effects))
 
 
@@ -35,7 +35,8 @@ def without_impossible(fit: Fit, declared: Collection[Place]) -> Fit:
         fit = declare(with_effects(fit, kept), [])
 
 
-def _plausible(fit: Fit, index: int) -> bool:
+def plausible(fit: Fit, index: int) -> bool:
+    """Whether the effect with this number has values that its cause can have on this robot."""
     effect = fit.effects[index]
     block = fit.assembly.blocks[str(index)]
     theta = fit.theta[block]
