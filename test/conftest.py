@@ -14,6 +14,7 @@ import hypothesis
 import pytest
 
 from support.browser import browse  # noqa: F401  (fixtures)
+from support.command_fixtures import params, recording  # noqa: F401  (fixtures)
 from support.commands import semiparam
 from support.estimates import Estimates
 from support.mcap_core import node_modules  # noqa: F401  (fixtures)

@@ -62,7 +62,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'least_gain': (0.0, 0.05),
     'gate': (True, False),
     'tare': (True, False),
-    'auto': ('report', 'off', 'apply'),
+    'auto': ('apply', 'off'),
     'tools': (True, False),
     'horizon': (25, 1, 200),
     'motion': ('filtered', 'measured', 'missing'),
