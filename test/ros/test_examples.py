@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,8 +73,16 @@ def test_efforts_are_merged_into_trajectories_or_refused_in_a_sentence(start_nod
         client.wait(lambda: client.node.count_publishers('/effort_merger/out')
                     and client.node.count_subscribers('/desired_trajectory') >= 1, 'they have met')
         client.meet()
-        asked.publish(wish(0.5))
-        client.wait_report('feedforward', lambda level, message, values: values['withheld'] == '1')
+        asks = []
+
+        def is_withheld(level, message, values):
+            """Ask again: who has found a topic may be found on it only later."""
+            if not asks or time.monotonic() - asks[-1] > 4.0:
+                asked.publish(wish(0.5))
+                asks.append(time.monotonic())
+            return int(values['withheld']) >= 1
+
+        client.wait_report('feedforward', is_withheld)
         client.play(client.play_window(motion(150), JOINTS, 60), JOINTS)
         asked.publish(wish(1e3))
         client.wait_report('feedforward', lambda level, message, values: int(values['cut to the effort limits']) == 3)
