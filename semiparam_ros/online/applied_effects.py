@@ -196,10 +196,13 @@ class AppliedEffects:
         """Try the effect of a change no more; one that is applied stays."""
         self._keep(trial for trial in self.trials if trial.number != number or trial.applied)
 
-    def judge(self, block: MotionBlock, noise: float, usual: float) -> KnownEffect | None:
+    def judge(
+        self, block: MotionBlock, noise: float, usual: float, applies: bool = True
+    ) -> KnownEffect | None:
         """Take a finished block into account; the trial whose other state it now speaks for.
 
         :param noise: kappa of a usual block. :param usual: the weighed squares that one has.
+        :param applies: False: those that are applied alone may switch.
         """
         squares, power = block.own[-1], float(block.own[-1].sum())
         for trial, (along, own) in zip(self.trials, block.added, strict=True):
@@ -216,7 +219,8 @@ class AppliedEffects:
             if trial.score <= 0.0:
                 trial.score, trial.since = 0.0, block.end
                 trial.squares = trial.squares * trial.applied
-        best = max(self.trials, key=lambda trial: trial.score, default=None)
+        may_switch = self.trials if applies else self.applied
+        best = max(may_switch, key=lambda trial: trial.score, default=None)
         return best if best is not None and best.score > SURE else None
 
     def switch(self, trial: KnownEffect, now: int) -> None:
@@ -235,7 +239,11 @@ class AppliedEffects:
 
     def without_hope(self) -> list[KnownEffect]:
         """Those for which nothing has spoken as long as one is tried."""
-        return [trial for trial in self.trials if trial.tried_s >= TRIED_S]
+        return [
+            trial
+            for trial in self.trials
+            if trial.tried_s >= TRIED_S and not (trial.applied or trial.remembered)
+        ]
 
     def state(self) -> Memory:
         """What :meth:`restore` takes back: what is applied or remembered, and what was taken off."""

@@ -312,11 +312,11 @@ class ChangeWatch:
     def _judge(self, detector: ChangeDetector, block: MotionBlock) -> None:
         """Apply what the blocks speak for, take back what they speak against, drop the rest."""
         applied, now = self.applied, block.end
-        trial = applied.judge(block, detector.noise, detector.usual_squares)
+        trial = applied.judge(block, detector.noise, detector.usual_squares, self.applies)
         if trial is not None and trial.remembered and not trial.applied:
             rival = detector.likeliest()  # another load than the one that is known
             trial = None if rival is not None and rival.evidence > trial.score else trial
-        if trial is not None and (self.applies or trial.applied):
+        if trial is not None:
             self._switch(detector, trial, now)
         for trial in applied.without_hope():
             applied.drop(trial.number)

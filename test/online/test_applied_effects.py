@@ -11,6 +11,7 @@ from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online import state_file
 from semiparam_ros.online.applied_effects import AppliedEffects, as_measured
 from semiparam_ros.online.change_watch import APPLIED, TAKEN_BACK, TRIED
+from semiparam_ros.online.changes import MotionBlock
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.learning import Learning
 from support.changing_arm import LOADED_S, free, loaded, offered, pushed
@@ -159,3 +160,20 @@ def test_a_damaged_state_is_refused(damage):
     assert applied.trials[0].applied
     with pytest.raises((ValueError, RuntimeError)):
         applied.restore({**state, **damage})
+
+
+def test_one_that_is_remembered_keeps_none_from_being_taken_back_when_nothing_is_applied_any_more():
+    """After ``diagnosis.auto`` went from ``apply`` to ``report``."""
+    body, _ = free()
+    applied, n = AppliedEffects(body), body.n_outputs
+    for number in (1, 2):
+        effect = effect_from_text('sensor_offset{"start_s": 1.0}')
+        applied.offer(number, effect, np.ones(n), np.ones(n), 0)
+        applied.switch(applied.trials[-1], 10**9)
+    applied.switch(applied.trials[0], 2 * 10**9)
+    squares = np.full((6, n), 100.0)
+    block = MotionBlock(0, 10**9, np.zeros((0, 0)), np.zeros(0), 0.0, squares, np.zeros((2, 2, n)))
+    block.added[0] = np.stack([np.full(n, 90.0), np.full(n, 1.0)])
+    block.added[1] = np.stack([np.full(n, -50.0), np.full(n, 1.0)])
+    assert applied.judge(block, 1.0, 600.0, applies=False) is applied.trials[1]
+    assert applied.judge(block, 1.0, 600.0) is applied.trials[0]
