@@ -29,7 +29,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns, Memories, Memory
-from semiparam_ros.core.robot.frames import load_transform
+from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.stamps import NANOSECONDS
@@ -161,9 +161,7 @@ class AppliedEffects:
         bodies, bias = np.zeros(body.n_parameters), np.zeros(body.n_outputs)
         for trial, added in zip(self.trials, self.added, strict=True):
             if trial.applied and trial.effect.is_load:
-                index, transform = load_transform(body, str(trial.effect.where))
-                basis = body.basis[10 * index : 10 * index + 10]
-                bodies += basis.T @ (transform @ trial.coefficients)
+                bodies += load_in_base(body, str(trial.effect.where), trial.coefficients)
             elif trial.applied and trial.effect.of_sensor:
                 bias += added
         return bodies, bias

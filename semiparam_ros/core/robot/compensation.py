@@ -17,7 +17,7 @@ import numpy as np
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.frames import load_transform
+from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.types import Array
 
 LONGEST_STEP_S = 0.1
@@ -41,8 +41,7 @@ def bodies_and_bias(estimator: Estimator, prediction: Prediction) -> tuple[Array
         if effect.of_sensor:
             bias += acting @ model.part(block)
         elif effect.is_load and acting.any():
-            carrier, transform = load_transform(body, str(getattr(effect, 'where', '')))
-            bodies += body.basis[10 * carrier:10 * carrier + 10].T @ (transform @ model.part(block))
+            bodies += load_in_base(body, str(getattr(effect, 'where', '')), model.part(block))
     return bodies, bias
 
 

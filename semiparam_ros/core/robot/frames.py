@@ -189,6 +189,12 @@ def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     return frame.parentJoint - 1, np.column_stack([_moved(unit, rotation, shift) for unit in np.eye(10)])
 
 
+def load_in_base(body: RigidBody, link: str, parameters: Array) -> Array:
+    """(p,) what a body with inertial parameters (10,) in the frame of ``link`` adds to the base parameters."""
+    index, transform = load_transform(body, link)
+    return np.asarray(body.basis[10 * index:10 * index + 10].T @ (transform @ parameters))
+
+
 def load_regressor(body: RigidBody, samples: Samples, link: str) -> Array:
     """(N, n, 10) outputs caused by a load on ``link``: mass, first moment and inertia in the link's frame."""
     index, transform = load_transform(body, link)

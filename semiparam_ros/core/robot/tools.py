@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.robot import urdf as urdf_tree
-from semiparam_ros.core.robot.frames import load_transform
+from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody, build
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
@@ -49,8 +49,7 @@ class Tools:
         self.parameters: Array = np.zeros(body.n_parameters)
         for text in texts:
             tool = tool_from_text(text)
-            index, transform = load_transform(body, tool.link)
-            self.parameters += body.basis[10 * index:10 * index + 10].T @ (transform @ tool.parameters)
+            self.parameters += load_in_base(body, tool.link, tool.parameters)
 
     def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
         """The sample without what they add to its outputs (n,), and that; None where there are none."""
