@@ -79,6 +79,10 @@ class Silent:
         """Keep the latest of each change."""
         self.records[record.change.number] = record
 
+    def failed(self, what: str, error: BaseException) -> None:
+        """Let nothing that goes wrong pass."""
+        raise RuntimeError(what) from error
+
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *_: None
 

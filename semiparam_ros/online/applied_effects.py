@@ -36,7 +36,9 @@ from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text
 from semiparam_ros.effects.base import STAMP_TOLERANCE_NS, Span
+from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.changes import BLOCK_S, SURE, MotionBlock
+from semiparam_ros.online.identified_parameters import Load
 
 TRIED_S = 30.0
 """[s of motion] An effect for which nothing speaks so long is dropped."""
@@ -96,6 +98,11 @@ class AppliedEffects:
         self.trials: list[KnownEffect] = []
         self.contributions: list[Contribution] = []
         """All that was taken off, for those who need the samples as measured."""
+        self.provisional: Load | None = None
+        """A load that was told and has no name yet."""
+        self.provisional_added: Array = np.zeros(body.n_outputs)
+        """(n,) what that adds to the newest sample."""
+        self._stamp = 0
         self._newest: Array = np.zeros((body.n_outputs, 0))
         self.added: Array = np.zeros((0, body.n_outputs))
         """(m, n) k of each trial, of the newest sample."""
@@ -107,40 +114,55 @@ class AppliedEffects:
         """Those that are there now."""
         return [trial for trial in self.trials if trial.applied]
 
+    @property
+    def acts(self) -> bool:
+        """Whether anything is taken off."""
+        return self.provisional is not None or bool(self.applied)
+
     def clear(self) -> None:
         """Forget all."""
-        self.trials, self.contributions = [], []
+        self.trials, self.contributions, self.provisional = [], [], None
         self._changed()
+
+    def assume(self, load: Load | None) -> None:
+        """Take this load off from the next sample on, in place of the one before."""
+        before, self.provisional = self.provisional, load
+        if before is not None:
+            self._end_contribution(Payload(before.link), before.parameters, self._stamp)
+        if load is not None:
+            self._begin_contribution(Payload(load.link), load.parameters, self._stamp)
+        if before is not None or load is not None:
+            self._changed()
 
     def reset(self) -> None:
         """Forget what effects remember and what speaks for a switch, as after a jump of the clock;
         what is applied stays."""
         self._memory = None
+        self.assume(None)
         for trial in self.trials:
             trial.score = 0.0
 
     def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
         """The sample without what is applied, and that (n,); None where nothing is."""
-        if not self.trials:
+        self._stamp = sample.stamp
+        if not self.trials and self.provisional is None:
             return sample, None
         columns, self._memory = self._columns.one(sample, 0, self._memory)
         self._newest = columns
-        self.added = np.array([columns[:, block] @ trial.coefficients for block, trial in self._blocks()])
-        if not self.applied:
+        self.added, self.provisional_added = self._added(columns)
+        if not self.acts:
             return sample, None
-        total = self._of_applied(self.added)
+        total = self._of_applied(self.added) + self.provisional_added
         return sample._replace(outputs=sample.outputs - total), total
 
     def desired(self, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
         """(n,) what is applied adds to a desired state, as the sensor shows it, and as the arm needs
         it."""
-        row = position, velocity, acceleration
-        shown, needed = (
-            self._of_applied(
-                np.array([columns[:, block] @ trial.coefficients for block, trial in self._blocks()])
-            )
-            for columns in self._columns.desired(*row, 0, 0)
-        )
+        both = [
+            self._added(columns)
+            for columns in self._columns.desired(position, velocity, acceleration, 0, 0)
+        ]
+        shown, needed = (self._of_applied(added) + more for added, more in both)
         return shown, needed
 
     @property
@@ -164,6 +186,8 @@ class AppliedEffects:
                 bodies += load_in_base(body, str(trial.effect.where), trial.coefficients)
             elif trial.applied and trial.effect.of_sensor:
                 bias += added
+        if self.provisional is not None:
+            bodies += load_in_base(body, self.provisional.link, self.provisional.parameters)
         return bodies, bias
 
     def of_change(self, number: int) -> KnownEffect | None:
@@ -183,10 +207,9 @@ class AppliedEffects:
             return True
         if (known.effect.kind, known.effect.where) == (effect.kind, effect.where):
             if known.applied:
-                self._end_contribution(known, now)
+                self._end_contribution(known.effect, known.coefficients, now)
+                self._begin_contribution(effect, coefficients, now)
             known.effect, known.coefficients, known.std = effect, coefficients, std
-            if known.applied:
-                self._begin_contribution(known, now)
             self._changed()
         return False
 
@@ -223,12 +246,13 @@ class AppliedEffects:
 
     def switch(self, trial: KnownEffect, now: int) -> None:
         """Apply it from the sample after ``now`` [ns] on, or take it back."""
+        self.assume(None)
         trial.applied = not trial.applied
         if trial.applied:
-            self._begin_contribution(trial, now)
+            self._begin_contribution(trial.effect, trial.coefficients, now)
         else:
             trial.remembered, trial.squares = True, np.zeros((2, 1))
-            self._end_contribution(trial, now)
+            self._end_contribution(trial.effect, trial.coefficients, now)
         for other in self.trials:
             other.score = 0.0
         over = [other for other in self.trials if other.remembered and not other.applied]
@@ -244,7 +268,8 @@ class AppliedEffects:
         ]
 
     def state(self) -> Memory:
-        """What :meth:`restore` takes back: what is applied or remembered, and what was taken off."""
+        """What :meth:`restore` takes back: what is applied or remembered, and what was taken off. One
+        that is provisional is noticed anew."""
         kept = [trial for trial in self.trials if trial.applied or trial.remembered]
         return {
             'effects': tuple(effect_to_text(trial.effect) for trial in kept),
@@ -252,7 +277,7 @@ class AppliedEffects:
             'applied': tuple(trial.applied for trial in kept),
             'taken_off': tuple(
                 (effect_to_text(effect), coefficients.copy())
-                for effect, coefficients in self.contributions
+                for effect, coefficients in self._contributions_without_provisional()
             ),
         }
 
@@ -285,6 +310,23 @@ class AppliedEffects:
             raise ValueError(f"'{text}' has not {size} coefficients")
         return Contribution(effect, theta)
 
+    def _contributions_without_provisional(self) -> list[Contribution]:
+        """Those of a model that goes on without it: it ends with the newest sample."""
+        load, found = self.provisional, list(self.contributions)
+        if load is not None:
+            self._end_contribution(Payload(load.link), load.parameters, self._stamp)
+            found, self.contributions = self.contributions, found
+        return found
+
+    def _added(self, columns: Array) -> tuple[Array, Array]:
+        """(m, n) k of each trial, and (n,) that of the provisional load, by columns (n, c)."""
+        added = np.array([columns[:, block] @ trial.coefficients for block, trial in self._blocks()])
+        more = np.zeros(self._body.n_outputs)
+        if self.provisional is not None:
+            last = self._columns.blocks[str(len(self.trials))]
+            more = columns[:, last] @ self.provisional.parameters
+        return added, more
+
     def _blocks(self) -> Iterable[tuple[slice, KnownEffect]]:
         blocks = self._columns.blocks
         return [(blocks[str(index)], trial) for index, trial in enumerate(self.trials)]
@@ -299,22 +341,25 @@ class AppliedEffects:
 
     def _changed(self) -> None:
         """The trials are others: what effects remember begins anew."""
-        self._columns = CoupledColumns(self._body, [trial.effect for trial in self.trials])
-        self._memory = None
+        effects = [trial.effect for trial in self.trials]
+        if self.provisional is not None:
+            effects.append(Payload(self.provisional.link))
+        self._columns, self._memory = CoupledColumns(self._body, effects), None
         self._newest = np.zeros((self._body.n_outputs, self._columns.n_columns))
         self.added = np.zeros((len(self.trials), self._body.n_outputs))
+        self.provisional_added = np.zeros(self._body.n_outputs)
 
-    def _begin_contribution(self, trial: KnownEffect, now: int) -> None:
-        effect = replace(trial.effect, span=Span(start_stamp_s=_after(now)))
-        self.contributions.append(Contribution(effect, trial.coefficients))
+    def _begin_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
+        acting = replace(effect, span=Span(start_stamp_s=_after(now)))
+        self.contributions.append(Contribution(acting, coefficients))
         del self.contributions[:-MOST_CONTRIBUTIONS]
 
-    def _end_contribution(self, trial: KnownEffect, now: int) -> None:
-        for index, (effect, coefficients) in enumerate(self.contributions):
-            same = np.array_equal(coefficients, trial.coefficients)
-            if same and effect.without_span() == trial.effect and not effect.ends:
-                span = replace(effect.span, end_stamp_s=_after(now))
-                self.contributions[index] = Contribution(replace(effect, span=span), coefficients)
+    def _end_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
+        for index, (begun, values) in enumerate(self.contributions):
+            same = np.array_equal(values, coefficients) and begun.without_span() == effect
+            if same and not begun.ends:
+                span = replace(begun.span, end_stamp_s=_after(now))
+                self.contributions[index] = Contribution(replace(begun, span=span), coefficients)
 
 
 def _after(stamp: int) -> float:

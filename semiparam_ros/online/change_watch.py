@@ -20,6 +20,7 @@ import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import NANOSECONDS
@@ -61,10 +62,12 @@ NAMED_TWICE = 2
 """Namings without an effect after which a change is learnt."""
 HELD_S = 30.0
 """[s of motion] What stands out is kept from being learnt no longer."""
+MORE_MOTION = 1.5
+"""A load that has no name yet is estimated anew after so many times as much motion."""
 
 
 class Decision(NamedTuple):
-    """What was decided of a change at a stamp [ns]: one of ``TRIED`` to ``DROPPED``.
+    """What was decided of a change at a stamp [ns]: one of ``ASSUMED`` to ``LEARNT``.
 
     :param evidence: [nat] of what came since it was tried, or since it was over. :param error_share:
         the error while it was applied over what it would have been without; NaN for what never was.
@@ -92,6 +95,7 @@ class Decision(NamedTuple):
         return {'what': self.what, 'stamp_s': self.stamp / NANOSECONDS, **known}
 
 
+ASSUMED = 'taken off until it is named'
 TRIED, APPLIED, TAKEN_BACK = 'tried beside the model', 'applied', 'taken back'
 DROPPED, LEARNT = 'dropped, as nothing spoke for it', 'learnt, as no effect of the robot explains it'
 
@@ -146,7 +150,7 @@ class ChangeRecord:
         effect, change = self.effect, self.change
         kind = change.kind if effect is None else effect.kind
         found = [(change.since, f'{kind or "change"} begins')]
-        found += [(each.stamp, each.what) for each in self.decisions if each.what != TRIED]
+        found += [(each.stamp, each.what) for each in self.decisions if each.what not in (ASSUMED, TRIED)]
         ended = change.ended if not self.was_applied else None
         return found if ended is None else [*found, (ended, 'over')]
 
@@ -234,6 +238,8 @@ class ChangeWatch:
         self.holds = False
         """Whether the next sample is not to be learnt."""
         self._held_s = 0.0
+        self._assumed = 0, 0
+        """The change whose load is taken off before it is named, and of how many blocks it is."""
         self._body, self._background, self._told, self._failed = body, background, told, failed
         self._columns: CoupledColumns | None = None
         self._due: list[tuple[int, int]] = []
@@ -285,9 +291,11 @@ class ChangeWatch:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
         self.holds = False
+        self._drop_provisional()
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock."""
+        self._drop_provisional()
         self.applied.reset()
         if self.detector is not None:
             self.detector.reset()
@@ -299,13 +307,14 @@ class ChangeWatch:
             self.forget()
             return
         detector = self._detector_of(estimator.columns)
-        change = detector.see(*part, self.applied.added, self.applied.spread)
+        change = detector.see(*self._with_provisional(*part), self.applied.added, self.applied.spread)
         self._now = now = prediction.sample.stamp
         if change is not None:
             self._record(change, now)
         if detector.finished is not None and detector.knows:
             self._judge(detector, detector.finished)
             self._hold(detector)
+            self._assume(detector)
         if self._due and not self._naming and now >= self._due[0][0]:
             self._name(self._due.pop(0)[1], history, estimator.columns.effects, now)
 
@@ -315,7 +324,7 @@ class ChangeWatch:
         trial = applied.judge(block, detector.noise, detector.usual_squares, self.applies)
         if trial is not None and trial.remembered and not trial.applied:
             rival = detector.likeliest()  # another load than the one that is known
-            trial = None if rival is not None and rival.evidence > trial.score else trial
+            trial = None if rival is not None and rival.evidence > 0.0 else trial
         if trial is not None:
             self._switch(detector, trial, now)
         for trial in applied.without_hope():
@@ -383,6 +392,36 @@ class ChangeWatch:
         elif self.holds:
             self.holds = False
             self._decide(followed.change.number, Decision(LEARNT, self._now))
+
+    def _with_provisional(self, prediction: Prediction, model: Model) -> tuple[Prediction, Model]:
+        """What the detector judges: it follows a load itself until that is named."""
+        sample, applied = prediction.sample, self.applied
+        if applied.provisional is None:
+            return prediction, model
+        sample = sample._replace(outputs=sample.outputs + applied.provisional_added)
+        return prediction._replace(sample=sample), model
+
+    def _assume(self, detector: ChangeDetector) -> None:
+        """Take off a load that was told, as long as it waits for its name."""
+        followed, load = detector.followed, detector.load if self.holds else None
+        record = None if followed is None else self.records.get(followed.change.number)
+        if followed is None or record is None or load is None or (record.times_named and (
+            record.effect is None or not record.effect.is_load
+        )):
+            self._drop_provisional()
+            return
+        number, blocks = self._assumed
+        if number == followed.change.number and followed.blocks < MORE_MOTION * blocks:
+            return
+        self._assumed = followed.change.number, followed.blocks
+        self.applied.assume(load)
+        if number != followed.change.number:
+            self._decide(followed.change.number, Decision(ASSUMED, self._now))
+
+    def _drop_provisional(self) -> None:
+        if self.applied.provisional is not None:
+            self.applied.assume(None)
+        self._assumed = 0, 0
 
     def _waits(self, number: int) -> bool:
         """Whether a change is still to be named, or tried."""

@@ -25,9 +25,14 @@ noise kappa S^2. kappa is the usual mean square, and grows with what the best hy
 
     changed    h' (kappa I + A)^-1 h / (2 kappa) - log|I + A / kappa| / 2 - price
     touched    the same with a line for each output and quarter, or each second or two
+    known      sum (r' S^-2 r - r~' S^-2 r~) / (2 kappa), r~ what a known effect leaves
+    learning   (P h)' (I + A P)^-1 h / (2 kappa) - log|I + A P| / 2
 
-A change is told once it has ``SURE`` nat more than both others. The price is minus the log of the
-prior probability: robots pick up and put down, and the rest is rare.
+Learning: nothing has changed, but the model did not know its coefficients any better; P is the
+covariance that it gives them, in units of their prior, and kappa P what it is beside the noise that
+is usual. It goes on from there as it stands. A change is told once it has ``SURE`` nat more than
+all others. The price is minus the log of the prior probability: robots pick up and put down, and
+the rest is rare.
 
 All this time the model predicts with the coefficients that it had before anything stood out. A
 change that was told is followed: its coefficients, from all quarters since it began, are taken off,
@@ -61,6 +66,7 @@ from semiparam_ros.online.contact_gate import (
     UNSEEN_S,
     Tail,
 )
+from semiparam_ros.online.identified_parameters import Load
 
 BLOCK_S = 0.25
 LENGTHS = (2, 4, 8, 16, 32)
@@ -278,6 +284,12 @@ class Followed:
         )
         self.theta, self.blocks = self._latest[0], self.blocks + 1
 
+    def estimate(self, noise: float) -> tuple[Array, Array]:
+        """(k,) its coefficients by all blocks, and (k, k) their covariance, under noise kappa."""
+        whole = self._gram + noise * np.eye(len(self._gram))
+        inverse = np.asarray(np.linalg.inv(whole), dtype=float)
+        return inverse @ self._moment, noise * inverse
+
 
 class ChangeDetector:
     """Notices changes of one robot; see the module.
@@ -287,9 +299,14 @@ class ChangeDetector:
 
     def __init__(self, columns: CoupledColumns, told: int = 0) -> None:
         self.causes, self._directions = causes_of(columns)
+        own = [np.arange(*cause.part.indices(self._directions.shape[1])) for cause in self.causes[1:]]
+        self._own_part = np.concatenate(own)
+        """(q,) the directions that are columns of the model, each in units of its prior."""
+        self._own_columns = np.abs(self._directions[:, self._own_part]).argmax(axis=0)
+        self._own_scale = self._directions[self._own_columns, self._own_part]
         body = columns.body
         self._names, self._scale = body.output_names, output_scale(body)
-        self._load_scale = float(load_scale(body, str(self.causes[0].where))[0])
+        self._load_scale = load_scale(body, str(self.causes[0].where))
         self._joints = body.output_index if body.outputs == 'effort' else None
         self.number = told
         """That of the latest change that was told."""
@@ -310,6 +327,7 @@ class ChangeDetector:
         self._count = 0
         self._newest: int | None = None
         self._reference: Array | None = None
+        self._covariance: Array = np.zeros((0, 0))
         self._familiar = UNSEEN_S
         self.followed: Followed | None = None
         self.touched = False
@@ -329,10 +347,10 @@ class ChangeDetector:
     def resume(self, reference: Array | None) -> None:
         """Drop what is half seen, and compare with these coefficients (p,), unless those of the
         model as it stands turn out to predict better."""
-        now = self._reference
+        now, covariance = self._reference, self._covariance
         self.reset()
         if reference is not None and now is not None and now.shape == reference.shape:
-            self._reference, self._held = reference, True
+            self._reference, self._covariance, self._held = reference, covariance, True
 
     def _begin_block(self) -> None:
         p, n = len(self._directions), len(self._names)
@@ -397,11 +415,20 @@ class ChangeDetector:
         if self._familiar < UNSEEN_S:
             weight = weight / UNSEEN_FACTOR
         if self._reference is None:
-            self._reference = theta.copy()
+            self._refer()
+        assert self._reference is not None
         self._add(prediction, self._reference, weight, added)
         self._start = self._start or sample.stamp
         self._seconds += seconds
         return None if self._seconds < BLOCK_S - 1e-6 else self._finish_block(sample.stamp, theta)
+
+    def _refer(self) -> None:
+        """Compare with the model as it stands from now on."""
+        assert self._model is not None
+        self._reference, self._held, self._compared = self._model.theta.copy(), False, np.zeros(3)
+        everything, columns = self._model.recursion.theta_covariance(), self._own_columns
+        scale = np.outer(self._own_scale, self._own_scale)
+        self._covariance = everything[np.ix_(columns, columns)] / scale
 
     def _add(
         self, prediction: Prediction, reference: Array, weight: Array, added: Array | None
@@ -460,14 +487,12 @@ class ChangeDetector:
         self._standing = self._standing + 1 if outstanding >= 1.0 else 0
         if self._standing:
             self._held = True
-            if self._standing >= min(SINCE):
-                return self._tell(stamp)
-            self.touched = self.followed is None
-        elif outstanding < CALM:
-            self._calm(block, theta)
+            return self._tell(stamp)
+        if outstanding < CALM:
+            self._calm(block)
         return None
 
-    def _calm(self, block: MotionBlock, theta: Array) -> None:
+    def _calm(self, block: MotionBlock) -> None:
         """Nothing stands out: go on with the model as it stands, unless the one from before
         predicts better."""
         if self.followed is None:
@@ -477,12 +502,8 @@ class ChangeDetector:
             self._compare(block)
             if self._compared[2] < LEAST_COMPARED or self._compared[1] > self._compared[0]:
                 return
-        self._held, self._compared, self._reference, self.followed = (
-            False,
-            np.zeros(3),
-            theta.copy(),
-            None,
-        )
+        self.followed = None
+        self._refer()
 
     def _compare(self, block: MotionBlock) -> None:
         """Charge what is left of a block by the model from before, with the change that is
@@ -532,6 +553,19 @@ class ChangeDetector:
         return found
 
     @property
+    def load(self) -> Load | None:
+        """The load that was picked up and is there, by what came since; None where no change or
+        another one is followed."""
+        followed = self.followed
+        if followed is None or followed.cause.kind != Payload.kind:
+            return None
+        theta, covariance = followed.estimate(self.noise)
+        if theta[0] <= 0.0:
+            return None
+        scale = self._load_scale
+        return Load(str(followed.cause.where), scale * theta, np.outer(scale, scale) * covariance)
+
+    @property
     def noise(self) -> float:
         """kappa: the usual mean square of what the whole rigid body explains, over the longest
         windows known."""
@@ -546,9 +580,14 @@ class ChangeDetector:
             self._blocks.clear()
             return followed.change._replace(noticed=stamp, ended=ended)
         moments = np.array([block.moment for block in self._blocks]) if again else self._left()
-        best = self._likeliest(moments)
+        best, learns = self._likeliest(moments)
+        self.touched = followed is None and not learns
+        if learns and followed is None:
+            self._blocks.clear()
+            self._standing = 0
+            self._refer()
+            return None
         if best is None or best.evidence < SURE:
-            self.touched = followed is None
             return None
         if again and followed is not None and followed.cause == best.cause:
             return None
@@ -556,13 +595,14 @@ class ChangeDetector:
 
     def likeliest(self) -> Judged | None:
         """The change that is likeliest now, beside a contact and none."""
-        return self._likeliest(self._left()) if self._blocks else None
+        return self._likeliest(self._left())[0] if self._blocks else None
 
-    def _likeliest(self, moments: Array) -> Judged | None:
-        """The change that is likeliest, beside a contact and none."""
-        counts = np.array([count for count in SINCE if count <= len(self._blocks)])
-        if not len(counts):
-            return None
+    def _likeliest(self, moments: Array) -> tuple[Judged | None, bool]:
+        """The change that is likeliest beside all else, and whether the model's learning is likelier
+        than a change and than a contact."""
+        counts = np.array([count for count in SINCE if count <= len(self._blocks)], dtype=int)
+        if 0 < self._standing < min(SINCE):
+            counts = np.array([min(self._standing, len(self._blocks))])
         starts = len(self._blocks) - counts
         blocks = np.array([block.gram for block in self._blocks])
         grams, sums = _since(blocks, starts), _since(moments, starts)
@@ -576,22 +616,31 @@ class ChangeDetector:
             for (_, vectors), cause in zip(spectra, self.causes, strict=True)
         ]
         # what a cause leaves of the squares at its best
+        learnt, gained, volume = self._learning(grams, sums)
         left = power - np.max(
             [
-                (each**2 * (values + 2.0) / (values + 1.0) ** 2).sum(axis=1)
-                for (values, _), each in zip(spectra, along, strict=True)
+                learnt,
+                *(
+                    (each**2 * (values + 2.0) / (values + 1.0) ** 2).sum(axis=1)
+                    for (values, _), each in zip(spectra, along, strict=True)
+                ),
             ],
             axis=0,
         )
         kappa = self.noise * np.maximum(left / (np.median(self._power) * counts), 1.0)
-        rival = self._touched(own, kappa, starts)
+        learning, touched = 0.5 * (gained / kappa - volume), self._touched(own, kappa, starts)
+        known = self._known(starts) / (2.0 * kappa)
+        rival = np.max([learning, touched, known], axis=0)
+        most = max(float(touched.max()), float(known.max()))
         best: Judged | None = None
         for (values, vectors), each, cause in zip(spectra, along, self.causes, strict=True):
             whole = np.maximum(values, 0.0) + kappa[:, None]
             evidence = 0.5 * (
                 (each**2 / whole).sum(axis=1) / kappa - np.log(whole / kappa[:, None]).sum(axis=1)
             )
-            evidence = evidence - cause.price - rival
+            evidence = evidence - cause.price
+            most = max(most, float(evidence.max()))
+            evidence = evidence - rival
             evidence[counts < cause.blocks] = -np.inf
             if cause.kind == Payload.kind:
                 evidence = self._of_load(evidence, values, vectors, each, kappa)
@@ -608,7 +657,30 @@ class ChangeDetector:
                     kappa[at] * root @ root.T,
                     float(evidence[at]),
                 )
-        return best
+        return best, float(learning.max()) >= most
+
+    def _known(self, starts: Indices) -> Array:
+        """(S,) the squares that the best of the known effects explains of the blocks from each of
+        some on, when it came or when it went."""
+        found = np.zeros((len(self._blocks), len(self._blocks[-1].added)))
+        went = found.copy()
+        for row, block in enumerate(self._blocks):
+            if block.added.shape[:1] == found.shape[1:]:
+                along, own = block.added.sum(axis=2).T
+                found[row], went[row] = 2.0 * along - own, -2.0 * along - own
+        explained = np.maximum(_since(found, starts), _since(went, starts))
+        return np.asarray(explained.max(axis=1, initial=0.0))
+
+    def _learning(self, grams: Array, sums: Array) -> tuple[Array, Array, Array]:
+        """(S,) the squares that coefficients within the model's own covariance P explain of windows
+        with these sums, h' P (I + A P)^-1 h, and log|I + A P|."""
+        part, covariance = self._own_part, self._covariance
+        grams, sums = grams[:, part[:, None], part], sums[:, part]
+        whole = np.eye(len(part)) + grams @ covariance
+        theta = (covariance @ np.linalg.solve(whole, sums[..., None]))[..., 0]
+        gained = np.asarray((sums * theta).sum(axis=1))
+        explained = 2.0 * gained - np.einsum('sk,skj,sj->s', theta, grams, theta)
+        return np.asarray(explained), gained, np.linalg.slogdet(whole)[1]
 
     def _of_load(
         self, evidence: Array, values: Array, vectors: Array, along: Array, kappa: Array
@@ -676,8 +748,9 @@ class ChangeDetector:
         order = [int(index) for index in np.argsort(-felt) if felt[index] > 0.1 * felt.max()]
         mass = std = np.nan
         if judged.cause.kind == Payload.kind:
-            mass = float(judged.theta[0]) * self._load_scale
-            std = float(np.sqrt(judged.covariance[0, 0])) * self._load_scale
+            scale = float(self._load_scale[0])
+            mass = float(judged.theta[0]) * scale
+            std = float(np.sqrt(judged.covariance[0, 0])) * scale
         followed = self.followed
         again = followed is not None and followed.blocks < JUDGED_ANEW
         self.number += not again

@@ -202,7 +202,7 @@ class Learner:
         """(n,) what tools and applied changes add to a desired state, as the sensor shows it, and as the arm needs it;
         None where there are none."""
         applied = self.changes.applied
-        if not (self.tools.texts or applied.applied):
+        if not (self.tools.texts or applied.acts):
             return None
         of_tools = self.tools.outputs(position, velocity, acceleration)
         shown, needed = applied.desired(position, velocity, acceleration)

@@ -10,9 +10,10 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online import state_file
 from semiparam_ros.online.applied_effects import AppliedEffects, as_measured
-from semiparam_ros.online.change_watch import APPLIED, TAKEN_BACK, TRIED
+from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED
 from semiparam_ros.online.changes import MotionBlock
 from semiparam_ros.online.feedforward import Feedforward
+from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning
 from support.changing_arm import LOADED_S, free, loaded, offered, pushed
 
@@ -46,16 +47,27 @@ def test_the_error_is_back_at_its_floor_with_the_load_and_without_it(carried):
     assert between(samples, left, end + 5.0, samples.time[-1]) < 1.1 * floor, 'when it was put down'
 
 
+def test_a_load_is_taken_off_before_it_has_a_name(carried):
+    stage, samples, _ = carried
+    assumed, tried = stage.changes[-1].decisions[:2]
+    first, named = ((each.stamp - samples.origin) * 1e-9 for each in (assumed, tried))
+    assert first < LOADED_S[0] + 3.0 < named
+    left = errors(stage, samples)
+    floor = between(samples, left, *FLOOR_S)
+    assert between(samples, left, first + 2.0, named) < 1.3 * floor
+    assert between(samples, left, LOADED_S[0], first) > 3.0 * floor
+
+
 def test_every_decision_is_told_with_its_evidence(carried):
     stage, samples, mass = carried
     record = stage.changes[-1]
-    tried, applied, over = record.decisions
-    assert [tried.what, applied.what, over.what] == [TRIED, APPLIED, TAKEN_BACK]
+    applied, over = record.decisions[-2:]
+    assert [each.what for each in record.decisions] == [ASSUMED, TRIED, APPLIED, TAKEN_BACK]
     assert applied.evidence > 12.0
     assert over.evidence > 12.0
     assert over.error_share < 0.3, 'what it was worth'
     assert abs(over.stamp * 1e-9 - samples.origin * 1e-9 - LOADED_S[1]) < 2.0
-    assert record.as_dict()['decisions'][1] == applied.as_dict()
+    assert record.as_dict()['decisions'][2] == applied.as_dict()
     assert 'It was taken back at ' in record.sentence
     assert abs(record.named.parameters['mass'].value - mass) < 0.05 * mass
     assert stage.learner.changes.state == 'as it was'
@@ -66,7 +78,7 @@ def test_nothing_is_learnt_of_a_change_before_it_is_applied(carried):
     record, origin = stage.changes[-1], samples.origin
     learning = stage.learner.history.batch().learning
     time = (stage.learner.history.batch().stamps - origin) * 1e-9
-    applied = (record.decisions[1].stamp - origin) * 1e-9
+    applied = (record.decisions[2].stamp - origin) * 1e-9
     assert (learning[(time > LOADED_S[0] + 2.0) & (time < applied)] == Learning.OFFSET).all()
     assert (learning[(time > applied + 0.1) & (time < LOADED_S[1])] == Learning.YES).mean() > 0.99
 
@@ -139,6 +151,31 @@ def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
     bodies, bias = applied.bodies_and_bias()
     np.testing.assert_allclose(body.regressor(*row) @ bodies, needed, atol=1e-9)
     np.testing.assert_allclose(bias, np.arange(6.0))
+
+
+def test_a_load_without_a_name_is_taken_off_and_is_not_saved():
+    body, samples = free()
+    link = list(loaded_links(body))[-1]
+    applied, theta = AppliedEffects(body), np.array([0.5, 0.01, 0.0, 0.02, *np.zeros(6)])
+    off = []
+    for number, sample in enumerate(samples[:40]):
+        off.append(applied.taken_off(sample)[0])
+        if number in (9, 19, 29):  # it is told, estimated anew, dropped
+            applied.assume(None if number == 29 else Load(link, theta * number, np.eye(10)))
+            state = applied.state()
+            assert state['effects'] == ()
+            assert all('end_stamp_s' in effect for effect, _ in state['taken_off'])
+        if number == 24:
+            assert applied.acts
+            bodies, _ = applied.bodies_and_bias()
+            shown, needed = applied.desired(*sample[1:4])
+            np.testing.assert_allclose(body.regressor(*sample[1:4]) @ bodies, needed, atol=1e-9)
+            np.testing.assert_allclose(shown, needed)
+    assert not applied.acts
+    off = Samples.from_list(off)
+    assert (off.outputs[10:30] != samples.outputs[10:30]).any(axis=1).all()
+    again = as_measured(body, off, applied.contributions)
+    np.testing.assert_allclose(again.outputs, samples.outputs[:40], rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
