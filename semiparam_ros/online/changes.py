@@ -603,6 +603,8 @@ class ChangeDetector:
         counts = np.array([count for count in SINCE if count <= len(self._blocks)], dtype=int)
         if 0 < self._standing < min(SINCE):
             counts = np.array([min(self._standing, len(self._blocks))])
+        if not len(counts):
+            return None, False
         starts = len(self._blocks) - counts
         blocks = np.array([block.gram for block in self._blocks])
         grams, sums = _since(blocks, starts), _since(moments, starts)

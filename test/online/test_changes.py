@@ -10,7 +10,7 @@ from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.changes import ChangeDetector
-from support.changing_arm import LOADED_S, free, loaded, pushed
+from support.changing_arm import LOADED_S, elbow_rests, free, loaded, offered, pushed
 
 
 def told(body, samples):
@@ -47,6 +47,14 @@ def test_nothing_is_told_where_nothing_changes():
     assert not found
     assert detector.knows
     assert touched.mean() < 0.05
+
+
+def test_what_the_model_learns_when_a_joint_begins_to_move_is_no_change():
+    body, samples = elbow_rests()
+    stage = offered(body, samples[samples.time < 100.0])
+    assert not stage.changes
+    assert stage.learner.changes.state == 'as it was'
+    assert stage.learner.changes.detector.before is None, 'it goes on with what was learnt'
 
 
 def test_a_push_is_a_contact_and_no_change():

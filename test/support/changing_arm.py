@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import pinocchio as pin
 
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.settings import Settings
@@ -50,6 +51,30 @@ def pushed(start=70.0, seconds=5.0, newton=15.0, seed=3):
     force = newton * (rise * sway)[:, None] * np.array([0.6, -0.7, 0.39])
     change = arm.load_of_force(arm.pose(arm.tip, samples.position), force, samples.position)
     return body, replace(samples, outputs=samples.outputs + change)
+
+
+def elbow_rests(until=70.0, seed=4):
+    """The body, and samples of an arm with another hand than described, whose last joint begins to
+    move at a time [s]."""
+    found, (body, samples) = _recording(False, seed), free(seed)
+    arm = Arm.from_urdf(found.urdf, found.joint_names, 'wrench', found.frame_id, found.convention)
+    hand = pin.Inertia(0.6, np.array([0.02, -0.03, 0.06]), 6e-4 * np.eye(3))
+    arm = arm.with_body(arm.distal_frames()[-1], hand)
+    position, velocity, acceleration = (
+        getattr(samples, name).copy() for name in ('position', 'velocity', 'acceleration')
+    )
+    rests = samples.time < until
+    position[rests, -1] = position[~rests, -1][0]
+    velocity[rests, -1] = acceleration[rests, -1] = 0.0
+    outputs = arm.evaluate(position, velocity, acceleration)
+    noise = 0.01 * outputs.std(axis=0) * np.random.default_rng(seed).standard_normal(outputs.shape)
+    return body, replace(
+        samples,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        outputs=outputs + noise,
+    )
 
 
 def offered(body, samples, **settings):
