@@ -265,7 +265,7 @@ class ChangeWatch:
 
     @property
     def picked(self) -> tuple[bool, Load | None]:
-        """Whether a load was picked up that is still there, and that load where it is named."""
+        """Whether a load was picked up or put down, and what is there of it, as far as that is known."""
         loads = []
         for trial in self.applied.applied:
             record = self.records.get(trial.number)
@@ -278,8 +278,8 @@ class ChangeWatch:
         if record is not None and record.named is not None and record.effect is not None:
             if record.effect.is_load and not record.effect.ends:
                 loads.append((str(record.effect.where), *record.named.coefficients))
-        elif record is not None and record.change.kind == Payload.kind:
-            return True, None
+        elif self.detector is not None and record is not None and record.change.kind == Payload.kind:
+            return True, self.detector.load
         if not loads:
             return False, None
         link = loads[0][0]
