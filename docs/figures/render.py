@@ -191,12 +191,32 @@ def changes(found: Document) -> Table:
                   'Back', 'After [s]', 'False', 'Taken back'), rows)
 
 
+def carried_load(found: Document) -> Table:
+    """Tracking errors while a load comes and goes: medians over the seeds."""
+    rows = []
+    for arm, mode in dict.fromkeys((run['arm'], run['mode']) for run in found['runs']):
+        runs = [run for run in found['runs'] if (run['arm'], run['mode']) == (arm, mode)]
+        cells = [
+            ', '.join(
+                f'{median(run["after"][change][part] / run["before"] for run in runs):.2g}'
+                for part in range(3)
+            )
+            for change in range(3)
+        ]
+        before = f'{median(run["before"] for run in runs):.2g}'
+        rows.append((arm, f'`{mode}`' if mode != 'description' else mode, before, *cells))
+    return Table(
+        ('Arm', '`diagnosis.auto`', 'Before [mrad]', 'Picked up', 'Put down', 'Picked up again'),
+        rows,
+    )
+
+
 MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
     'variants': ('variants', variants), 'frozen_variants': ('variants', frozen_variants),
     'mujoco_arms': ('mujoco_arms', measured_arms),
     **{make.__name__: (make.__name__, make) for make in
        (other_motion, bench, many_joints, measured_arms, scoreboard, put_down, tracking,
-        exported_arms, changes)}}
+        exported_arms, changes, carried_load)}}
 """The file and the function of each table that a command's JSON gives."""
 
 

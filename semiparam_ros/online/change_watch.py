@@ -411,7 +411,8 @@ class ChangeWatch:
             self._drop_provisional()
             return
         number, blocks = self._assumed
-        if number == followed.change.number and followed.blocks < MORE_MOTION * blocks:
+        enough = followed.blocks >= MORE_MOTION * blocks or self.applied.provisional is None
+        if number == followed.change.number and not enough:
             return
         self._assumed = followed.change.number, followed.blocks
         self.applied.assume(load)
