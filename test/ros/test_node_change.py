@@ -140,7 +140,8 @@ def test_a_load_is_applied_and_taken_back_and_nobody_touches_anything(tmp_path):
         play(client, samples[named:])
         client.wait(lambda: 'taken back' in decisions(), 'the load to be taken back')
         record = json.loads((tmp_path / 'states' / 'changes.jsonl').read_text().splitlines()[-1])
-        tried, applied, over = record['decisions']
+        assumed, tried, applied, over = record['decisions']
+        assert assumed['what'] == 'taken off until it is named'
         assert (tried['what'], applied['what']) == ('tried beside the model', 'applied')
         assert over['evidence'] > 12.0
         assert over['error_share'] < 0.7
