@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
 from semiparam_ros.online.learning import Learning
 
@@ -22,6 +23,11 @@ KEPT_OF_REST = 20
 
 CHUNK = 2048
 """Samples of a chunk, which is sent to a process in one piece: some hundred kilobytes."""
+
+
+LONGEST_GAP_NS = LONGEST_PAUSE_NS // 2
+"""Of samples that are let go one is kept so often: a longer gap would be taken for a jump of the clock
+(:mod:`semiparam_ros.core.estimator`)."""
 
 
 class Rows(NamedTuple):
@@ -141,6 +147,11 @@ class SampleLog:
                 result.append(chunk.part(slice(start, end)))
         return result
 
+    def first(self) -> SampleBatch:
+        """The oldest one."""
+        chunk = self._chunks[0].part(slice(self._first, self._first + 1))
+        return SampleBatch([chunk], self._n_joints, int(chunk.stamps[0]))
+
     def batch(self) -> SampleBatch:
         """All of them; time starts with the first."""
         rows = self.rows()
@@ -167,9 +178,10 @@ class SampleLog:
 
 
 class History:
-    """The first ``first`` samples learnt (and what came between them), and the latest ``latest`` of those after them.
+    """The first ``first`` samples learnt (and what came between them), the latest ``latest`` of those after them, and
+    one of each half hour that was let go between them.
 
-    Of a robot at rest only the last samples before it moves are kept, for effects that remember the past: hours of rest
+    Of a robot at rest one of each half hour, and else only the last samples before it moves are kept, for effects that remember the past: hours of rest
     must not displace the motion.
 
     Time counts from ``origin`` [ns], the very first sample unless given.
@@ -181,13 +193,17 @@ class History:
         self.discard(origin)
 
     def __len__(self) -> int:
-        return len(self._window) + len(self._recent)
+        return len(self._window) + len(self._bridge) + len(self._recent)
 
     def append(self, sample: Sample, learnt: int) -> None:
         """Keep one sample."""
         if self.origin is None:
             self.origin = sample.stamp
+        if not len(self) and not self._at_rest:
+            self._kept = sample.stamp
         if learnt == Learning.NO_NEWS:
+            if len(self._at_rest) == KEPT_OF_REST and _far(self._at_rest[0].stamp, self._kept):
+                self._keep(self._at_rest[0], Learning.NO_NEWS)
             self._at_rest.append(sample)
             return
         while self._at_rest:
@@ -195,9 +211,23 @@ class History:
         self._keep(sample, learnt)
 
     def _keep(self, sample: Sample, learnt: int) -> None:
-        log = self._window if self._gathers else self._recent
-        log.append(sample, learnt)
+        if self._gathers:
+            self._window.append(sample, learnt)
+            self._bridged = sample.stamp
+        else:
+            if len(self._recent) >= self._latest:
+                self._let_go(self._recent.first())
+            self._recent.append(sample, learnt)
         self._learnt += learnt > 0
+        self._kept = sample.stamp
+
+    def _let_go(self, batch: SampleBatch) -> None:
+        """Keep one of each half hour of samples that are let go."""
+        stamps = batch.stamps
+        for number in range(len(batch)):
+            if _far(int(stamps[number]), self._bridged):
+                self._bridge.extend(batch.part(number, number + 1))
+                self._bridged = int(stamps[number])
 
     @property
     def _gathers(self) -> bool:
@@ -209,7 +239,12 @@ class History:
         learnt = np.cumsum(batch.learnt)
         end = min(int(np.searchsorted(learnt, self._first)) + 1, 2 * self._first, len(batch))
         self._window.extend(batch.part(0, end))
-        self._recent.extend(batch.part(end))
+        stamps = batch.stamps
+        if len(batch):
+            self._bridged, self._kept = int(stamps[end - 1]), int(stamps[-1])
+        recent = max(end, len(batch) - self._latest)
+        self._let_go(batch.part(end, recent))
+        self._recent.extend(batch.part(recent))
         self._learnt = int(learnt[-1]) if len(learnt) else 0
         self.origin = batch.origin if len(batch) else self.origin
 
@@ -217,7 +252,8 @@ class History:
         """Forget all samples, and begin with the first again; time counts from ``origin`` [ns], which
         has moved along when the clock jumped."""
         self.origin = origin
-        self._window, self._recent = SampleLog(), SampleLog(self._latest)
+        self._window, self._bridge, self._recent = SampleLog(), SampleLog(), SampleLog(self._latest)
+        self._bridged = self._kept = 0
         self._at_rest: deque[Sample] = deque(maxlen=KEPT_OF_REST)
         self._learnt = 0
 
@@ -230,7 +266,8 @@ class History:
     def batch(self) -> SampleBatch:
         """Everything that is kept, in order."""
         at_rest = batch_of((sample, Learning.NO_NEWS) for sample in self._at_rest)
-        return SampleBatch([*self._window.rows(), *self._recent.rows(), *at_rest.rows], self._n_joints, self.origin)
+        rows = [*self._window.rows(), *self._bridge.rows(), *self._recent.rows(), *at_rest.rows]
+        return SampleBatch(rows, self._n_joints, self.origin)
 
     def span(self, seconds: float) -> SampleBatch:
         """The latest samples of so many seconds, learnt or not, since the clock last jumped back."""
@@ -241,6 +278,10 @@ class History:
         jumps = np.flatnonzero(np.diff(stamps) <= 0)
         start = int(jumps[-1]) + 1 if len(jumps) else 0
         return batch.part(start + int(np.searchsorted(stamps[start:], stamps[-1] - round(seconds * 1e9))))
+
+
+def _far(stamp: int, before: int) -> bool:
+    return not 0 <= stamp - before <= LONGEST_GAP_NS
 
 
 def batch_of(pairs: Iterable[tuple[Sample, int]]) -> SampleBatch:

@@ -521,6 +521,30 @@ def test_history_keeps_the_first_and_the_latest():
     assert len(history.span(0.08)) == 5
 
 
+@pytest.mark.parametrize('works', [False, True])
+def test_what_a_history_lets_go_of_hours_is_no_jump_of_the_clock(works):
+    """A model that is built from it counts time as the one does that has seen every sample."""
+    samples, minute = motion(400), 60.0
+    hours = later(samples[:200], 0.0)
+    for number in range(200, 390):  # three hours of one sample a minute, of work or of rest
+        chosen = samples[number if works else 199]
+        stamp = samples[199].stamp + round((number - 199) * minute * 1e9)
+        hours.append(chosen._replace(stamp=stamp))
+    hours += later(samples[390:], 190 * minute)
+    live, history = build_estimator(replace(SETTINGS, variant='P')), History(40, 60, 2)
+    for sample in hours:
+        prediction = live.predict(sample)
+        live.observe(prediction, prediction.motion.is_news)
+        is_news = prediction.motion.is_news
+        history.append(sample, Learning.YES if is_news else Learning.NO_NEWS)
+    assert len(history) < 140
+    again = History(40, 60, 2)
+    again.refill(pickle.loads(pickle.dumps(history.batch())))
+    for each in (history, again):
+        rebuilt = worker.build(replace(SETTINGS, variant='P'), BODY, each.batch(), None, each.origin)
+        assert rebuilt.origin == live.origin == samples[0].stamp
+
+
 def values_of(batch):
     return [(sample.stamp, learnt, *np.concatenate(sample[1:]).tolist()) for sample, learnt in batch.pairs()]
 
