@@ -181,8 +181,8 @@ class History:
     """The first ``first`` samples learnt (and what came between them), the latest ``latest`` of those after them, and
     one of each half hour that was let go between them.
 
-    Of a robot at rest one of each half hour, and else only the last samples before it moves are kept, for effects that remember the past: hours of rest
-    must not displace the motion.
+    Of a robot at rest one of each half hour, and else only the last samples before it moves are kept, for effects that
+    remember the past: hours of rest must not displace the motion.
 
     Time counts from ``origin`` [ns], the very first sample unless given.
     """
