@@ -165,9 +165,9 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
     """Those as good as the chosen move, with odds from a bootstrap of the blocks."""
     generator, found, draws = np.random.default_rng(0), [], fit.config.bootstrap_draws
     ours = Trial(chosen.added[0], chosen.after.residual, 1)
-    known = {identity(effect) for effect in chosen.added}
+    known = {(effect.kind, effect.where) for effect in chosen.added}
     for move in moves:
-        if len(move.added) > 1 or identity(move.added[0]) in known:
+        if len(move.added) > 1 or (move.added[0].kind, move.added[0].where) in known:
             continue
         if overlap(fit, ours, Trial(move.added[0], move.after.residual, 1)) < fit.config.rival_overlap:
             continue
