@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.diagnosis.data.correlation import correlation_times
 from semiparam_ros.diagnosis.regression import ROUNDED, Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect
@@ -29,32 +30,43 @@ def best_span(fit: Fit, effect: Effect, columns: Array) -> Span:
 
 def best_spans(fit: Fit, effect: Effect) -> list[Span]:
     """When the effect may act: always, from a start on, until an end, or between both, of each the best, the likeliest
-    first. What must begin does not always act."""
+    first. What must begin does not always act, and what others do for a moment is a touch."""
     return _best_spans(fit, effect, added_columns(fit, effect.without_span()), most=None)
 
 
 def _best_spans(fit: Fit, effect: Effect, columns: Array, most: int | None) -> list[Span]:
     """The ``most`` likeliest, of those that the kind's coefficients allow where there are such.
 
-    Each time costs the log of how many were tried. What was there until a time and what began then with the opposite
+    Each time costs the log of how many were tried; as many samples count as one as what explains most leaves alike. What was there until a time and what began then with the opposite
     sign are often one and the same to the model: then the sign tells them apart where the kind has one.
     """
     fitting, config = np.flatnonzero(fit.train_mask), fit.config
     margin = max(int(config.start_margin * len(fitting)), 1)
     edges = np.unique(np.linspace(margin, len(fitting) - margin, config.start_grid).astype(int))
-    block, last = len(fitting) / config.blocks, len(edges) + 1
+    block, last, times = len(fitting) / config.blocks, len(edges) + 1, fit.samples.time[fitting[edges]]
+    least_s = config.longest_contact_s if effect.from_outside else 0.0
     forms = [[(0, last)], [(i, last) for i in range(1, last)], [(0, j) for j in range(1, last)],
-             [(i, j) for i in range(1, last) for j in range(i + 1, last) if edges[j - 1] - edges[i - 1] >= block]]
+             [(i, j) for i in range(1, last) for j in range(i + 1, last)
+              if edges[j - 1] - edges[i - 1] >= block and times[j - 1] - times[i - 1] > least_s]]
     forms = [form for form in forms[effect.must_start:] if form]
     spans = np.array([span for form in forms for span in form])
     squares, coefficients = _explained(fit, columns, fitting[np.append(0, edges)], spans)
-    times = (spans[:, 0] > 0).astype(int) + (spans[:, 1] < last)
-    nats = 0.5 * squares / float(fit.correlation.mean()) - times * math.log(config.start_grid)
+    searched = (spans[:, 0] > 0).astype(int) + (spans[:, 1] < last)
+    start, end = np.append(fitting[np.append(0, edges)], len(fit.samples))[spans[squares.argmax()]]
+    left = fit.explain(columns * _between(len(fit.samples), start, end)).residual
+    repeated = float(correlation_times(fit.used(left), config).mean())
+    nats = 0.5 * squares / repeated - searched * math.log(config.start_grid)
     parts = np.split(np.arange(len(spans)), np.cumsum([len(form) for form in forms])[:-1])
     best = sorted((int(part[nats[part].argmax()]) for part in parts), key=lambda number: -nats[number])
     best = [number for number in best if effect.physical(coefficients[number])] or best
     return [_to_the_sample(fit, columns, edges, start, end if end < last else 0)
             for start, end in spans[best[:most]].tolist()]
+
+
+def _between(count: int, start: int, end: int) -> Array:
+    """(N, 1, 1) one for samples from a number on until another, else zero."""
+    number = np.arange(count)
+    return ((number >= start) & (number < end)).astype(float)[:, None, None]
 
 
 def _to_the_sample(fit: Fit, columns: Array, edges: Indices, start: int, end: int) -> Span:

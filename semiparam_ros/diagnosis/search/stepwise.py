@@ -102,9 +102,10 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
     """
     trials = coarse(fit, list(candidates(fit, kinds)), report)
     ranking = refine_foremost(fit, trials)
-    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit)]
+    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit),
+             *repeated_moves(fit, ranking, kinds)]
     if late or not any(move.good for move in moves):
-        moves += [*moving_moves(fit, fixed, kinds), *repeated_moves(fit, ranking, kinds)]
+        moves += moving_moves(fit, fixed, kinds)
     good = [move for move in moves if move.good]
     if not good:
         return None
