@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, Place, identity, others
+from semiparam_ros.diagnosis.search.candidates import Candidate, Place, added_columns, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.prior_odds import prices
 from semiparam_ros.diagnosis.search.refit import declare
@@ -43,7 +44,7 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
     """Each of the foremost trials by itself, with each of its times."""
     moves = []
     foremost = [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
-    for trial in [timed for trial in foremost for timed in _at_each_time(fit, trial)]:
+    for trial in chain.from_iterable(_at_each_time(fit, trial) for trial in foremost):
         after = declare(fit, [trial.effect])
         if trial.many_valued:
             trial, after = _at_its_best(fit, trial, after, kinds)
@@ -58,7 +59,8 @@ def _at_each_time(fit: Fit, trial: Trial) -> list[Trial]:
     effect, breaks = trial.effect, breaks_s(fit.samples)
     if not effect.changes or any(time_s in breaks for time_s in effect.span.values.values()):
         return [trial]
-    spans = [span for span in best_spans(fit, effect) if span.values.keys() != effect.span.values.keys()]
+    columns = added_columns(fit, effect.without_span())
+    spans = [span for span in best_spans(fit, effect, columns) if span.values.keys() != effect.span.values.keys()]
     return [trial, *(replace(trial, effect=replace(effect, span=span)) for span in spans)]
 
 

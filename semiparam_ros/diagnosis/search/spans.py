@@ -23,22 +23,14 @@ from semiparam_ros.effects.base import Span
 START_RIDGE = 1e-6
 
 
-def best_span(fit: Fit, effect: Effect, columns: Array) -> Span:
-    """When the effect acts, with columns (N, n, c) as if it always did: the likeliest of :func:`best_spans`."""
-    return _best_spans(fit, effect, columns, most=1)[0]
+def best_spans(fit: Fit, effect: Effect, columns: Array, most: int | None = None) -> list[Span]:
+    """When the effect may act, with columns (N, n, c) as if it always did: always, from a start on, until an end, or
+    between both, of each the best; the ``most`` likeliest, of those that the kind's coefficients allow where there are
+    such. What must begin does not always act, and what others do for a moment is a touch.
 
-
-def best_spans(fit: Fit, effect: Effect) -> list[Span]:
-    """When the effect may act: always, from a start on, until an end, or between both, of each the best, the likeliest
-    first. What must begin does not always act, and what others do for a moment is a touch."""
-    return _best_spans(fit, effect, added_columns(fit, effect.without_span()), most=None)
-
-
-def _best_spans(fit: Fit, effect: Effect, columns: Array, most: int | None) -> list[Span]:
-    """The ``most`` likeliest, of those that the kind's coefficients allow where there are such.
-
-    Each time costs the log of how many were tried; as many samples count as one as what explains most leaves alike. What was there until a time and what began then with the opposite
-    sign are often one and the same to the model: then the sign tells them apart where the kind has one.
+    Each time costs the log of how many were tried, and as many samples count as one as stay alike in what the best span
+    leaves. What was there until a time and what began then with the opposite sign are often one and the same to the
+    model: then the sign tells them apart where the kind has one.
     """
     fitting, config = np.flatnonzero(fit.train_mask), fit.config
     margin = max(int(config.start_margin * len(fitting)), 1)
