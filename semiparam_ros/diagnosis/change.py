@@ -169,7 +169,7 @@ def _ranked(
         if effect.changes and not effect.ends and ended_s is None
     ]
     most = max((trial.gain.total for trial in found), default=0.0)
-    enough = [trial for trial in over if trial.gain.total * fit.config.start_worth > most]
+    enough = [trial for trial in over if trial.gain.total * fit.config.change_worth > most]
     found += [trial for trial in over if trial not in enough]
     return [
         *sorted(enough, key=lambda trial: -trial.net),

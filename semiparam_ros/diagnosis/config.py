@@ -234,8 +234,6 @@ class DiagnosisConfig:
     """Tries so many starts of an effect, evenly spread, before the best is refined (chosen)."""
     start_margin: float = 0.1
     """Tries no start within this share of either end: too little would be seen before or after it (chosen)."""
-    start_worth: float = 1.1
-    """Believes in a start when from there on an effect explains this many times what it explains throughout."""
     point_steps: int = 4
     """Moves a point of application by at most so many Gauss-Newton steps (chosen)."""
     longest_lever_m: float = 0.3
@@ -390,6 +388,8 @@ class DiagnosisConfig:
 
     change_near_s: float = 2.0
     """Searches the time of a change so near to when it was noticed (chosen)."""
+    change_worth: float = 1.1
+    """Takes what is known for over, unless what may have begun explains more than this many times as much (chosen)."""
 
     # --- verdict ---
 

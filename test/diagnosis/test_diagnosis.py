@@ -28,7 +28,7 @@ from semiparam_ros.diagnosis.search.ranking import worth_refining
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
-from semiparam_ros.diagnosis.search.spans import best_edge, best_span
+from semiparam_ros.diagnosis.search.spans import best_edge, best_spans
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
 from semiparam_ros.effects import Effect, effect_from_text, kinds
@@ -674,7 +674,7 @@ def test_the_start_is_where_a_search_over_all_samples_puts_it():
     fit = state_of(replace(RECORDED, outputs=jumped))
     jump = kinds()['sensor_offset'](None, {})
     columns = added_columns(fit, jump)
-    span = best_span(fit, jump, columns)
+    span = best_spans(fit, jump, columns)[0]
     late = {index: np.sum(((fit.residual - fit.explain(
         columns * (np.arange(400) >= index)[:, None, None]).residual) / fit.scale) ** 2)
         for index in range(true - 3, true + 4)}

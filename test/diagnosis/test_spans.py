@@ -8,6 +8,8 @@ import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.search.score import block_gains, gain
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.text_report import summary, text_report
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
@@ -80,6 +82,26 @@ def test_a_load_that_comes_again_is_another_one():
     assert [finding.effect.kind for finding in found.findings] == ['payload'] * 2
     assert told[0] == pytest.approx((0.15 * END_S, 0.4 * END_S), abs=0.15)
     assert told[1][0] == pytest.approx(0.65 * END_S, abs=0.15) and told[1][1] is None
+
+
+@pytest.mark.parametrize('span', [(None, 0.6 * END_S), (0.3 * END_S, 0.7 * END_S), (0.4 * END_S, 0.6 * END_S)])
+def test_a_force_that_ends_is_one_force_with_its_times(span):
+    samples = carrying()
+    force = kinds()['external_force']('tool', span=Span(span[0], end_s=span[1]))
+    pushed = samples.outputs + force.columns(BODY, samples, None)[0] @ np.array([0.0, 3.0, 4.0])
+    found = diagnose(BODY, replace(samples, outputs=pushed), only=ONLY)
+    assert [finding.effect.kind for finding in found.findings] == ['external_force']
+    effect = found.findings[0].effect
+    for told, true in zip((effect.start_s, effect.end_s), span, strict=True):
+        assert told is true is None or told == pytest.approx(true, abs=0.15)
+
+
+def test_the_block_that_tells_a_searched_time_does_not_count():
+    samples = carrying((0.5 * END_S, None))
+    load = kinds()['payload']('tool', span=Span(0.5 * END_S))
+    without, with_it = (starting_fit(BODY, samples, effects, np.ones(COUNT, dtype=bool)) for effects in ([], [load]))
+    each = block_gains(without, with_it, [0.5 * END_S])
+    assert gain(without, with_it, [0.5 * END_S]).total == pytest.approx(each.sum() - each.max())
 
 
 def test_a_load_that_stays_is_not_ended():

@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, Place, identity, others
+from semiparam_ros.diagnosis.search.candidates import Candidate, Place, added_columns, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.prior_odds import prices
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import bent, formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, refined
-from semiparam_ros.diagnosis.search.spans import with_best_edge
+from semiparam_ros.diagnosis.search.spans import best_spans, with_best_edge
 from semiparam_ros.effects import Effect
 
 
@@ -40,9 +41,10 @@ class Move(NamedTuple):
 
 
 def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
-    """Each of the foremost trials by itself."""
+    """Each of the foremost trials by itself, with each of its times."""
     moves = []
-    for trial in [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]:
+    foremost = [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
+    for trial in chain.from_iterable(_at_each_time(fit, trial) for trial in foremost):
         after = declare(fit, [trial.effect])
         if trial.many_valued:
             trial, after = _at_its_best(fit, trial, after, kinds)
@@ -50,6 +52,16 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
             moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.span.values.values()),
                               prices([trial.effect], fit, kinds)))
     return moves
+
+
+def _at_each_time(fit: Fit, trial: Trial) -> list[Trial]:
+    """The trial, and the same effect always, from a start on, until an end and between both, where it may be so."""
+    effect, breaks = trial.effect, breaks_s(fit.samples)
+    if not effect.changes or any(time_s in breaks for time_s in effect.span.values.values()):
+        return [trial]
+    columns = added_columns(fit, effect.without_span())
+    spans = [span for span in best_spans(fit, effect, columns) if span.values.keys() != effect.span.values.keys()]
+    return [trial, *(replace(trial, effect=replace(effect, span=span)) for span in spans)]
 
 
 def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Effect]]) -> list[Move]:
@@ -107,8 +119,8 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
     """Kinds at all their places at once: what one joint lacks bends the rigid body's fit of the others."""
     groups: dict[str, list[Effect]] = {}
     for trial in trials:
-        if trial.effect.group and not trial.effect.span.values:
-            groups.setdefault(trial.effect.group, []).append(trial.effect)
+        if trial.effect.group:
+            groups.setdefault(trial.effect.group, []).append(trial.effect.without_span())
     known, moves = {identity(effect) for effect in fit.effects}, []
     order = list(kinds)
     for effects in groups.values():
@@ -142,11 +154,11 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
 
 
 def simplest(moves: Sequence[Move]) -> Move:
-    """Of the moves that no block tells from the best one, that of the fewest values."""
+    """Of the moves that no block tells from the best one, that of the fewest values; of as many, what lasts."""
     best = max(moves, key=lambda move: move.net)
     alike = [move for move in moves if len(move.added) == 1 == len(best.added)
              and (move is best or _alike(move, best))]
-    return min(alike, key=lambda move: (_spent(move), -move.net)) if alike else best
+    return min(alike, key=lambda move: (_spent(move), move.added[0].ends, -move.net)) if alike else best
 
 
 def _alike(one: Move, other: Move) -> bool:

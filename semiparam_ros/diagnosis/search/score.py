@@ -24,6 +24,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity
 from semiparam_ros.diagnosis.search.refit import calibrated_values, told_by_sliding
@@ -163,9 +164,12 @@ def grams_of(fit: Fit, edges: Array) -> BlockGrams:
 def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
     """Of the second model over the first, with as many independent samples as the second one's residual leaves.
 
-    :param times_s: [s] when something begins or ends that one of them has and the other lacks.
+    :param times_s: [s] when something begins or ends that one of them has and the other lacks. A search for a time fits
+        a block, and so the best block tells the time and nothing else: it does not count.
     """
-    return summed(block_gains(before, after, times_s))
+    gains, breaks = block_gains(before, after, times_s), breaks_s(before.samples)
+    searched = sum(time_s not in breaks for time_s in times_s)
+    return summed(np.sort(gains)[:len(gains) - searched])
 
 
 def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Array:

@@ -21,7 +21,7 @@ from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects, wi
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, predicted_with
 from semiparam_ros.diagnosis.search.in_some_recordings import in_some_recordings
 from semiparam_ros.diagnosis.search.refit import calibrated_values, gauss_newton, moved_by
-from semiparam_ros.diagnosis.search.spans import best_span
+from semiparam_ros.diagnosis.search.spans import best_spans
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
 from semiparam_ros.effects.base import ALWAYS
@@ -78,7 +78,7 @@ def _started(fit: Fit, effect: Effect) -> tuple[Effect, Array]:
     if effect.is_calibration:
         return effect, columns
     if effect.changes and effect.span == ALWAYS:
-        effect = replace(effect, span=best_span(fit, effect, always))
+        effect = replace(effect, span=best_spans(fit, effect, always, most=1)[0])
         columns = always * effect.span.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
     return in_some_recordings(fit, effect, columns, always)
 

@@ -6,6 +6,7 @@ j beside the declared ones follows from A_i - A_j, so that every span of time is
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.diagnosis.data.correlation import correlation_times
 from semiparam_ros.diagnosis.regression import ROUNDED, Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect
@@ -21,30 +23,42 @@ from semiparam_ros.effects.base import Span
 START_RIDGE = 1e-6
 
 
-def best_span(fit: Fit, effect: Effect, columns: Array) -> Span:
-    """When the effect acts, with columns (N, n, c) as if it always did: always, from a start on, or until an end,
-    whichever is plainest unless another explains much more. What must begin, as a load is picked up, may also end.
+def best_spans(fit: Fit, effect: Effect, columns: Array, most: int | None = None) -> list[Span]:
+    """When the effect may act, with columns (N, n, c) as if it always did: always, from a start on, until an end, or
+    between both, of each the best; the ``most`` likeliest, of those that the kind's coefficients allow where there are
+    such. What must begin does not always act, and what others do for a moment is a touch.
 
-    What was there until a time and what began then with the opposite sign are often one and the same to the model:
-    then the sign tells them apart where the kind has one, and else it began.
+    Each time costs the log of how many were tried, and as many samples count as one as stay alike in what the best span
+    leaves. What was there until a time and what began then with the opposite sign are often one and the same to the
+    model: then the sign tells them apart where the kind has one.
     """
     fitting, config = np.flatnonzero(fit.train_mask), fit.config
     margin = max(int(config.start_margin * len(fitting)), 1)
     edges = np.unique(np.linspace(margin, len(fitting) - margin, config.start_grid).astype(int))
-    block, last = len(fitting) / config.blocks, len(edges) + 1
-    spans = [(0, last), *((i, last) for i in range(1, last)), *((0, j) for j in range(1, last))]
-    if effect.must_start:
-        spans += [(i, j) for i in range(1, last) for j in range(i + 1, last) if edges[j - 1] - edges[i - 1] >= block]
-    gains, coefficients = _explained(fit, columns, fitting[np.append(0, edges)], np.array(spans))
-    parts = np.split(np.arange(len(spans)), [1, last, 2 * last - 1])
-    always, *best = [int(part[gains[part].argmax()]) for part in parts if len(part)]
-    chosen = None if effect.must_start else always
-    for number in best:
-        if effect.physical(coefficients[number]) and (
-                chosen is None or gains[number] > config.start_worth * gains[chosen]):
-            chosen = number
-    start, end = spans[best[0] if chosen is None else chosen]
-    return _to_the_sample(fit, columns, edges, start, end if end < last else 0)
+    block, last, times = len(fitting) / config.blocks, len(edges) + 1, fit.samples.time[fitting[edges]]
+    least_s = config.longest_contact_s if effect.from_outside else 0.0
+    forms = [[(0, last)], [(i, last) for i in range(1, last)], [(0, j) for j in range(1, last)],
+             [(i, j) for i in range(1, last) for j in range(i + 1, last)
+              if edges[j - 1] - edges[i - 1] >= block and times[j - 1] - times[i - 1] > least_s]]
+    forms = [form for form in forms[effect.must_start:] if form]
+    spans = np.array([span for form in forms for span in form])
+    squares, coefficients = _explained(fit, columns, fitting[np.append(0, edges)], spans)
+    searched = (spans[:, 0] > 0).astype(int) + (spans[:, 1] < last)
+    start, end = np.append(fitting[np.append(0, edges)], len(fit.samples))[spans[squares.argmax()]]
+    left = fit.explain(columns * _between(len(fit.samples), start, end)).residual
+    repeated = float(correlation_times(fit.used(left), config).mean())
+    nats = 0.5 * squares / repeated - searched * math.log(config.start_grid)
+    parts = np.split(np.arange(len(spans)), np.cumsum([len(form) for form in forms])[:-1])
+    best = sorted((int(part[nats[part].argmax()]) for part in parts), key=lambda number: -nats[number])
+    best = [number for number in best if effect.physical(coefficients[number])] or best
+    return [_to_the_sample(fit, columns, edges, start, end if end < last else 0)
+            for start, end in spans[best[:most]].tolist()]
+
+
+def _between(count: int, start: int, end: int) -> Array:
+    """(N, 1, 1) one for samples from a number on until another, else zero."""
+    number = np.arange(count)
+    return ((number >= start) & (number < end)).astype(float)[:, None, None]
 
 
 def _to_the_sample(fit: Fit, columns: Array, edges: Indices, start: int, end: int) -> Span:

@@ -102,9 +102,10 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
     """
     trials = coarse(fit, list(candidates(fit, kinds)), report)
     ranking = refine_foremost(fit, trials)
-    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit)]
+    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit),
+             *repeated_moves(fit, ranking, kinds)]
     if late or not any(move.good for move in moves):
-        moves += [*moving_moves(fit, fixed, kinds), *repeated_moves(fit, ranking, kinds)]
+        moves += moving_moves(fit, fixed, kinds)
     good = [move for move in moves if move.good]
     if not good:
         return None
@@ -165,9 +166,9 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
     """Those as good as the chosen move, with odds from a bootstrap of the blocks."""
     generator, found, draws = np.random.default_rng(0), [], fit.config.bootstrap_draws
     ours = Trial(chosen.added[0], chosen.after.residual, 1)
-    known = {identity(effect) for effect in chosen.added}
+    known = {(effect.kind, effect.where) for effect in chosen.added}
     for move in moves:
-        if len(move.added) > 1 or identity(move.added[0]) in known:
+        if len(move.added) > 1 or (move.added[0].kind, move.added[0].where) in known:
             continue
         if overlap(fit, ours, Trial(move.added[0], move.after.residual, 1)) < fit.config.rival_overlap:
             continue
