@@ -26,6 +26,7 @@ from semiparam_ros.core.robot.consistency import (
 )
 from semiparam_ros.core.robot.frames import felt_links, load_transform
 from semiparam_ros.core.robot.joint_friction import NAMES
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import LEAST_LENGTH_SHARE, SHARE, size_of
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -116,6 +117,8 @@ class Identified(NamedTuple):
     top_speed: Mapping[str, float]
     """Largest velocity of each joint [rad/s, m/s]."""
     price: Price | None
+    theta: Array
+    """All coefficients (p,), as the bodies make them."""
 
 
 def identify(estimate: Estimate, described: Mapping[str, Array],
@@ -144,7 +147,27 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
                        strict=False))  # none without joint friction
     speeds = dict(zip(columns.body.joints, estimate.top_speed.tolist(), strict=True))
     return Identified(estimate.how, links, solution.described, solution.mended, joints, found,
-                      solution.not_shown, offsets, _left_out(columns, theta), speeds, price)
+                      solution.not_shown, offsets, _left_out(columns, theta), speeds, price,
+                      theta)
+
+
+def identified_load(body: RigidBody, parameters: Array, covariance: Array) -> Array:
+    """(10,) the body that a load with estimated parameters (10,) and their covariance (10, 10)
+    most probably is, in the same frame.
+
+    Raises SemiparamError when the estimate is not finite.
+    """
+    std = np.sqrt(np.diag(covariance))
+    information = np.linalg.pinv(covariance / np.outer(std, std), hermitian=True)
+    root = root_of(information) / std
+    return np.asarray(consistent_bodies(parameters, root, [_load(body, np.eye(10))])[0])
+
+
+def _load(body: RigidBody, columns: Array) -> Body:
+    """A load of which nothing is known but the size of the arm."""
+    size = size_of(body)
+    usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * size.length)
+    return Body(usual, columns, size.length)
 
 
 def _std(covariance: Array, index: int) -> float:
@@ -184,9 +207,7 @@ class _Solution:
             if effect.is_load and not getattr(effect, 'ends', False):
                 self._add_load(str(getattr(effect, 'where', '')), columns.blocks[str(index)],
                                estimate.mean, covariance)
-        usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * size.length)
-        self._load_bodies = [Body(usual, np.eye(count)[:, block], size.length)
-                             for _, block in self.loads]
+        self._load_bodies = [_load(body, np.eye(count)[:, block]) for _, block in self.loads]
         self.dynamics = _dynamics(columns)
 
     def _add_load(self, link: str, block: slice, mean: Array, covariance: Array) -> None:

@@ -91,9 +91,12 @@ class CarriedLoad(NamedTuple):
     std: CarriedLoad | None = None
 
 
-def quantities(estimator: Estimator) -> list[LearntCoefficient]:
-    """Every coefficient in its order; of a non-parametric model those of effects alone."""
-    model = estimator.model
+def quantities(estimator: Estimator, model: Model | None = None) -> list[LearntCoefficient]:
+    """Every coefficient in its order; of a non-parametric model those of effects alone.
+
+    :param model: one of the estimator's, in place of the one that answers.
+    """
+    model = model or estimator.model
     labels = _labels(estimator.columns)[model.covered]
     return [LearntCoefficient(name, float(value), float(std), unit) for (name, unit), value, std in
             zip(labels, model.theta, model.theta_std(), strict=True)]
@@ -107,7 +110,7 @@ class Load(NamedTuple):
     covariance: Array  # (10, 10)
 
 
-def payload(estimator: Estimator, before: Array | None = None, picked: Load | None = None) -> CarriedLoad | None:
+def carried_load(estimator: Estimator, before: Array | None = None, picked: Load | None = None) -> Load | None:
     """The declared loads that are there now, or else what the estimate adds to the last link that the outputs feel;
     and what was picked up since.
 
@@ -136,7 +139,7 @@ def payload(estimator: Estimator, before: Array | None = None, picked: Load | No
         moved = _seen_from(body, first.link, other)
         if moved is not None:
             first = Load(first.link, first.parameters + moved.parameters, first.covariance + moved.covariance)
-    return _payload(*first)
+    return first
 
 
 def _seen_from(body: RigidBody, link: str, load: Load) -> Load | None:
@@ -171,11 +174,16 @@ def _added_load(body: RigidBody, link: str, theta: Array, covariance: Array) -> 
     return spread @ rows.T @ whitened @ ((theta - body.base_parameters) / std), spread
 
 
-def _payload(link: str, parameters: Array, covariance: Array) -> CarriedLoad:
+def is_shown(load: Load) -> bool:
+    """Whether its mass is one for certain."""
+    return bool(load.parameters[0] > max(SMALLEST_MASS, 2.0 * np.sqrt(load.covariance[0, 0])))
+
+
+def told_load(link: str, parameters: Array, covariance: Array) -> CarriedLoad:
     """From mass, first moment and inertia about the link's origin, (10,), and their covariance (10, 10)."""
     mass, mass_std = float(parameters[0]), float(np.sqrt(covariance[0, 0]))
     unknown = CarriedLoad(link, mass, np.full(3, np.nan), np.full((3, 3), np.nan))
-    if not mass > max(SMALLEST_MASS, 2.0 * mass_std):
+    if not is_shown(Load(link, parameters, covariance)):
         return unknown._replace(std=unknown._replace(mass=mass_std))
     step = 1e-6 * mass
     jacobian = np.array([(_centred(parameters + step * unit) - _centred(parameters - step * unit)) / (2.0 * step)

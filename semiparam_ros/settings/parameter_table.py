@@ -308,6 +308,12 @@ class Table:
         '"centre": [x, y, z], "inertia": [ixx, ixy, ixz, iyy, iyz, izz]}\', centre in the frame of the link, inertia '
         'about the centre, or a piece of URDF. A minus before it: one that was taken off.', live=True)
 
+    # What is told of the model
+    parameters_consistent: bool = declare(
+        'parameters.consistent', False, 'Tell inertial parameters that bodies can have, as near to the learnt ones as '
+        'these allow: on ~/parameters, ~/payload and in the status parameters. Predictions stay as they are.',
+        live=True)
+
     # Feedforward
     feedforward_before_ready: str = declare(
         'feedforward.before_ready', 'withhold', 'What answers desired_trajectory until the initial window is over: '

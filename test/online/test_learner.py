@@ -20,9 +20,9 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.online import identified_parameters, state_file, worker
+from semiparam_ros.online import state_file, worker
 from semiparam_ros.online.history import History, batch_of
-from semiparam_ros.online.identified_parameters import Excitation, conditioning, payload
+from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, told_load
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
@@ -617,7 +617,7 @@ def test_what_the_hand_carries_is_found():
         row = (sample.position, sample.velocity, sample.acceleration)
         outputs = heavy.regressor(*row) @ heavy.base_parameters
         estimator.step(sample._replace(outputs=outputs + 1e-3 * np.random.default_rng(0).standard_normal(6)))
-    carried = payload(estimator)
+    carried = told_load(*carried_load(estimator))
     assert carried.link == 'ft' and carried.mass == pytest.approx(0.4, rel=0.02)
     np.testing.assert_allclose(carried.centre, [0.02, 0.0, 0.1], atol=0.01)
     assert abs(carried.mass - 0.4) < 4 * carried.std.mass < 0.1
@@ -628,15 +628,15 @@ def test_a_payload_is_a_body_or_not_told_and_nothing_is_told_before_there_is_a_m
     estimator = build_estimator(replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 0.0}',)))
     for sample in motion(30):
         estimator.step(sample)
-    assert payload(estimator) is None, 'the initial window is not over'
+    assert carried_load(estimator) is None, 'the initial window is not over'
     load = np.r_[0.5, 0.5 * np.array([0.1, 0.0, 0.2]), 0.03, 0.0, 0.032, -0.01, 0.0, 0.01]
-    body = identified_parameters._payload('ft', load, 1e-8 * np.eye(10))
+    body = told_load('ft', load, 1e-8 * np.eye(10))
     assert np.isfinite(body.inertia).all() and np.linalg.eigvalsh(body.inertia)[0] > 0.0
     np.testing.assert_allclose(body.std.mass, 1e-4)
     np.testing.assert_allclose(body.std.centre, 1e-4 / 0.5 * np.sqrt(1.0 + body.centre**2), rtol=1e-3)
-    none = identified_parameters._payload('ft', load * np.r_[np.ones(4), np.zeros(6)], 1e-8 * np.eye(10))
+    none = told_load('ft', load * np.r_[np.ones(4), np.zeros(6)], 1e-8 * np.eye(10))
     assert np.isnan(none.inertia).all() and np.isfinite(none.centre).all()
-    nothing = identified_parameters._payload('ft', load, np.eye(10))
+    nothing = told_load('ft', load, np.eye(10))
     assert nothing.mass == 0.5 and nothing.std.mass == 1.0 and np.isnan(nothing.centre).all()
 
 

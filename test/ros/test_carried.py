@@ -2,14 +2,14 @@
 
 import pytest
 
-from semiparam_ros.ros.estimator.diagnostics import Tally, believed_payload
+from semiparam_ros.ros.estimator.diagnostics import Tally, believed_load
 from support.changing_arm import LOADED_S, loaded, offered
 
 
 def carried(stage):
     """The mass that is told [kg], None where it is withheld."""
-    told, _ = believed_payload(stage.learner, Tally(stage.learner.body.joints))
-    return None if told is None else told.mass
+    told, _ = believed_load(stage.learner, Tally(stage.learner.body.joints))
+    return None if told is None else told.parameters[0]
 
 
 def test_what_the_hand_carries_follows_a_load_that_is_named_and_put_down():

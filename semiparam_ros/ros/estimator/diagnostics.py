@@ -25,12 +25,16 @@ from semiparam_ros.online.identified_parameters import (
     MOVED_ENOUGH,
     CarriedLoad,
     Excitation,
+    LearntCoefficient,
+    Load,
+    carried_load,
     conditioning,
-    payload,
     quantities,
+    told_load,
 )
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
+from semiparam_ros.ros.estimator.consistent import ConsistentTopic, Found
 from semiparam_ros.ros.estimator.publishers import inertia_message
 from semiparam_ros.ros.estimator.subscriptions import WRENCH, InputStream
 
@@ -372,8 +376,8 @@ def errors_report(errors: InternalErrors, twins: str = '') -> Report:
     return Report(ERROR if errors.counts else OK, errors.last or 'no internal error.', values)
 
 
-def believed_payload(learner: Learner, tally: Tally) -> tuple[CarriedLoad | None, str]:
-    """What the arm carries and a sentence of it; None and the reason while that cannot be told."""
+def believed_load(learner: Learner, tally: Tally) -> tuple[Load | None, str]:
+    """What the arm carries; None and the reason while that cannot be told."""
     if not learner.estimator.ready:
         return None, 'withheld: the initial window is not over.'
     detector, (picked, load) = learner.changes.detector, learner.changes.picked
@@ -383,22 +387,24 @@ def believed_payload(learner: Learner, tally: Tally) -> tuple[CarriedLoad | None
         return None, (f'withheld: the outputs lay {tally.worst:.1f} predicted standard deviations off within the last '
                       f'{REPORTS} s.')
     before = None if detector is None or detector.before is None else detector.before[:learner.body.n_parameters]
-    carried = payload(learner.estimator, before, load)
-    if carried is None or carried.std is None:
-        return None, 'withheld: the model learns no inertias.'
+    carried = carried_load(learner.estimator, before, load)
+    return carried, '' if carried is not None else 'withheld: the model learns no inertias.'
+
+
+def payload_sentence(carried: CarriedLoad) -> str:
+    """A sentence of what is told of a load."""
+    assert carried.std is not None
     untold = ''
     if not np.isfinite(carried.centre).all():
         untold = '; its centre and inertia are withheld: the mass is below two standard deviations.'
     elif not np.isfinite(carried.inertia).all():
         untold = '; its inertia is withheld: no body has the one that fits.'
-    return carried, f'{carried.mass:.3g} +- {carried.std.mass:.2g} kg at {carried.link}{untold}'
+    return f'{carried.mass:.3g} +- {carried.std.mass:.2g} kg at {carried.link}{untold}'
 
 
-def parameters_report(learner: Learner, carried: str) -> Report:
-    """Every coefficient with its standard deviation, and what the arm carries."""
-    found = quantities(learner.estimator)
-    values = {entry.name: f'{entry.value:.6g} +- {entry.std:.2g} {entry.unit}' for entry in found}
-    values['payload'] = carried
+def parameters_report(found: Sequence[LearntCoefficient], more: Mapping[str, object]) -> Report:
+    """Every coefficient with its standard deviation, and more."""
+    values = {entry.name: f'{entry.value:.6g} +- {entry.std:.2g} {entry.unit}' for entry in found} | dict(more)
     return Report(OK, f'{len(found)} coefficients.', values)
 
 
@@ -415,13 +421,16 @@ class Reports:
     :param learner: gives the learner, None before the robot is known.
     :param others: makers of further statuses, by their titles. :param twins: see :meth:`Outputs.twins`.
     :param unseen: see :meth:`Outside.unseen <semiparam_ros.ros.estimator.outside.Outside.unseen>`.
+    :param consistent: asked each second while ``parameters.consistent``.
     """
 
     def __init__(self, node: Node, inputs: InputStream, rejections: Rejections, errors: InternalErrors,
                  learner: Callable[[], Learner | None], feedforward: Feedforward,
                  others: Mapping[str, Callable[[], Report]], twins: Callable[[], str],
-                 unseen: Callable[[], str]) -> None:
+                 unseen: Callable[[], str], consistent: ConsistentTopic) -> None:
         self.tally = Tally(())
+        self._consistent = consistent
+        self._told: Found | None = None
         self._news = self._robot_name = self._stage = self._told_twins = ''
         self._errors, self._twins, self._unseen = errors, twins, unseen
         self._node, self._inputs, self._learner = node, inputs, learner
@@ -502,9 +511,33 @@ class Reports:
         learner = self._learner()
         if learner is None:
             return None
-        carried, sentence = believed_payload(learner, self.tally)
-        stamp = self.tally.stamp
-        if carried is not None and carried.std is not None and stamp is not None:
+        load, sentence = believed_load(learner, self.tally)
+        if learner.settings.parameters_consistent:
+            return self._consistent_parameters(learner, load, sentence)
+        self._consistent.stop()
+        if load is not None:
+            sentence = self._publish_payload(load, self.tally.stamp)
+        return parameters_report(quantities(learner.estimator), {'payload': sentence})
+
+    def _consistent_parameters(self, learner: Learner, load: Load | None, sentence: str) -> Report:
+        """Of the latest bodies that were found; of what was learnt while there are none."""
+        before = self._told
+        self._consistent.ask(learner.estimator, load, self.tally.stamp)
+        found = self._told = self._consistent.found
+        if found is None:
+            return parameters_report(quantities(learner.estimator), {
+                'payload': sentence or 'withheld: no consistent parameters are found yet.',
+                'consistent': self._consistent.trouble or 'no: they are being looked for.'})
+        if load is not None and found.load is not None:
+            sentence = self._publish_payload(found.load, None if found is before else found.stamp)
+        return parameters_report(found.coefficients, {
+            'payload': sentence or 'withheld: it is not among the latest consistent parameters yet.',
+            'consistent': f'yes, of the model {time.monotonic() - found.at:.1f} s ago'})
+
+    def _publish_payload(self, load: Load, stamp: int | None) -> str:
+        """With a stamp [ns], None: it is not to be published; returns its sentence."""
+        carried = told_load(*load)
+        if stamp is not None and carried.std is not None:
             self._payload.publish(inertia_message(stamp, carried))
             self._payload_std.publish(inertia_message(stamp, carried.std))
-        return parameters_report(learner, sentence)
+        return payload_sentence(carried)

@@ -27,6 +27,7 @@ from semiparam_ros.online.worker import Later, ProcessBackground, Worker
 from semiparam_ros.ros.context import DELIVER_S
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.changing import Changing
+from semiparam_ros.ros.estimator.consistent import ConsistentTopic
 from semiparam_ros.ros.estimator.desired_trajectory import DesiredTrajectory
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing
 from semiparam_ros.ros.estimator.diagnostics import (
@@ -83,7 +84,9 @@ class EstimatorNode(Node):
         others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report(),
                   'changes': lambda: self._changing.report()}
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
-                                trajectories.feedforward, others, self._outputs.twins, self._outside.unseen)
+                                trajectories.feedforward, others, self._outputs.twins, self._outside.unseen,
+                                ConsistentTopic(self, lambda: self._robot.description, self._background,
+                                                self.errors.add))
         self._held_replies = HeldReplies(self, self._announcement)
         lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
         self._requests = Services(self, self._live, self._the_learner, folder_of(settings), lock, guarded, self.errors)

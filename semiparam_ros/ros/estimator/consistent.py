@@ -1,0 +1,108 @@
+"""The topic ``~/parameters``: what was learnt, as bodies that can be (``parameters.consistent``)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.export.estimate import from_estimator
+from semiparam_ros.export.live import ConsistentParameters, consistent_parameters
+from semiparam_ros.online.identified_parameters import (
+    LearntCoefficient,
+    Load,
+    is_shown,
+    quantities,
+)
+from semiparam_ros.online.model_switcher import sentence_of
+from semiparam_ros.online.worker import Background, Job
+from semiparam_ros.ros.estimator.publishers import LATCHED
+
+LARGEST_SHARE = 0.1
+"""Of a processor, which it may use."""
+
+
+class Found(NamedTuple):
+    """Consistent parameters of the model at one time.
+
+    :param load: what the arm carries as a body, with the covariance as it was learnt.
+    :param at: [s] by the steady clock, when they were asked for.
+    """
+
+    coefficients: list[LearntCoefficient]
+    load: Load | None
+    stamp: int | None
+    at: float
+
+
+class ConsistentTopic:
+    """Asks the process beside the node for bodies that can be, once it has answered before, and
+    publishes its answer.
+
+    ``found`` is the latest answer, ``trouble`` a sentence where there is none; both are empty in
+    the beginning.
+
+    :param description: gives the robot description. :param failed: told of an error that is not
+        expected.
+    """
+
+    def __init__(self, node: Node, description: Callable[[], str], background: Background,
+                 failed: Callable[[str, BaseException], object]) -> None:
+        self._description, self._background, self._failed = description, background, failed
+        self._name = node.get_fully_qualified_name()
+        self._publisher = node.create_publisher(String, '~/parameters', LATCHED)
+        self.found: Found | None = None
+        self.trouble = ''
+        self._job: Job | None = None
+        self._earliest = 0.0
+
+    def ask(self, estimator: Estimator, load: Load | None, stamp: int | None) -> None:
+        """Ask for those of the model as it is now, unless an answer is still to come.
+
+        :param load: what it carries. :param stamp: of the sample [ns] that they are told of.
+        """
+        try:
+            estimate = from_estimator(estimator, None, self._name)
+        except SemiparamError as error:
+            self.stop()
+            self.trouble = str(error)
+            return
+        now = time.monotonic()
+        if self._job is not None or now < self._earliest:
+            return
+        carried = load if load is not None and is_shown(load) else None
+        asked = Found(quantities(estimator, estimator.rigid_body_model), load, stamp, now)
+        self._job = self._background.submit(
+            consistent_parameters, self._description(), estimate,
+            None if carried is None else (carried.parameters, carried.covariance),
+            done=partial(self._done, asked))
+
+    def stop(self) -> None:
+        """Forget what was found, and what is still to come."""
+        if self._job is not None:
+            self._job.cancel()
+        self._job, self.found, self.trouble = None, None, ''
+
+    def _done(self, asked: Found, answer: ConsistentParameters | None,
+              error: BaseException | None) -> None:
+        self._job = None
+        if answer is None:
+            if error is not None and not isinstance(error, SemiparamError):
+                self._failed('~/parameters', error)
+            self.found, self.trouble = None, f'{sentence_of(error)}.'
+            return
+        self._earliest = asked.at + answer.seconds / LARGEST_SHARE
+        values = answer.theta.tolist()
+        coefficients = [entry._replace(value=value)
+                        for entry, value in zip(asked.coefficients, values, strict=True)]
+        load = asked.load
+        if load is not None and answer.load is not None:
+            load = load._replace(parameters=answer.load)
+        self.found, self.trouble = asked._replace(coefficients=coefficients, load=load), ''
+        self._publisher.publish(String(data=answer.document))

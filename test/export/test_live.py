@@ -1,0 +1,74 @@
+"""Parameters of a running node as bodies that can be."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semiparam_ros.core.robot.consistency import inertial_parameters, is_consistent, pseudo_inertia
+from semiparam_ros.core.robot.size import size_of
+from semiparam_ros.export.estimate import from_estimator
+from semiparam_ros.export.identified import identified_load
+from semiparam_ros.export.live import consistent_parameters
+from semiparam_ros.settings.build import build_estimator
+from support.node_helpers import BODY, SETTINGS, URDF, motion
+
+
+def parameters(link):
+    """(10,) from a link of the document: mass, centre, inertia about it."""
+    mass, centre, about = link['mass'], np.array(link['centre']), np.array(link['inertia'])
+    inertia = about + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return np.r_[mass, mass * centre, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+
+
+@pytest.fixture(scope='module')
+def learnt():
+    """An estimate from outputs that no bodies bring about: moments of inertia below zero."""
+    estimator = build_estimator(replace(SETTINGS, variant='P'))
+    rng = np.random.default_rng(0)
+    wrong = BODY.inertial_parameters.copy().reshape(-1, 10)
+    wrong[:, [4, 6, 9]] -= 0.05
+    wrong = BODY.basis.T @ wrong.ravel()
+    for sample in motion(300):
+        row = sample.position, sample.velocity, sample.acceleration
+        outputs = BODY.regressor(*row) @ wrong + 0.05 * rng.standard_normal(6)
+        estimator.step(sample._replace(outputs=outputs))
+    return from_estimator(estimator, None, 'a node')
+
+
+def gap(estimate, theta):
+    """Half the squared distance [nat] from what was learnt, in its standard deviations."""
+    apart = theta - estimate.mean
+    return 0.5 * apart @ estimate.information @ apart
+
+
+def test_links_can_be_and_their_coefficients_are_as_near_as_the_estimate_allows(learnt):
+    found = consistent_parameters(URDF, learnt, None)
+    links = json.loads(found.document)['links']
+    assert links and all(np.linalg.eigvalsh(pseudo_inertia(parameters(link))).min() > 0.0
+                         for link in links.values())
+    assert found.load is None and found.seconds > 0.0
+    rigid, described = learnt.columns.blocks['rigid_body'], BODY.base_parameters
+    rest = np.setdiff1d(np.arange(len(learnt.mean)), np.arange(rigid.start, rigid.stop))
+    for share in (0.0, 0.5, 0.9):  # towards the description bodies can be, too
+        other = found.theta.copy()
+        other[rigid] = share * found.theta[rigid] + (1.0 - share) * described
+        pull = learnt.information[np.ix_(rest, range(rigid.start, rigid.stop))]
+        other[rest] = learnt.mean[rest] - np.linalg.solve(
+            learnt.information[np.ix_(rest, rest)], pull @ (other - learnt.mean)[rigid])
+        assert gap(learnt, found.theta) < gap(learnt, other)
+
+
+def test_a_load_moves_where_no_body_has_it_and_by_what_is_not_known_of_it():
+    length = size_of(BODY).length
+    body = inertial_parameters(0.5 * np.array([
+        [0.02, 0.0, 0.0, 0.1], [0.0, 0.01, 0.0, 0.0], [0.0, 0.0, 0.05, 0.2], [0.1, 0.0, 0.2, 1.0]]))
+    assert is_consistent(body) and np.hypot(0.1, 0.2) < length
+    near = identified_load(BODY, body, 1e-12 * np.eye(10))
+    np.testing.assert_allclose(near, body, atol=1e-5)
+    point = np.r_[body[:4], np.zeros(6)]  # its inertia about its centre is below zero
+    std = np.r_[[1e-4] * 4, [0.05] * 6]
+    found = identified_load(BODY, point, np.diag(std**2))
+    assert not is_consistent(point) and is_consistent(found)
+    assert (np.abs(found - point) < 4.0 * std).all()
