@@ -152,22 +152,15 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
 
 
 def identified_load(body: RigidBody, parameters: Array, covariance: Array) -> Array:
-    """(10,) the body that a load with estimated parameters (10,) and their covariance (10, 10)
-    most probably is, in the same frame.
+    """(10,) the body nearest to a load with a mass: estimated parameters (10,) and their covariance
+    (10, 10), in the same frame. A load that can be stays as it is.
 
-    Raises SemiparamError when the estimate is not finite.
+    Raises SemiparamError when the mass is not above 0, or the estimate is not finite.
     """
     std = np.sqrt(np.diag(covariance))
     information = np.linalg.pinv(covariance / np.outer(std, std), hermitian=True)
-    root = root_of(information) / std
-    return np.asarray(consistent_bodies(parameters, root, [_load(body, np.eye(10))])[0])
-
-
-def _load(body: RigidBody, columns: Array) -> Body:
-    """A load of which nothing is known but the size of the arm."""
-    size = size_of(body)
-    usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * size.length)
-    return Body(usual, columns, size.length)
+    near = Body(made_consistent(parameters, size_of(body).length), np.eye(10))
+    return np.asarray(consistent_bodies(parameters, root_of(information) / std, [near])[0])
 
 
 def _std(covariance: Array, index: int) -> float:
@@ -207,7 +200,9 @@ class _Solution:
             if effect.is_load and not getattr(effect, 'ends', False):
                 self._add_load(str(getattr(effect, 'where', '')), columns.blocks[str(index)],
                                estimate.mean, covariance)
-        self._load_bodies = [_load(body, np.eye(count)[:, block]) for _, block in self.loads]
+        usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * size.length)
+        self._load_bodies = [Body(usual, np.eye(count)[:, block], size.length)
+                             for _, block in self.loads]
         self.dynamics = _dynamics(columns)
 
     def _add_load(self, link: str, block: slice, mean: Array, covariance: Array) -> None:
