@@ -27,7 +27,7 @@ from semiparam_ros.core.robot.consistency import (
 from semiparam_ros.core.robot.frames import felt_links, load_transform
 from semiparam_ros.core.robot.joint_friction import NAMES
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import LEAST_LENGTH_SHARE, SHARE, size_of
+from semiparam_ros.core.robot.size import LEAST_LENGTH_SHARE, SHARE, reach_of, size_of
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import Estimate
@@ -200,8 +200,9 @@ class _Solution:
             if effect.is_load and not getattr(effect, 'ends', False):
                 self._add_load(str(getattr(effect, 'where', '')), columns.blocks[str(index)],
                                estimate.mean, covariance)
-        usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * size.length)
-        self._load_bodies = [Body(usual, np.eye(count)[:, block], size.length)
+        length = max(size.length, reach_of(body))
+        usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * length)
+        self._load_bodies = [Body(usual, np.eye(count)[:, block], length)
                              for _, block in self.loads]
         self.dynamics = _dynamics(columns)
 

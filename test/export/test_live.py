@@ -6,7 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.robot.consistency import inertial_parameters, is_consistent, pseudo_inertia
+from semiparam_ros.core.robot.consistency import (
+    Body,
+    ball,
+    consistent_bodies,
+    inertial_parameters,
+    is_consistent,
+    pseudo_inertia,
+)
+from semiparam_ros.core.robot.frames import load_regressor
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.export.identified import identified_load
 from semiparam_ros.export.live import consistent_parameters
@@ -59,6 +68,14 @@ def test_links_can_be_and_their_coefficients_are_as_near_as_the_estimate_allows(
         assert gap(learnt, found.theta) < gap(learnt, other)
 
 
+@pytest.mark.parametrize('radius', [0.01, 0.1])
+def test_a_body_that_is_known_is_found_however_small_its_reference_is(radius):
+    body = inertial_parameters(0.5 * np.array([
+        [0.02, 0.0, 0.02, 0.1], [0.0, 0.01, 0.0, 0.0], [0.02, 0.0, 0.05, 0.2], [0.1, 0.0, 0.2, 1.0]]))
+    found = consistent_bodies(body, 1e6 * np.eye(10), [Body(ball(0.1, radius), np.eye(10))])[0]
+    np.testing.assert_allclose(found, body, atol=1e-6)
+
+
 def test_a_load_that_can_be_stays_and_another_moves_by_what_is_not_known_of_it():
     body = inertial_parameters(0.5 * np.array([
         [0.02, 0.0, 0.02, 0.1], [0.0, 0.01, 0.0, 0.0], [0.02, 0.0, 0.05, 0.2], [0.1, 0.0, 0.2, 1.0]]))
@@ -70,3 +87,21 @@ def test_a_load_that_can_be_stays_and_another_moves_by_what_is_not_known_of_it()
     found = identified_load(BODY, point, np.diag(std**2))
     assert not is_consistent(point) and is_consistent(found)
     assert (np.abs(found - point) < 4.0 * std).all()
+
+
+def test_a_load_far_from_its_link_is_exported_where_it_is():
+    """Of a sensor at the wrist the arm's length is that of the whole arm, not what is beyond it."""
+    inertia = 0.5 * np.array([[0.02, 0.0, 0.0, 0.1], [0.0, 0.01, 0.0, 0.0],
+                              [0.0, 0.0, 0.05, 0.2], [0.1, 0.0, 0.2, 1.0]])
+    load, rng = inertial_parameters(inertia), np.random.default_rng(1)
+    estimator = build_estimator(replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 6.0}',)))
+    samples = Samples.from_list(motion(600))
+    weight = load_regressor(BODY, samples, 'ft') @ load * (samples.time >= 6.0)[:, None]
+    for sample, own in zip(samples, weight, strict=True):
+        row = sample.position, sample.velocity, sample.acceleration
+        rigid = BODY.regressor(*row) @ BODY.base_parameters
+        estimator.step(sample._replace(outputs=rigid + own + 0.01 * rng.standard_normal(6)))
+    found = consistent_parameters(URDF, from_estimator(estimator, None, 'a node'), None)
+    told, = json.loads(found.document)['loads']
+    np.testing.assert_allclose(told['mass'], 0.5, rtol=0.05)
+    np.testing.assert_allclose(told['centre'], [0.1, 0.0, 0.2], atol=0.02)

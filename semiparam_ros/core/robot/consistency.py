@@ -46,7 +46,8 @@ THICKNESS = 0.01
 description has a body that cannot be."""
 DECREMENT = 1e-10
 """Newton's method ends where a step promises less, over the value or 1 nat."""
-MOST_STEPS = 100
+MOST_STEPS = 2000
+"""Far from the minimum a step brings about two nats."""
 SUFFICIENT = 0.1
 """Share of the promised decrease that a step must bring."""
 INSIDE = 0.8
@@ -126,7 +127,7 @@ def consistent_bodies(mean: Array, root: Array, bodies: Sequence[Body]) -> Array
 
     :param root: R (q, p). Of a sensor without noise R'R spans more digits than a number has.
 
-    Raises SemiparamError when the estimate is not finite.
+    Raises SemiparamError when the estimate is not finite, or too far from the references.
     """
     if not (np.isfinite(mean).all() and np.isfinite(root).all()):
         raise SemiparamError('the estimate holds values that are not finite; expected a model that '
@@ -161,6 +162,9 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
         if not tried < value:
             break  # rounding
         pseudo, value = pseudo + length * move, tried
+    else:
+        raise SemiparamError(f'no bodies that can be were found in {MOST_STEPS} steps; the estimate '
+                             'is too far from the robot description.')
     return pseudo
 
 
