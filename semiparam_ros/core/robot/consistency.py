@@ -19,9 +19,9 @@ bodies are those that minimise
 
 It is the most probable answer where exp(-D), a Wishart density with its mode at the description,
 is what is held of each body before: what the samples do not show stays as described. Both terms are
-convex in pi, so there is one minimum. D is its own barrier and self-concordant: Newton's method
-with shortened steps finds it from the description, while the estimate counts for ten times as much
-with each round (Nesterov and Nemirovskii 1994). No change of variables is needed, such as the
+convex in pi, so there is one minimum. -log det P is a self-concordant barrier: Newton's method with
+shortened steps finds the minimum from the description, while everything but the barrier counts for
+ten times as much with each round (Nesterov and Nemirovskii 1994). No change of variables is needed, such as the
 log-Cholesky one (Rucker and Wensing 2022), which would give up the convexity.
 """
 
@@ -46,8 +46,7 @@ THICKNESS = 0.01
 description has a body that cannot be."""
 DECREMENT = 1e-10
 """Newton's method ends where a step promises less, over the value or 1 nat."""
-MOST_STEPS = 2000
-"""Far from the minimum a step brings about two nats."""
+MOST_STEPS = 200
 SUFFICIENT = 0.1
 """Share of the promised decrease that a step must bring."""
 INSIDE = 0.8
@@ -143,7 +142,10 @@ def consistent_bodies(mean: Array, root: Array, bodies: Sequence[Body]) -> Array
 
 
 def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
-    """(n, 4, 4) by Newton's method, where the estimate counts by ``share``."""
+    """(n, 4, 4) by Newton's method, where all but the barrier counts by ``share``.
+
+    Raises SemiparamError where the steps do not end.
+    """
     value = problem.value(pseudo, share)
     for _ in range(MOST_STEPS):
         roots = np.asarray(np.linalg.cholesky(pseudo), dtype=np.float64)
@@ -196,10 +198,10 @@ class _Problem:
         if not (left > 0.0).all():
             return np.inf
         error = self._root @ self._error(pseudo)
-        entropic = (np.einsum('kab,kba->', self._inverse, pseudo) + self._constant
-                    - 2.0 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum())
-        return float(0.5 * share * error @ error + entropic
-                     + (left - np.log(left) - 1.0).sum())
+        pull = (0.5 * error @ error + np.einsum('kab,kba->', self._inverse, pseudo)
+                + (left - 1.0).sum())
+        barrier = 2.0 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum() + np.log(left).sum()
+        return float(share * pull + self._constant - barrier)
 
     def derivatives(self, pseudo: Array, roots: Array, share: float = 1.0) -> tuple[Array, Array]:
         """(10 n,) gradient and (m, 10 n) a root of the Hessian at P = L L' in the coordinates of
@@ -207,11 +209,11 @@ class _Problem:
         body is."""
         sizes = roots[:, None] @ SYMMETRIC @ np.swapaxes(roots, 1, 2)[:, None]
         columns = np.hstack(list(self._columns @ np.swapaxes(inertial_parameters(sizes), 1, 2)))
-        slope = np.einsum('kab,kiba->ki', self._inverse, sizes)
+        slope = share * np.einsum('kab,kiba->ki', self._inverse, sizes)
         slope -= np.trace(SYMMETRIC, axis1=1, axis2=2)
         toward = np.einsum('kab,kiba->ki', self._inside, sizes[self._bound])
         left = np.einsum('kab,kba->k', self._inside, pseudo[self._bound])
-        slope[self._bound] += (1.0 / self._room - 1.0 / left)[:, None] * toward
+        slope[self._bound] += (share / self._room - 1.0 / left)[:, None] * toward
         seen = self._root @ columns
         bounds = np.zeros((len(toward), *slope.shape))
         bounds[np.arange(len(toward)), np.flatnonzero(self._bound)] = toward / left[:, None]
