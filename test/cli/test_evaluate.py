@@ -61,7 +61,7 @@ def test_a_load_is_applied_and_taken_back_and_the_plot_marks_it(tmp_path, capsys
     assert errors['apply'] < 0.9 * errors['report']
     (change,) = changes
     decisions = [decision['what'] for decision in change['decisions']]
-    assert decisions == ['tried beside the model', 'applied', 'taken back']
+    assert decisions == ['taken off until it is named', 'tried beside the model', 'applied', 'taken back']
     assert 'It was taken back at' in capsys.readouterr().out.replace('\n', ' ')
 
 
