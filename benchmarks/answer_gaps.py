@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
+os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 29))
 
 import numpy as np
 from rcl_interfaces.msg import Parameter as ParameterMessage

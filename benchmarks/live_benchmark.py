@@ -119,7 +119,7 @@ def run_live(rate_hz: float = 1000.0, seconds: float = 60.0, features: int = 500
                         features_count=features, initial_samples=window, realtime_priority=priority)
     messages = Motion(build_rigid_body(settings), rate_hz, window).serialised()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
+    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 29))
     with node_process(settings) as process, connected(messages, rate_hz) as peer:
         gc.disable()  # a pause of this process would send a burst, and count as the node's latency
         sys.setswitchinterval(SWITCH_S)

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-os.environ.setdefault('ROS_DOMAIN_ID', str(60 + os.getpid() % 40))
+os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 29))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
 
 import numpy as np

@@ -11,7 +11,7 @@ import live_benchmark
 from live_benchmark import empty_loop, quantiles
 
 
-def test_a_slow_robot_is_answered_every_time():
+def test_a_slow_robot_is_answered_every_time(ros_domain):
     result = subprocess.run([sys.executable, live_benchmark.__file__, '--rate', '50', '--seconds', '2',
                              '--features', '40', '--window', '250'], capture_output=True, text=True,
                             timeout=180, check=False,

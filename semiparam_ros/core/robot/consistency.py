@@ -126,7 +126,7 @@ def consistent_bodies(mean: Array, root: Array, bodies: Sequence[Body]) -> Array
 
     :param root: R (q, p). Of a sensor without noise R'R spans more digits than a number has.
 
-    Raises SemiparamError when the estimate is not finite, or too far from the references.
+    Raises SemiparamError when the estimate is not finite.
     """
     if not (np.isfinite(mean).all() and np.isfinite(root).all()):
         raise SemiparamError('the estimate holds values that are not finite; expected a model that '
@@ -142,10 +142,7 @@ def consistent_bodies(mean: Array, root: Array, bodies: Sequence[Body]) -> Array
 
 
 def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
-    """(n, 4, 4) by Newton's method, where all but the barrier counts by ``share``.
-
-    Raises SemiparamError where the steps do not end.
-    """
+    """(n, 4, 4) by Newton's method, where all but the barrier counts by ``share``."""
     value = problem.value(pseudo, share)
     for _ in range(MOST_STEPS):
         roots = np.asarray(np.linalg.cholesky(pseudo), dtype=np.float64)
@@ -164,9 +161,6 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
         if not tried < value:
             break  # rounding
         pseudo, value = pseudo + length * move, tried
-    else:
-        raise SemiparamError(f'no bodies that can be were found in {MOST_STEPS} steps; the estimate '
-                             'is too far from the robot description.')
     return pseudo
 
 
