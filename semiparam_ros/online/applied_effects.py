@@ -271,13 +271,16 @@ class AppliedEffects:
         """What :meth:`restore` takes back: what is applied or remembered, and what was taken off. One
         that is provisional is noticed anew."""
         kept = [trial for trial in self.trials if trial.applied or trial.remembered]
+        taken_off, load = self.contributions, self.provisional
+        if load is not None:  # the model that is restored goes on without it
+            taken_off = _ended(taken_off, Payload(load.link), load.parameters, self._stamp)
         return {
             'effects': tuple(effect_to_text(trial.effect) for trial in kept),
             'coefficients': tuple(np.array([trial.coefficients, trial.std]) for trial in kept),
             'applied': tuple(trial.applied for trial in kept),
             'taken_off': tuple(
                 (effect_to_text(effect), coefficients.copy())
-                for effect, coefficients in self._contributions_without_provisional()
+                for effect, coefficients in taken_off
             ),
         }
 
@@ -309,14 +312,6 @@ class AppliedEffects:
         ):
             raise ValueError(f"'{text}' has not {size} coefficients")
         return Contribution(effect, theta)
-
-    def _contributions_without_provisional(self) -> list[Contribution]:
-        """Those of a model that goes on without it: it ends with the newest sample."""
-        load, found = self.provisional, list(self.contributions)
-        if load is not None:
-            self._end_contribution(Payload(load.link), load.parameters, self._stamp)
-            found, self.contributions = self.contributions, found
-        return found
 
     def _added(self, columns: Array) -> tuple[Array, Array]:
         """(m, n) k of each trial, and (n,) that of the provisional load, by columns (n, c)."""
@@ -355,11 +350,20 @@ class AppliedEffects:
         del self.contributions[:-MOST_CONTRIBUTIONS]
 
     def _end_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
-        for index, (begun, values) in enumerate(self.contributions):
-            same = np.array_equal(values, coefficients) and begun.without_span() == effect
-            if same and not begun.ends:
-                span = replace(begun.span, end_stamp_s=_after(now))
-                self.contributions[index] = Contribution(replace(begun, span=span), coefficients)
+        self.contributions = _ended(self.contributions, effect, coefficients, now)
+
+
+def _ended(
+    contributions: Iterable[Contribution], effect: Effect, coefficients: Array, now: int
+) -> list[Contribution]:
+    """Contributions of which those of an effect with these coefficients (c,) end at ``now`` [ns]."""
+    found = []
+    for begun, values in contributions:
+        same = np.array_equal(values, coefficients) and begun.without_span() == effect
+        if same and not begun.ends:
+            begun = replace(begun, span=replace(begun.span, end_stamp_s=_after(now)))
+        found.append(Contribution(begun, values))
+    return found
 
 
 def _after(stamp: int) -> float:

@@ -150,7 +150,8 @@ class ChangeRecord:
         effect, change = self.effect, self.change
         kind = change.kind if effect is None else effect.kind
         found = [(change.since, f'{kind or "change"} begins')]
-        found += [(each.stamp, each.what) for each in self.decisions if each.what not in (ASSUMED, TRIED)]
+        silent = ASSUMED, TRIED
+        found += [(each.stamp, each.what) for each in self.decisions if each.what not in silent]
         ended = change.ended if not self.was_applied else None
         return found if ended is None else [*found, (ended, 'over')]
 
@@ -291,11 +292,10 @@ class ChangeWatch:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
         self.holds = False
-        self._drop_provisional()
+        self.applied.assume(None)
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock."""
-        self._drop_provisional()
         self.applied.reset()
         if self.detector is not None:
             self.detector.reset()
@@ -408,7 +408,7 @@ class ChangeWatch:
         if followed is None or record is None or load is None or (record.times_named and (
             record.effect is None or not record.effect.is_load
         )):
-            self._drop_provisional()
+            self.applied.assume(None)
             return
         number, blocks = self._assumed
         enough = followed.blocks >= MORE_MOTION * blocks or self.applied.provisional is None
@@ -418,11 +418,6 @@ class ChangeWatch:
         self.applied.assume(load)
         if number != followed.change.number:
             self._decide(followed.change.number, Decision(ASSUMED, self._now))
-
-    def _drop_provisional(self) -> None:
-        if self.applied.provisional is not None:
-            self.applied.assume(None)
-        self._assumed = 0, 0
 
     def _waits(self, number: int) -> bool:
         """Whether a change is still to be named, or tried."""

@@ -1,10 +1,12 @@
 """Has the robot changed, is it touched, or is it as it was: told from the innovations as they come.
 
-An innovation r (measured minus predicted, by the rigid body alone) is judged by three hypotheses:
+An innovation r (measured minus predicted, by the rigid body alone) is judged by five hypotheses:
 
     free       r is noise, as large as usual beside the standard deviation s that the model gave it
     touched    a contact: further outputs that go along another line every quarter of a second
     changed    r = C L theta: the coefficients of some columns of the model have become others
+    known      r = k: an effect that is applied went, or one that is tried or remembered came
+    learning   r = C theta: nothing changed, but the model did not know its coefficients any better
 
 The columns of a change are those of C that one cause moves: the ten of a body at the last link (a
 load was picked up or put down), the offsets (of a sensor, of one joint's effort), the friction of
