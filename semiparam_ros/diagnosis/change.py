@@ -281,11 +281,10 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> M
     if effect.is_load and ended_s is None:
         spans.append(Span(end_s=since_s))  # what was in the hand before, and the model has learnt
     best: Move | None = None
-    near = fit.config.change_near_s
     for span in spans:
         acting = replace(effect, span=span)
         for name, time_s in span.values.items():
-            acting = with_best_edge(fit, acting, name, (time_s - near, time_s + near))
+            acting = with_best_edge(fit, acting, name, _near(fit, time_s))
         after = refit_weights(with_effects(fit, [*fit.effects, acting]))
         if effect.is_load and not plausible(after, len(fit.effects)):
             continue
@@ -295,11 +294,15 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> M
     return best
 
 
+def _near(fit: Fit, time_s: float) -> tuple[float, float]:
+    """[s] between which something began, or was over, that was noticed as beginning at a time."""
+    return time_s - fit.config.change_before_s, time_s + fit.config.change_after_s
+
+
 def _over(fit: Fit, effect: Effect, since_s: float) -> Move:
     """An effect that the model holds, with its end near a time."""
     rest = with_effects(fit, [known for known in fit.effects if known is not effect])
-    near = fit.config.change_near_s
-    ended = with_best_edge(rest, effect, 'end_s', (since_s - near, since_s + near))
+    ended = with_best_edge(rest, effect, 'end_s', _near(fit, since_s))
     after = refit_weights(
         with_effects(fit, [ended if known is effect else known for known in fit.effects])
     )

@@ -386,8 +386,10 @@ class DiagnosisConfig:
 
     # --- changes while the robot works ---
 
-    change_near_s: float = 2.0
-    """Searches the time of a change so near to when it was noticed (chosen)."""
+    change_before_s: float = 8.0
+    """Searches the time of a change so long before it seemed to begin: what notices it looks back no longer."""
+    change_after_s: float = 2.0
+    """Searches it so long after (chosen)."""
     change_worth: float = 1.1
     """Takes what is known for over, unless what may have begun explains more than this many times as much (chosen)."""
 

@@ -30,7 +30,7 @@ from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
 from semiparam_ros.online.applied_effects import AppliedEffects, KnownEffect
-from semiparam_ros.online.changes import BLOCK_S, LASTING, Change, ChangeDetector, MotionBlock
+from semiparam_ros.online.changes import BLOCK_S, Change, ChangeDetector, MotionBlock
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.worker import Background, Urgency
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from semiparam_ros.diagnosis.change import NamedChange
     from semiparam_ros.diagnosis.preparation import Inputs
 
-CONTACT_S = LASTING * BLOCK_S
+CONTACT_S = 6.0
 """A contact does not last longer."""
 BEFORE_S = 60.0
 """So much of what came before a change is looked at."""

@@ -3,7 +3,7 @@
 An innovation r (measured minus predicted, by the rigid body alone) is judged by five hypotheses:
 
     free       r is noise, as large as usual beside the standard deviation s that the model gave it
-    touched    a contact: further outputs that go along another line every quarter of a second
+    touched    r = J w: a contact, a wrench w at the hand, or of each output, that wanders
     changed    r = C L theta: the coefficients of some columns of the model have become others
     known      r = k: an effect that is applied went, or one that is tried or remembered came
     learning   r = C theta: nothing changed, but the model did not know its coefficients any better
@@ -26,15 +26,17 @@ weighs less.
 noise kappa S^2. kappa is the usual mean square, and grows with what the best hypothesis leaves:
 
     changed    h' (kappa I + A)^-1 h / (2 kappa) - log|I + A / kappa| / 2 - price
-    touched    the same with a line for each output and quarter, or each second or two
+    touched    the same of a w that goes along a line from each edge of the blocks to the next one,
+               and is a random walk from edge to edge
     known      sum (r' S^-2 r - r~' S^-2 r~) / (2 kappa), r~ what a known effect leaves
     learning   (P h)' (I + A P)^-1 h / (2 kappa) - log|I + A P| / 2
 
 Learning: nothing has changed, but the model did not know its coefficients any better; P is the
 covariance that it gives them, in units of their prior, and kappa P what it is beside the noise that
 is usual. It goes on from there as it stands. A change is told once it has ``SURE`` nat more than
-all others. The price is minus the log of the prior probability: robots pick up and put down, and
-the rest is rare.
+all others, those of other causes for six seconds too. It may have begun at any of the last 32
+blocks. The price is minus the log of the prior probability: robots pick up and put down, and the
+rest is rare.
 
 All this time the model predicts with the coefficients that it had before anything stood out. A
 change that was told is followed: its coefficients, from all quarters since it began, are taken off,
@@ -55,9 +57,10 @@ import numpy as np
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
+from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M, ExternalWrench
 from semiparam_ros.core.robot.frames import load_transform, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import base_scale, output_scale
+from semiparam_ros.core.robot.size import base_scale, reach_of, size_beyond
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.contact_gate import (
@@ -79,10 +82,9 @@ USUAL, FEWEST = 20, 4
 """Windows of each length that a usual mean square is from, and so many at least."""
 SINCE = (32, 28, 24, 20, 16, 14, 12, 10, 8, 7, 6, 5, 4)
 """[blocks] How long ago a change may have begun."""
-EACH, LASTING = 4, 24
-"""So many blocks of outputs that feel it speak for each coefficient of a load at least: fewer
-anything explains. Of all else so many altogether: a contact may be as steady, but does not last as
-long."""
+LASTING = 24
+"""[blocks] What has lasted so long is told, though other causes may be as likely; what no known kind
+explains not before."""
 MASS_SHOWS = 2.5
 """[standard deviations] A load has a mass that is so sure at least."""
 CALM = 0.5
@@ -105,23 +107,28 @@ COMPARED, LEAST_COMPARED = 1.0 - 1.0 / 80.0, 40.0 * (1.0 - 1.0 / 80.0)
 over the last twenty seconds in which nothing does, ten at least."""
 RELEASED = 3
 """A contact is over when nothing stands out over the first so many lengths."""
-CONTACT = (1, 4, 8)
-"""[blocks] Over so long the outputs of a contact go along a line."""
+WANDERS = (0.3, 0.1, 0.03)
+"""[shares of its prior's standard deviation] What acts in a contact changes so much from block to
+block."""
+STEP = 2.0**0.5
+"""kappa grows by this factor or a power of it: few are told apart, which costs less."""
+MAPPED_S = 0.02
+"""The arm counts as standing so long, for what a wrench at the hand does to the outputs."""
 
 
+WRENCH = np.repeat([FORCE_N, FORCE_N * LEVER_M], 3)
+"""[N, N m] (6,) standard deviation of what acts at the hand in a contact."""
 ROUNDED = 1e-11
 
 
 class Cause(NamedTuple):
     """What may change: its kind and place as effects have them ('' for no known kind), its part of
-    the directions, minus the log of its prior probability [nat], and how many blocks must speak for
-    it."""
+    the directions, and minus the log of its prior probability [nat]."""
 
     kind: str
     where: str | None
     part: slice
     price: float
-    blocks: int
 
 
 class Change(NamedTuple):
@@ -160,6 +167,9 @@ class MotionBlock(NamedTuple):
     own: Array
     """(6, n) of each output the sums of w (1, t, t^2, r, r t, r^2), with weights w and time t in
     blocks."""
+    wrench: tuple[Array, Array]
+    """(12, 12) and (12,) sums of E' W E and E' W r with E = [(1 - t) J, t J], of a wrench at the
+    hand when the block begins and ends."""
     added: Array
     """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
 
@@ -174,16 +184,7 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
 
     def add(kind: str, where: str | None, directions: Array, price: float) -> None:
         start = sum(part.shape[1] for part in parts)
-        size = directions.shape[1]
-        causes.append(
-            Cause(
-                kind,
-                where,
-                slice(start, start + size),
-                price,
-                -(-EACH * size // body.n_outputs) if kind == Payload.kind else LASTING,
-            )
-        )
+        causes.append(Cause(kind, where, slice(start, start + directions.shape[1]), price))
         parts.append(directions)
 
     link = list(loaded_links(body))[-1]
@@ -210,6 +211,13 @@ def load_scale(body: RigidBody, link: str) -> Array:
     """(10,) what the inertial parameters of a load in the hand may be."""
     mass = float(Payload(link).prior_scale(body)[0])
     return mass * np.repeat([1.0, HAND_M, HAND_M**2], (1, 3, 6))
+
+
+def contact_scale(body: RigidBody) -> Array:
+    """(n,) standard deviation of what an output feels of a contact anywhere."""
+    if body.outputs == 'wrench':
+        return FORCE_N * np.repeat([1.0, reach_of(body)], 3)
+    return FORCE_N * np.array([size_beyond(body, joint).length for joint in body.output_names])
 
 
 class Usual:
@@ -307,7 +315,8 @@ class ChangeDetector:
         self._own_columns = np.abs(self._directions[:, self._own_part]).argmax(axis=0)
         self._own_scale = self._directions[self._own_columns, self._own_part]
         body = columns.body
-        self._names, self._scale = body.output_names, output_scale(body)
+        self._hand = ExternalWrench(body, list(loaded_links(body))[-1])
+        self._names, self._felt_scale = body.output_names, contact_scale(body)
         self._load_scale = load_scale(body, str(self.causes[0].where))
         self._joints = body.output_index if body.outputs == 'effort' else None
         self.number = told
@@ -357,6 +366,9 @@ class ChangeDetector:
     def _begin_block(self) -> None:
         p, n = len(self._directions), len(self._names)
         self._gram, self._moment, self._own = np.zeros((p, p)), np.zeros(p), np.zeros((6, n))
+        self._wrench = np.zeros((12, 12)), np.zeros(12)
+        self._map: Array | None = None
+        self._mapped_at, self._moved = 0.0, self._own.copy()
         self._added = np.zeros((0, 2, n))
         self._seconds, self._start = 0.0, 0
 
@@ -440,6 +452,10 @@ class ChangeDetector:
         left = (prediction.sample.outputs - columns @ reference) * weight
         self._gram += rows.T @ rows
         self._moment += left @ rows
+        if self._map is None or self._seconds - self._mapped_at > MAPPED_S - 1e-6:
+            self._move_to_hand()
+            self._map = self._hand.along_base(prediction.sample.position)
+            self._mapped_at = self._seconds
         time = self._seconds / BLOCK_S
         squares, pulls = weight * weight, weight * left
         self._own += (
@@ -456,8 +472,19 @@ class ChangeDetector:
                 self._added = np.zeros((len(known), 2, len(left)))
             self._added += np.stack([known * left, known * known], axis=1)
 
+    def _move_to_hand(self) -> None:
+        """Add what the outputs felt since the arm's map is that which it is to the wrench's sums."""
+        if self._map is not None:
+            gram, moment = edge_sums(self._own - self._moved)
+            felt = self._map.T
+            blocks = (felt * np.moveaxis(gram, 0, -1)[:, :, None]) @ felt.T  # (2, 2, 6, 6)
+            self._wrench[0][...] += blocks.swapaxes(1, 2).reshape(12, 12)
+            self._wrench[1][...] += (felt @ moment).T.ravel()
+        self._moved = self._own.copy()
+
     def _finish_block(self, stamp: int, theta: Array) -> Change | None:
         directions = self._directions
+        self._move_to_hand()
         assert self._reference is not None
         learnt = (theta - self._reference)[: len(directions)]
         live = float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
@@ -468,6 +495,7 @@ class ChangeDetector:
             directions.T @ self._moment,
             live,
             self._own,
+            self._wrench,
             self._added,
         )
         self._begin_block()
@@ -479,7 +507,7 @@ class ChangeDetector:
         self._count += 1
         if self.followed is not None:
             self.followed.add(block)
-        ratios = self._outstanding(self._left())
+        ratios = self._outstanding(self._left(self.followed))
         outstanding = max(ratios, default=0.0)
         latest = max(ratios[:RELEASED], default=0.0)
         self._felt = (self.touched and self._felt) or latest >= 1.0
@@ -510,10 +538,7 @@ class ChangeDetector:
     def _compare(self, block: MotionBlock) -> None:
         """Charge what is left of a block by the model from before, with the change that is
         followed, and as it stands."""
-        left = float(block.own[-1].sum())
-        if self.followed is not None:
-            part, theta = self.followed.cause.part, self.followed.theta
-            left -= float(theta @ (2.0 * block.moment[part] - block.gram[part, part] @ theta))
+        left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
         self._compared = COMPARED * self._compared + (left, block.live, 1.0)
 
     def _outstanding(self, moments: Array) -> list[float]:
@@ -532,13 +557,13 @@ class ChangeDetector:
                 usual.add(explained)
         return ratios
 
-    def _left(self) -> Array:
-        """(B, K) h of each block, without what the change that is followed explains."""
+    def _left(self, followed: Followed | None) -> Array:
+        """(B, K) h of each block, without what a change explains."""
         moments = np.array([block.moment for block in self._blocks])
-        if self.followed is not None:
+        if followed is not None:
             for moment, block in zip(moments, self._blocks, strict=True):
-                if block.start >= self.followed.change.since:
-                    moment -= block.gram[:, self.followed.cause.part] @ self.followed.theta
+                if block.start >= followed.change.since:
+                    moment -= block.gram[:, followed.cause.part] @ followed.theta
         return moments
 
     def _explained(self, grams: Array, moments: Array) -> Array:
@@ -581,8 +606,7 @@ class ChangeDetector:
             self.followed, self._standing, self._compared = None, 0, np.zeros(3)
             self._blocks.clear()
             return followed.change._replace(noticed=stamp, ended=ended)
-        moments = np.array([block.moment for block in self._blocks]) if again else self._left()
-        best, learns = self._likeliest(moments)
+        best, learns = self._likeliest(None if again else followed)
         self.touched = followed is None and not learns
         if learns and followed is None:
             self._blocks.clear()
@@ -597,23 +621,25 @@ class ChangeDetector:
 
     def likeliest(self) -> Judged | None:
         """The change that is likeliest now, beside a contact and none."""
-        return self._likeliest(self._left())[0] if self._blocks else None
+        return self._likeliest(self.followed)[0] if self._blocks else None
 
-    def _likeliest(self, moments: Array) -> tuple[Judged | None, bool]:
+    def _likeliest(self, followed: Followed | None) -> tuple[Judged | None, bool]:
         """The change that is likeliest beside all else, and whether the model's learning is likelier
-        than a change and than a contact."""
+        than a change and than a contact.
+
+        :param followed: what this change explains is taken off.
+        """
         counts = np.array([count for count in SINCE if count <= len(self._blocks)], dtype=int)
         if 0 < self._standing < min(SINCE):
             counts = np.array([min(self._standing, len(self._blocks))])
         if not len(counts):
             return None, False
         starts = len(self._blocks) - counts
-        blocks = np.array([block.gram for block in self._blocks])
+        blocks, moments = np.array([block.gram for block in self._blocks]), self._left(followed)
         grams, sums = _since(blocks, starts), _since(moments, starts)
         late = starts + (counts + 1) // 2
         late_grams, late_sums = _since(blocks, late), _since(moments, late)
-        own = np.array([block.own for block in self._blocks])
-        power = _since(own[:, -1].sum(axis=1), starts)
+        power = np.array([block.own[-1].sum() for block in self._blocks]) - self._gained(followed)
         spectra = [np.linalg.eigh(grams[:, cause.part, cause.part]) for cause in self.causes]
         along = [
             np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
@@ -621,7 +647,7 @@ class ChangeDetector:
         ]
         # what a cause leaves of the squares at its best
         learnt, gained, volume = self._learning(grams, sums)
-        left = power - np.max(
+        left = _since(power, starts) - np.max(
             [
                 learnt,
                 *(
@@ -631,21 +657,28 @@ class ChangeDetector:
             ],
             axis=0,
         )
-        kappa = self.noise * np.maximum(left / (np.median(self._power) * counts), 1.0)
-        learning, touched = 0.5 * (gained / kappa - volume), self._touched(own, kappa, starts)
-        known = self._known(starts) / (2.0 * kappa)
+        growth = np.maximum(left / (np.median(self._power) * counts), 1.0)
+        kappa = self.noise * STEP ** np.round(np.log(growth) / log(STEP))
+        learning, touched = 0.5 * (gained / kappa - volume), self._touched(kappa, starts)
+        known = self._known(starts, power, followed) / (2.0 * kappa)
         rival = np.max([learning, touched, known], axis=0)
         most = max(float(touched.max()), float(known.max()))
+        alone = np.array(
+            [
+                _evidence(values, each, kappa) - cause.price
+                for (values, _), each, cause in zip(spectra, along, self.causes, strict=True)
+            ]
+        )
+        most = max(most, float(alone.max()))
         best: Judged | None = None
-        for (values, vectors), each, cause in zip(spectra, along, self.causes, strict=True):
-            whole = np.maximum(values, 0.0) + kappa[:, None]
-            evidence = 0.5 * (
-                (each**2 / whole).sum(axis=1) / kappa - np.log(whole / kappa[:, None]).sum(axis=1)
+        for number, ((values, vectors), each, cause) in enumerate(
+            zip(spectra, along, self.causes, strict=True)
+        ):
+            others = np.delete(alone, number, axis=0).max(axis=0) if cause.kind else np.inf
+            evidence = alone[number] - np.where(
+                counts < LASTING, np.maximum(rival, others), rival
             )
-            evidence = evidence - cause.price
-            most = max(most, float(evidence.max()))
-            evidence = evidence - rival
-            evidence[counts < cause.blocks] = -np.inf
+            whole = np.maximum(values, 0.0) + kappa[:, None]
             if cause.kind == Payload.kind:
                 evidence = self._of_load(evidence, values, vectors, each, kappa)
             theta, part = np.einsum('skj,sj->sk', vectors, each / whole), cause.part
@@ -653,27 +686,47 @@ class ChangeDetector:
             evidence[~later] = -np.inf  # what is over explains nothing of the later half
             at = int(evidence.argmax())
             if best is None or evidence[at] > best.evidence:
-                root = vectors[at] / np.sqrt(whole[at])
+                noise = kappa[at]
+                since = int(_evidence(values, each, np.full(len(kappa), noise)).argmax())
+                whole = np.maximum(values[since], 0.0) + noise
+                root = vectors[since] / np.sqrt(whole)
                 best = Judged(
                     cause,
-                    int(counts[at]),
-                    vectors[at] @ (each[at] / whole[at]),
-                    kappa[at] * root @ root.T,
+                    int(counts[since]),
+                    vectors[since] @ (each[since] / whole),
+                    noise * root @ root.T,
                     float(evidence[at]),
                 )
         return best, float(learning.max()) >= most
 
-    def _known(self, starts: Indices) -> Array:
+    def _known(self, starts: Indices, power: Array, followed: Followed | None) -> Array:
         """(S,) the squares that the best of the known effects explains of the blocks from each of
-        some on, when it came or when it went."""
-        found = np.zeros((len(self._blocks), len(self._blocks[-1].added)))
-        went = found.copy()
+        some on, when it came or when it went; or the change that is ``followed``, when it went.
+
+        The first block, which has part of it, is explained whole; ``power`` (B,) of each block.
+        """
+        found = np.zeros((len(self._blocks) + 1, len(self._blocks[-1].added)))
+        went = np.zeros((len(self._blocks) + 1, found.shape[1] + (followed is not None)))
         for row, block in enumerate(self._blocks):
             if block.added.shape[:1] == found.shape[1:]:
                 along, own = block.added.sum(axis=2).T
-                found[row], went[row] = 2.0 * along - own, -2.0 * along - own
-        explained = np.maximum(_since(found, starts), _since(went, starts))
+                found[row], went[row, : len(own)] = 2.0 * along - own, -2.0 * along - own
+        if followed is not None:
+            went[:-1, -1] = -self._gained(followed)
+        explained = _since(np.hstack([found, went]), starts + 1) + power[starts, None]
         return np.asarray(explained.max(axis=1, initial=0.0))
+
+    def _gained(self, followed: Followed | None) -> Array:
+        """(B,) the squares of each block that a change explains."""
+        gained = np.zeros(len(self._blocks))
+        if followed is not None:
+            part, theta = followed.cause.part, followed.theta
+            for row, block in enumerate(self._blocks):
+                if block.start >= followed.change.since:
+                    gained[row] = theta @ (
+                        2.0 * block.moment[part] - block.gram[part, part] @ theta
+                    )
+        return gained
 
     def _learning(self, grams: Array, sums: Array) -> tuple[Array, Array, Array]:
         """(S,) the squares that coefficients within the model's own covariance P explain of windows
@@ -698,27 +751,24 @@ class ChangeDetector:
         evidence = np.where(mass < 0.0, evidence - log(RARE), evidence)
         return np.where(mass**2 > MASS_SHOWS**2 * variance, evidence, -np.inf)
 
-    def _touched(self, own: Array, kappa: Array, starts: Indices) -> Array:
-        """(S,) log evidence of a contact that began at any block, the noise being that of each of
-        some starts, over that of none."""
-        found = np.zeros((len(CONTACT), len(starts)))
-        for row, together in enumerate(CONTACT):
-            first = np.arange(len(own), 0, -together)[::-1] - together
-            sums = _along_line(own, first, together)
-            for column, (noise, start) in enumerate(zip(kappa, starts, strict=True)):
-                evidence = self._line(sums[first >= start], noise)
-                found[row, column] = np.append(np.cumsum(evidence[::-1]), 0.0).max()
-        return np.asarray(found.max(axis=0))
-
-    def _line(self, sums: Array, noise: float) -> Array:
-        """(B,) log evidence of outputs that go along a line, over that of none; sums (B, 5, n) as
-        in a block."""
-        one, first, second, moved, turned = np.moveaxis(sums, 1, 0) / noise
-        prior = self._scale**-2
-        a, c = one + prior, second + prior
-        determinant = a * c - first * first
-        explained = (c * moved**2 - 2.0 * first * moved * turned + a * turned**2) / determinant
-        return np.asarray(0.5 * (explained - np.log(determinant / prior**2)).sum(axis=1))
+    def _touched(self, kappa: Array, starts: Indices) -> Array:
+        """(S,) log evidence of a contact that began at any block since each of some starts, with
+        the noise of that, over that of none."""
+        kappa, which = np.unique(kappa, return_inverse=True)
+        own = np.array([block.own for block in self._blocks])
+        wrenches = [block.wrench for block in self._blocks]
+        each = wandering(
+            *edge_sums(own), np.square(self._felt_scale)[:, None], kappa[:, None]
+        ).sum(axis=-1)
+        at_hand = wandering(
+            np.array([gram for gram, _ in wrenches]),
+            np.array([moment for _, moment in wrenches]),
+            WRENCH**2,
+            kappa,
+        )
+        late = np.arange(len(own))[:, None] >= starts
+        both = np.maximum(each, at_hand).max(axis=1)[:, which]  # (B, S)
+        return np.asarray(np.where(late, both, 0.0).max(axis=0, initial=0.0))
 
     def _end(self, followed: Followed) -> int | None:
         """Since when [ns] the change that is followed is over; None while it is there."""
@@ -729,20 +779,14 @@ class ChangeDetector:
         )
         if self._usual[0].ratio(self._explained(gram[None], moment[None])[0]) >= 1.0:
             return None
-        part, theta = followed.cause.part, followed.theta
-        gains = np.array(
-            [
-                0.5 * theta @ block.gram[part, part] @ theta - theta @ block.moment[part]
-                for block in self._blocks
-                if block.start >= followed.change.since
-            ]
-        )
-        power = np.array([block.own[-1].sum() for block in self._blocks])[-len(gains) :]
+        since = [block.start >= followed.change.since for block in self._blocks]
+        gains = -0.5 * self._gained(followed)[since]
+        power = np.array([block.own[-1].sum() for block in self._blocks])[since]
         counts = np.arange(len(gains), 0, -1)
         left = np.cumsum(power[::-1])[::-1] / (np.median(self._power) * counts)
         gains = np.cumsum(gains[::-1])[::-1] / (self.noise * np.maximum(left, 1.0))
         at = int(gains.argmax())
-        return self._blocks[len(self._blocks) - len(gains) + at].start if gains[at] > SURE else None
+        return self._blocks[at - len(gains)].start if gains[at] > SURE else None
 
     def _change(self, stamp: int, judged: Judged) -> Change:
         blocks = list(self._blocks)[-judged.blocks :]
@@ -779,6 +823,14 @@ class ChangeDetector:
         return change
 
 
+def _evidence(values: Array, along: Array, kappa: Array) -> Array:
+    """(S,) log evidence over none of coefficients with a unit prior, by the eigenvalues (S, k) of A
+    and h (S, k) along its eigenvectors, the noise being kappa (S,)."""
+    whole = np.maximum(values, 0.0) + kappa[:, None]
+    explained = (along**2 / whole).sum(axis=1) / kappa
+    return np.asarray(0.5 * (explained - np.log(whole / kappa[:, None]).sum(axis=1)))
+
+
 def _explains(theta: Array, grams: Array, moments: Array) -> Mask:
     """(S,) whether coefficients (S, k) explain blocks with these sums better than none."""
     gained = theta * (2.0 * moments - np.einsum('skj,sj->sk', grams, theta))
@@ -802,16 +854,42 @@ def _since(values: Array, starts: Indices) -> Array:
     )
 
 
-def _along_line(own: Array, first: Indices, together: int) -> Array:
-    """(M, 5, n) the first five sums (B, 6, n) of so many blocks together, from each of some on,
-    time in units of all of them; blocks before the first one count as empty."""
-    found = np.zeros((len(first), 5, own.shape[2]))
-    for offset in range(together):
-        inside = np.flatnonzero(first + offset >= 0)
-        one, along, second, moved, turned = np.moveaxis(own[first[inside] + offset, :5], 1, 0)
-        found[inside, 0] += one
-        found[inside, 1] += (offset * one + along) / together
-        found[inside, 2] += (offset**2 * one + 2 * offset * along + second) / together**2
-        found[inside, 3] += moved
-        found[inside, 4] += (offset * moved + turned) / together
+def edge_sums(own: Array) -> tuple[Array, Array]:
+    """(..., n, 2, 2) and (..., n, 2) sums of E' w E and E' w r with E = [1 - t, t], of sums (..., 6, n)
+    as a block has them."""
+    one, first, second, pulled, late = np.moveaxis(own[..., :5, :], -2, 0)
+    gram = [[one - 2.0 * first + second, first - second], [first - second, second]]
+    return np.moveaxis(np.array(gram), (0, 1), (-2, -1)), np.stack([pulled - late, late], axis=-1)
+
+
+def wandering(grams: Array, moments: Array, variance: Array, kappa: Array) -> Array:
+    """(B, D, ...) log evidence over none of what wanders through the blocks from each on: a random
+    walk, its steps each of D = ``WANDERS``, by the Kalman filter from the last block back.
+
+    :param grams: (B, ..., 2 k, 2 k) of blocks, for values (k,) when they begin and end.
+    :param moments: (B, ..., 2 k). :param variance: (..., k) of its prior. :param kappa: (S, ...)
+        the noise.
+    """
+    k = variance.shape[-1]
+    prior = variance[..., None] * np.eye(k)
+    step = np.square(WANDERS).reshape(-1, *np.ones(kappa.ndim + 2, dtype=int)) * prior
+    shape = np.broadcast_shapes(step.shape[:-2], kappa.shape, moments.shape[1:-1])
+    end = np.broadcast_to(prior, (*shape, k, k))
+    mean = np.zeros((*shape, k, 1))
+    found, total = np.zeros((len(grams), *shape)), np.zeros(shape)
+    for block in reversed(range(len(grams))):
+        gram = grams[block] / kappa[..., None, None]
+        moment = (moments[block] / kappa[..., None])[..., None]
+        begins = np.concatenate([end + step, end], axis=-1)
+        covariance = np.concatenate([begins, np.concatenate([end, end], axis=-1)], axis=-2)
+        old = np.concatenate([mean, mean], axis=-2)
+        whole = np.eye(2 * k) + covariance @ gram
+        solved = np.linalg.solve(
+            whole, np.concatenate([covariance, old + covariance @ moment, old], axis=-1)
+        )
+        now, before = solved[..., -2:-1], solved[..., -1:]
+        gained = moment * now + before * (moment - gram @ old)
+        total = total + 0.5 * (gained.sum(axis=(-2, -1)) - np.linalg.slogdet(whole)[1])
+        found[block] = total
+        mean, end = now[..., :k, :], solved[..., :k, :k]
     return found

@@ -113,15 +113,16 @@ def test_a_push_is_not_applied_and_not_learnt():
 
 
 def test_what_is_applied_is_saved_with_the_model_and_goes_on(tmp_path):
+    """Saved after it was named for the third time, 25 s after it began."""
     body, samples, _ = loaded()
-    until = samples[samples.time < LOADED_S[1] - 5.0]
+    until = samples[samples.time < LOADED_S[1] - 3.0]
     stage = offered(body, until, diagnosis_auto='apply')
     settings = stage.learner.settings
     state_file.save(tmp_path / 's.npz', stage.learner.state())
     other = offered(body, samples[:20], diagnosis_auto='apply')
     other.learner.restore(state_file.load(tmp_path / 's.npz', settings, body))
     assert [trial.applied for trial in other.learner.changes.applied.trials] == [True]
-    rest = samples[(samples.time >= LOADED_S[1] - 5.0) & (samples.time < LOADED_S[1])]
+    rest = samples[(samples.time >= LOADED_S[1] - 3.0) & (samples.time < LOADED_S[1])]
     for each in (stage, other):
         del each.answers[:]
         each.offer(rest)
@@ -209,7 +210,9 @@ def test_one_that_is_remembered_keeps_none_from_being_taken_back_when_nothing_is
         applied.switch(applied.trials[-1], 10**9)
     applied.switch(applied.trials[0], 2 * 10**9)
     squares = np.full((6, n), 100.0)
-    block = MotionBlock(0, 10**9, np.zeros((0, 0)), np.zeros(0), 0.0, squares, np.zeros((2, 2, n)))
+    nothing, none = np.zeros((0, 0)), np.zeros(0)
+    added = np.zeros((2, 2, n))
+    block = MotionBlock(0, 10**9, nothing, none, 0.0, squares, (nothing, none), added)
     block.added[0] = np.stack([np.full(n, 90.0), np.full(n, 1.0)])
     block.added[1] = np.stack([np.full(n, -50.0), np.full(n, 1.0)])
     assert applied.judge(block, 1.0, 600.0, applies=False) is applied.trials[1]

@@ -72,6 +72,14 @@ class ExternalWrench:
         places = [pin.updateFramePlacement(model, data, index).copy() for index in (body.sensor_index, self._index)]
         return -body.sign * np.asarray(places[0].actInv(places[1]).toDualActionMatrix())
 
+    def along_base(self, position: Array) -> Array:
+        """(n, 6) the same along the base's axes."""
+        model, data = self._body.arm, self._data
+        maps = self.outputs_of(position)
+        pin.forwardKinematics(model, data, self._body.arm_vector(position))
+        to_frame = pin.updateFramePlacement(model, data, self._index).rotation.T
+        return np.hstack([maps[:, :3] @ to_frame, maps[:, 3:] @ to_frame])
+
     def of(self, prediction: Prediction, residual: Array, widening: Array) -> External:
         """What acts at a sample of which the model leaves ``residual`` (n,) of what was measured.
 
