@@ -263,7 +263,7 @@ def _candidates(fit: Fit) -> list[Effect]:
     body, link = fit.body, list(loaded_links(fit.body))[-1]
     found: list[Effect] = []
     for kind in kinds(body.outputs).values():
-        if kind.may_start or kind.must_start:
+        if kind.may_start or kind.must_start or kind.may_come:
             places = [link] if link in kind.places(body) else kind.places(body)
             found += [
                 kind.from_values(where, kind.searches(body, fit.samples, where, fit.residual)[0])

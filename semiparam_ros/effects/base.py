@@ -143,6 +143,8 @@ class Effect:
     separated_by: ClassVar[str] = ''
     may_start: ClassVar[bool] = False
     must_start: ClassVar[bool] = False
+    may_come: ClassVar[bool] = False
+    """Mark of what may come while a robot works; in a whole recording no start of it is searched."""
     of_one_recording: ClassVar[bool] = False
     own_in_each_recording: ClassVar[bool] = False
     """Mark of a cause that each recording has for itself in every model: a sensor's offset."""

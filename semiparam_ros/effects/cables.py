@@ -53,6 +53,7 @@ class CableSpring(_Cable):
     kind: ClassVar[str] = 'cable_spring'
     shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = 'a cable or hose pulls like a spring'
+    may_come: ClassVar[bool] = True
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_hysteresis', 'external_force', 'gravity_tilt')
     separated_by: ClassVar[str] = 'slow motion over the whole workspace, where inertia plays no part'
 

@@ -37,13 +37,14 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text
 from semiparam_ros.effects.base import STAMP_TOLERANCE_NS, Span
 from semiparam_ros.effects.loads import Payload
-from semiparam_ros.online.changes import BLOCK_S, SURE, MotionBlock
+from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, SURE, MotionBlock
 from semiparam_ros.online.identified_parameters import Load
 
 TRIED_S = 30.0
 """[s of motion] An effect for which nothing speaks so long is dropped."""
 REMEMBERED = 4
-"""So many that were applied, and are over, are known at once when they come again."""
+"""So many that were applied, and are over, are known at once when they come again; of those that
+are no load, none that was over as soon as a contact is."""
 MOST_CONTRIBUTIONS = 100
 LARGEST = 1e9
 
@@ -71,6 +72,8 @@ class KnownEffect:
     """g [nat]"""
     since: int = 0
     """[ns] when g was last zero."""
+    begun: int = 0
+    """[ns] when it was applied."""
     tried_s: float = 0.0
     reference: Array | None = None
     """(p,) coefficients of the model from before it was applied."""
@@ -249,10 +252,13 @@ class AppliedEffects:
         self.assume(None)
         trial.applied = not trial.applied
         if trial.applied:
+            trial.begun = now
             self._begin_contribution(trial.effect, trial.coefficients, now)
         else:
             trial.remembered, trial.squares = True, np.zeros((2, 1))
             self._end_contribution(trial.effect, trial.coefficients, now)
+            if now - trial.begun < CONTACT_S * NANOSECONDS and not trial.effect.is_load:
+                self._keep(other for other in self.trials if other is not trial)
         for other in self.trials:
             other.score = 0.0
         over = [other for other in self.trials if other.remembered and not other.applied]

@@ -30,7 +30,7 @@ from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import worker
 from semiparam_ros.online.applied_effects import AppliedEffects, KnownEffect
-from semiparam_ros.online.changes import BLOCK_S, Change, ChangeDetector, MotionBlock
+from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, Change, ChangeDetector, MotionBlock
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.worker import Background, Urgency
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from semiparam_ros.diagnosis.change import NamedChange
     from semiparam_ros.diagnosis.preparation import Inputs
 
-CONTACT_S = 6.0
-"""A contact does not last longer."""
 BEFORE_S = 60.0
 """So much of what came before a change is looked at."""
 NAMED_AFTER_S = (6.0, 12.0, 25.0, 50.0)
@@ -120,13 +118,18 @@ class ChangeRecord:
     def retracted(self) -> bool:
         """Whether it was no change after all: no effect explains it better than none, or it was
         over as soon as a contact is and no load."""
-        change, effect = self.change, self.effect
+        effect = self.effect
         if self.was_applied:
             return False
-        brief = change.ended is not None and change.ended - change.since < CONTACT_S * NANOSECONDS
         if effect is None:
-            return brief or (self.named is not None and bool(change.kind))
-        return brief and not effect.is_load
+            return self.brief or (self.named is not None and bool(self.change.kind))
+        return self.brief and not effect.is_load
+
+    @property
+    def brief(self) -> bool:
+        """Whether it was over as soon as a contact is."""
+        change = self.change
+        return change.ended is not None and change.ended - change.since < CONTACT_S * NANOSECONDS
 
     @property
     def was_applied(self) -> bool:
@@ -238,7 +241,7 @@ class ChangeWatch:
         self.applied = AppliedEffects(body)
         self.holds = False
         """Whether the next sample is not to be learnt."""
-        self._held_s = 0.0
+        self._held_s = self._learns_s = 0.0
         self._assumed = 0, 0
         """The change whose load is taken off before it is named, and of how many blocks it is."""
         self._body, self._background, self._told, self._failed = body, background, told, failed
@@ -291,7 +294,7 @@ class ChangeWatch:
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
-        self.holds = False
+        self.holds, self._learns_s = False, 0.0
         self.applied.assume(None)
 
     def reset(self) -> None:
@@ -383,6 +386,11 @@ class ChangeWatch:
     def _hold(self, detector: ChangeDetector) -> None:
         """Keep what stands out from being learnt until it is known what it is."""
         followed = detector.followed
+        if self._learns_s > 0.0:
+            self._learns_s -= BLOCK_S
+            if detector.stands_out:
+                detector.reset()  # what the model learns is no other change
+            return
         waits = followed is not None and self._waits(followed.change.number)
         if not self.applies or not (detector.stands_out or waits):
             self.holds, self._held_s = False, 0.0
@@ -390,8 +398,12 @@ class ChangeWatch:
             self.holds = self._held_s < HELD_S
             self._held_s += BLOCK_S
         elif self.holds:
-            self.holds = False
+            self._learn()
             self._decide(followed.change.number, Decision(LEARNT, self._now))
+
+    def _learn(self) -> None:
+        """Let the model learn what no effect of the robot explains."""
+        self.holds, self._held_s, self._learns_s = False, 0.0, HELD_S * self.applies
 
     def _with_provisional(self, prediction: Prediction, model: Model) -> tuple[Prediction, Model]:
         """What the detector judges: it follows a load itself until that is named."""
@@ -512,6 +524,8 @@ class ChangeWatch:
             self.records[number] = record
             if record.retracted:
                 self._retract(number)
+                if record.effect is None and not record.brief:
+                    self._learn()
             self._told(record)
             self._try(record)
 

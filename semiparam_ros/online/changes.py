@@ -82,7 +82,9 @@ USUAL, FEWEST = 20, 4
 """Windows of each length that a usual mean square is from, and so many at least."""
 SINCE = (32, 28, 24, 20, 16, 14, 12, 10, 8, 7, 6, 5, 4)
 """[blocks] How long ago a change may have begun."""
-LASTING = 24
+CONTACT_S = 6.0
+"""A contact does not last longer."""
+LASTING = round(CONTACT_S / BLOCK_S)
 """[blocks] What has lasted so long is told, though other causes may be as likely; what no known kind
 explains not before."""
 MASS_SHOWS = 2.5

@@ -8,6 +8,7 @@ import pytest
 from semiparam_ros.core.robot.frames import loaded_links
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects import effect_from_text
+from semiparam_ros.effects.cables import CableSpring
 from semiparam_ros.online import state_file
 from semiparam_ros.online.applied_effects import AppliedEffects, as_measured
 from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED
@@ -15,7 +16,7 @@ from semiparam_ros.online.changes import MotionBlock
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning
-from support.changing_arm import LOADED_S, free, loaded, offered, pushed
+from support.changing_arm import LOADED_S, caught, free, loaded, offered, pushed
 
 FLOOR_S = 40.0, 70.0
 
@@ -100,6 +101,27 @@ def test_a_load_that_comes_again_is_known_at_once(carried):
     left = errors(stage, both[both.time < 120.0])
     floor = between(both[both.time < 120.0], left, *FLOOR_S)
     assert between(both[both.time < 120.0], left, 114.0, 120.0) < 1.1 * floor
+
+
+def test_a_cable_that_catches_is_named_and_applied():
+    body, samples = caught()
+    stage = offered(body, samples[samples.time < 110.0], diagnosis_auto='apply')
+    (record,) = {change.change.number: change for change in stage.changes}.values()
+    assert (record.effect.kind, record.decisions[-1].what) == ('cable_spring', APPLIED)
+    left = errors(stage, samples[samples.time < 110.0])
+    floor = between(samples[samples.time < 110.0], left, *FLOOR_S)
+    assert between(samples[samples.time < 110.0], left, 85.0, 110.0) < 1.5 * floor
+
+
+@pytest.mark.parametrize('stiffness', [20.0, 40.0])
+def test_what_no_effect_explains_is_learnt_and_told_no_more(monkeypatch, stiffness):
+    """It was told anew every few seconds, or applied and taken back, and never learnt."""
+    monkeypatch.setattr(CableSpring, 'may_come', False)
+    body, samples = caught(stiffness=stiffness)
+    stage = offered(body, samples, diagnosis_auto='apply')
+    assert len({change.change.number for change in stage.changes}) <= 4
+    learning = stage.learner.history.batch().learning
+    assert np.mean(learning[samples.time[: len(learning)] > 110.0] > 0) > 0.9
 
 
 def test_a_push_is_not_applied_and_not_learnt():
@@ -208,7 +230,7 @@ def test_one_that_is_remembered_keeps_none_from_being_taken_back_when_nothing_is
         effect = effect_from_text('sensor_offset{"start_s": 1.0}')
         applied.offer(number, effect, np.ones(n), np.ones(n), 0)
         applied.switch(applied.trials[-1], 10**9)
-    applied.switch(applied.trials[0], 2 * 10**9)
+    applied.switch(applied.trials[0], 20 * 10**9)
     squares = np.full((6, n), 100.0)
     nothing, none = np.zeros((0, 0)), np.zeros(0)
     added = np.zeros((2, 2, n))

@@ -53,6 +53,16 @@ def pushed(start=70.0, seconds=5.0, newton=15.0, seed=3):
     return body, replace(samples, outputs=samples.outputs + change)
 
 
+def caught(start=70.0, stiffness=20.0, seed=3):
+    """The same with a spring, as of a cable, that holds the last link from a time [s] on."""
+    found, (body, samples) = _recording(False, seed), free(seed)
+    arm = Arm.from_urdf(found.urdf, found.joint_names, 'wrench', found.frame_id, found.convention)
+    pose = arm.pose(arm.tip, samples.position)
+    force = -stiffness * (pose.place - pose.place.mean(axis=0) - np.array([0.2, -0.1, 0.1]))
+    change = arm.load_of_force(pose, force * (samples.time >= start)[:, None], samples.position)
+    return body, replace(samples, outputs=samples.outputs + change)
+
+
 def elbow_rests(until=70.0, seed=4):
     """The body, and samples of an arm with another hand than described, whose last joint begins to
     move at a time [s]."""
