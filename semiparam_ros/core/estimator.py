@@ -363,14 +363,14 @@ class Estimator:
         """(n,) weights of each output, of the models that the answers are an average of; empty for a single one."""
         if len(self.members) == 1:
             return {}
-        return {member.name: each for member, each in zip(self.members, self.ensemble.weights.weights, strict=True)}
+        return {member.name: each for member, each in zip(self.members, self.ensemble.weights, strict=True)}
 
     @property
     def effects_probability(self) -> Array | None:
         """(n,) how likely the declared effects are, by what each output shows; None where that is not asked."""
         if self.members[-1].has_effects:
             return None
-        *having, without = self.ensemble.weights.weights
+        *having, without = self.ensemble.weights
         best = np.max(having, axis=0)
         return np.asarray(best / (best + without))
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.compiled import INTEGER, VECTOR, compiled
+from semiparam_ros.core.compiled import Vector, compiled
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array, Mask
@@ -78,8 +78,8 @@ def moving(samples: Samples) -> Mask:
     return np.array(found)
 
 
-@compiled(VECTOR, VECTOR, VECTOR, returns=INTEGER)
-def compared(position: Array, place: Array, nearby: Array) -> int:
+@compiled
+def compared(position: Vector, place: Vector, nearby: Vector) -> int:
     """``STEPPED`` when a joint has left the place (n_joints,) of the last step, else whether one is not nearby."""
     moved = 0
     for joint in range(len(position)):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, STACK, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Stack, Vector, compiled
 from semiparam_ros.core.types import Array
 
 
@@ -20,13 +20,6 @@ def pool_weights(weights: Array, std: Array) -> Array:
     """(..., K, n) v, one in sum over the K models; w is (..., K, n) and the standard deviations are (K, n)."""
     shares = weights * (std.min(axis=0) / std) ** 2
     return np.asarray(shares / shares.sum(axis=-2, keepdims=True))
-
-
-def pool(weights: Array, means: Array, std: Array) -> tuple[Array, Array]:
-    """(n,) mean and standard deviation of the pool; all (K, n)."""
-    shares = pool_weights(weights, std)
-    mean = (shares * means).sum(axis=0)
-    return mean, np.sqrt((shares * (std * std + (means - mean) ** 2)).sum(axis=0))
 
 
 def pool_together(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
@@ -40,25 +33,16 @@ def pool_together(weights: Array, means: Array, covariances: Array) -> tuple[Arr
     return mean, np.einsum('mk,mkj,mj->kj', roots, covariances, roots) + apart.T @ apart
 
 
-def pool_both(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array,
-              ) -> tuple[Array, Array, Array, Array]:
-    """:func:`pool` of what is published, and :func:`pool_together` of the models alone."""
-    if not AVAILABLE:
-        return (*pool(weights, means, std), *pool_together(weights, model_means, covariances))
-    mean, spread, model_mean, covariance = *np.empty((3, means.shape[1])), np.empty(covariances.shape[1:])
-    _pool_both(weights, means, std, model_means, covariances, mean, spread, model_mean, covariance)
-    return mean, spread, model_mean, covariance
-
-
-@compiled(MATRIX, MATRIX, MATRIX, MATRIX, STACK, VECTOR, VECTOR, VECTOR, MATRIX)
-def _pool_both(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array, mean: Array,
-               spread: Array, model_mean: Array, covariance: Array) -> None:
-    """See :func:`pool_both`."""
+@compiled
+def pool_both(weights: Matrix, means: Matrix, std: Matrix, model_means: Matrix,
+              covariances: Stack) -> tuple[Vector, Vector, Vector, Matrix]:
+    """(n,) mean and standard deviation of what is published, and :func:`pool_together` of the models alone."""
     members, n = means.shape
-    roots = np.empty((members, n))
+    mean, spread, model_mean = np.zeros(n), np.zeros(n), np.zeros(n)
+    covariance, roots = np.zeros((n, n)), np.empty((members, n))
     for k in range(n):
         least, least_variance = std[:, k].min(), covariances[:, k, k].min()
-        total = model_total = mean[k] = spread[k] = model_mean[k] = 0.0
+        total = model_total = 0.0
         for m in range(members):
             share = weights[m, k] * (least / std[m, k]) ** 2
             total += share
@@ -75,7 +59,7 @@ def _pool_both(weights: Array, means: Array, std: Array, model_means: Array, cov
         spread[k] = np.sqrt(spread[k])
     for k in range(n):
         for j in range(n):
-            covariance[k, j] = 0.0
             for m in range(members):
                 apart = (model_means[m, k] - model_mean[k]) * (model_means[m, j] - model_mean[j])
                 covariance[k, j] += roots[m, k] * roots[m, j] * (covariances[m, k, j] + apart)
+    return mean, spread, model_mean, covariance

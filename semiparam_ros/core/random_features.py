@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Vector, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -45,11 +45,7 @@ class RandomFeatures:
 
     def __call__(self, x: Array) -> Array:
         """(D,) features of one input (m,)."""
-        if AVAILABLE:
-            phi = np.empty(self.count)
-            _features(self._omega, self._phase, self._norm, x, phi)
-            return phi
-        return np.asarray(self.batch(x[None])[0])
+        return _features(self._omega, self._phase, self._norm, x)
 
     def batch(self, x: Array) -> Array:
         """(N, D) features of inputs (N, m)."""
@@ -67,10 +63,11 @@ class RandomFeatures:
             raise SemiparamError(f'the input mean of the features is {self.input_mean.tolist()}; expected numbers.')
 
 
-@compiled(MATRIX, VECTOR, NUMBER, VECTOR, VECTOR)
-def _features(omega: Array, phase: Array, norm: float, x: Array, phi: Array) -> None:
+@compiled
+def _features(omega: Matrix, phase: Vector, norm: float, x: Vector) -> Vector:
     """phi of one input, from omega (m, d)."""
     inputs, half = omega.shape
+    phi = np.empty(2 * half)
     for i in range(half):
         phi[i] = -phase[i]
     for j in range(inputs):
@@ -80,6 +77,7 @@ def _features(omega: Array, phase: Array, norm: float, x: Array, phi: Array) -> 
         z = phi[i]
         phi[i] = norm * np.cos(z)
         phi[half + i] = norm * np.sin(z)
+    return phi
 
 
 def spectrum(n_inputs: int, count: int, seed: int, frequencies: str = FREQUENCIES[0]) -> Array:

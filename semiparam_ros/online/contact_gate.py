@@ -31,7 +31,7 @@ from math import exp, log, sqrt
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.compiled import NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import Vector, compiled
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.contact_place import ContactPlace
 from semiparam_ros.core.robot.external_wrench import FORCE_N
@@ -248,8 +248,8 @@ class TurnPeaks:
             self.usual[joint] = np.median(self.peaks[-self.counts[joint]:, joint])
 
 
-@compiled(VECTOR, VECTOR, VECTOR, NUMBER)
-def _follow_turns(now: Array, speed: Array, left: Array, seconds: float) -> None:
+@compiled
+def _follow_turns(now: Vector, speed: Vector, left: Vector, seconds: float) -> None:
     """Go on by one sample with the speeds ``now``."""
     fall = exp(-seconds / SPEED_MEMORY_S)
     for joint in range(len(now)):
@@ -557,8 +557,8 @@ def standardised_innovation(prediction: Prediction) -> float:
     return _root_mean_square(prediction.sample.outputs, prediction.model_mean, prediction.model_std)
 
 
-@compiled(VECTOR, VECTOR, VECTOR, returns=NUMBER)
-def _root_mean_square(outputs: Array, mean: Array, std: Array) -> float:
+@compiled
+def _root_mean_square(outputs: Vector, mean: Vector, std: Vector) -> float:
     """Of (outputs - mean) / std, all (n,)."""
     squares = 0.0
     for k in range(len(mean)):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.compiled import MATRIX, STRIDED, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Strided, Vector, compiled
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.types import Array, Mask
@@ -256,8 +256,8 @@ def later_window(learnt: Mask, wanted: int) -> Mask:
     return chosen
 
 
-@compiled(STRIDED, STRIDED, STRIDED, VECTOR, VECTOR, returns='boolean')
-def _is_outside(position: Array, velocity: Array, acceleration: Array, mean: Array, scale: Array) -> bool:
+@compiled
+def _is_outside(position: Strided, velocity: Strided, acceleration: Strided, mean: Vector, scale: Vector) -> bool:
     """Whether an input, of joints (n_joints,), is further than ``SPREADS`` scales from its mean, of inputs (m,)."""
     n_joints = len(position)
     for i in range(n_joints):
@@ -268,8 +268,8 @@ def _is_outside(position: Array, velocity: Array, acceleration: Array, mean: Arr
     return False
 
 
-@compiled(STRIDED, VECTOR, MATRIX)
-def _charge(outputs: Array, mean: Array, sums: Array) -> None:
+@compiled
+def _charge(outputs: Strided, mean: Vector, sums: Matrix) -> None:
     """Add a sample's outputs (n,) and their predictions to the sums of :class:`Errors`."""
     for k in range(len(mean)):
         sums[0, k] += 1.0
