@@ -269,7 +269,8 @@ class RigidBody:
     def _reduce_by(self, from_base: Array) -> None:
         self._from_base, self._to_outputs = from_base, self.sign * from_base
         # Few: a base parameter combines those of a body or two.
-        self._entries = from_base.nonzero()
+        rows, columns = from_base.nonzero()
+        self._entries = rows.copy(), columns.copy()
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array, out: Array | None = None) -> Array:
         """(n, p) matrix psi with outputs = psi @ base_parameters; in the first columns of ``out`` where it is given."""
