@@ -74,10 +74,10 @@ def run(recording: Recording, samples: list[Sample]) -> Run:
     learner.answered, closed, link = told, [], []
     for sample in samples:
         learner.step(sample, True)
-        closed.append(learner.gate.closed)
-        places, _ = learner.gate.places()
-        assert learner.gate.place is not None
-        link.append(learner.gate.place.links[int(places.argmax())] if places.any() else '')
+        closed.append(learner.learner.gate.closed)
+        places, _ = learner.learner.gate.places()
+        assert learner.learner.gate.place is not None
+        link.append(learner.learner.gate.place.links[int(places.argmax())] if places.any() else '')
     wrench, std, residual = (np.array(column) for column in zip(*rows, strict=True))
     return Run(1e-9 * np.array([sample.stamp - samples[0].stamp for sample in samples]), wrench, std, residual,
                np.array(closed), link)

@@ -109,6 +109,10 @@ class Learner:
         self.learnt = self.answered = self.lost = 0
         self.passed_over = 0
         """Of the samples answered, by the model then in force (``learn.every``, ``learn.least_gain``)."""
+        self.renewals = 0
+        """How often the model of a whole later window took over."""
+        self.failed_windows: list[str] = []
+        """Of each initial window that gave no hyperparameters the reason."""
         self._background, self._listener, self._checkpoint = background, listener, checkpoint
         self._failures = 0
         self.switcher = ModelSwitcher(body, background, self)
@@ -280,7 +284,7 @@ class Learner:
 
     def draft_live(self, estimator: Estimator | None) -> None:
         """It takes over from the provisional model, between two samples; the hyperparameters are estimated yet."""
-        waited, self._awaits_draft = self._waited(), False
+        waited, self._awaits_draft = self.waited, False
         self.takeovers.append(waited)
         if estimator is not None:
             self.estimator = estimator
@@ -297,12 +301,14 @@ class Learner:
 
     def _taken_over(self) -> int:
         """What was asked of a window is there, or cannot be: how many samples were answered since."""
-        waited, self._asked = self._waited(), None
+        waited, self._asked = self.waited, None
         self.takeovers.extend([waited] * (1 + self._awaits_draft))  # it was built without
         self._awaits_draft = False
         return waited
 
-    def _waited(self) -> int:
+    @property
+    def waited(self) -> int:
+        """Samples answered since the end of the window that a model is asked of."""
         return 0 if self._asked is None else self.answered - self._asked
 
     def _renews(self, prediction: Prediction) -> bool:
@@ -340,12 +346,14 @@ class Learner:
                 f'samples, the last of which {self._taken_over()} samples ago.')
             return
         self._renewal.clear()
+        self.renewals += 1
         self._listener.announce(
             f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
             f'{self._taken_over()} of them since the end of the window.')
 
     def _discard_window(self, reason: str) -> None:
         """Gather another initial window; nothing is built from the one that gave no hyperparameters."""
+        self.failed_windows.append(reason)
         self._listener.announce(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
         self.estimator.discard_window()
         self._taken_over()

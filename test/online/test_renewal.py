@@ -32,7 +32,7 @@ def renewals(stage):
 def assert_as_offline(stage, day, windows=1):
     offline = OfflineLearner(stage.learner.built, [], lambda: None, stage.learner.takeovers)
     steps = [offline.step(sample, True) for sample in day]
-    assert offline.renewals == windows
+    assert offline.learner.renewals == windows
     np.testing.assert_allclose(stage.means, [step.mean for step in steps], rtol=1e-9, atol=1e-9)
 
 
