@@ -181,8 +181,8 @@ def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collecti
 def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str], joints_given: bool) -> str:
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
     waiting = f'{stream.pending} outputs have no joint state at or after their stamps.'
-    reason = stream.last_fault or stream.last_stranger or waiting
-    renamed = stream.faults['missing_joint'] or stream.strangers
+    reason = stream.last_fault or stream.last_ignored or waiting
+    renamed = stream.faults['missing_joint'] or stream.ignored
     remedy = ' semiparam convert --joint NAME=NEW renames joints.' if renamed else ''
     if renamed and not joints_given:  # those of the description count, all of them
         remedy = ' The parameter joints is not given, so every moving joint of the robot description is expected; ' \

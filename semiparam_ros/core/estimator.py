@@ -437,5 +437,6 @@ class Estimator:
         """Given hyperparameters of the others; those of the first unless given."""
         if self.options.others:
             return self.options.others
-        bare = self.options.physical and self.variant.features
-        return [without_features(first) if bare and member.variant == 'P' else first for member in self.members[1:]]
+        rigid_alone = self.options.physical and self.variant.features
+        return [without_features(first) if rigid_alone and member.variant == 'P' else first
+                for member in self.members[1:]]

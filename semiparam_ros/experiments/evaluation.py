@@ -18,7 +18,8 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.learner import Answer, Learner
-from semiparam_ros.online.worker import Done, Job, Result, Urgency, finish_window, renew
+from semiparam_ros.online.model_jobs import finish_window, renew
+from semiparam_ros.online.worker import Done, Job, Result, Urgency
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
 
@@ -190,8 +191,8 @@ class OfflineLearner:
     """The node's learner without a node, on whole recordings.
 
     :param bags: the first one that carries a robot description gives it, where the settings do not.
-    :param tick: called after each sample. ``answered``: receives each answer, and how much its bands are widened in
-        free motion (n,). ``change_told``: receives each record of a change.
+    :param tick: called after each sample. ``on_answer``: receives each answer, and how much its bands are widened in
+        free motion (n,). ``on_change``: receives each record of a change.
     :param takeovers: samples from the end of each window until the model of it takes over, or cannot be; the last one
         for all that follow. The node estimates hyperparameters meanwhile, and the model that it has answers; here it
         need not. The initial window has two: that of a draft comes first.
@@ -291,7 +292,7 @@ class OfflineLearner:
     def settings_reverted(self, settings: Settings) -> None:
         """Pass over them, likewise."""
 
-    def change_told(self, record: ChangeRecord) -> None:
+    def change_reported(self, record: ChangeRecord) -> None:
         """Hand it on."""
         self.on_change(record)
 

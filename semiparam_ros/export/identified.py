@@ -24,7 +24,7 @@ from semiparam_ros.core.robot.consistency import (
     is_consistent,
     made_consistent,
 )
-from semiparam_ros.core.robot.frames import felt_links, load_transform
+from semiparam_ros.core.robot.frames import load_transform, observed_links
 from semiparam_ros.core.robot.joint_friction import NAMES
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import LEAST_LENGTH_SHARE, SHARE, reach_of, size_of
@@ -173,21 +173,21 @@ class _Solution:
     def __init__(self, estimate: Estimate, described: Mapping[str, Array],
                  covariance: Array) -> None:
         columns, body = estimate.columns, estimate.columns.body
-        felt = [name for name in felt_links(body)
+        observed = [name for name in observed_links(body)
                 if name in described and described[name][0] > 0.0]
-        if not felt:
+        if not observed:
             raise SemiparamError('the robot description gives no mass to a link that the outputs '
                                  'feel; expected inertials, which an export starts from.')
         size, count = size_of(body), columns.n_columns
         self.described = {name: values for name, values in described.items()
-                          if values[0] > 0.0 and (name in felt or not is_consistent(values))}
+                          if values[0] > 0.0 and (name in observed or not is_consistent(values))}
         self.mended = [name for name, values in self.described.items() if not is_consistent(values)]
         self._others = {name: made_consistent(values, size.length)
-                        for name, values in self.described.items() if name not in felt}
-        self._links, self._identifiable = felt, body.n_parameters
+                        for name, values in self.described.items() if name not in observed}
+        self._links, self._identifiable = observed, body.n_parameters
         self._held = np.zeros(len(self._links), dtype=bool)
         self._bodies = []
-        for name in felt:
+        for name in observed:
             index, transform = load_transform(body, name)
             into = np.zeros((count, 10))
             into[:body.n_parameters] = body.basis[10 * index:10 * index + 10].T @ transform

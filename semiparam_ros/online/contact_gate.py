@@ -374,8 +374,8 @@ class ContactGate:
         thresholds = thresholds * (caution if familiar else UNSEEN_FACTOR)
         self.level = ratio / thresholds
         if scale is not None and self._forces is not None and self.level.max() > 1.0:
-            felt = explained(change / scale, self._forces(prediction.sample.position) / scale[:, None])
-            self.level = np.clip(felt, IMPLAUSIBLE * ratio, ratio) / thresholds
+            plausible = explained(change / scale, self._forces(prediction.sample.position) / scale[:, None])
+            self.level = np.clip(plausible, IMPLAUSIBLE * ratio, ratio) / thresholds
         if self.closed:
             self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
         elif self.level.max() > 1.0:

@@ -179,7 +179,7 @@ def is_shown(load: Load) -> bool:
     return bool(load.parameters[0] > max(SMALLEST_MASS, 2.0 * np.sqrt(load.covariance[0, 0])))
 
 
-def told_load(link: str, parameters: Array, covariance: Array) -> CarriedLoad:
+def reported_load(link: str, parameters: Array, covariance: Array) -> CarriedLoad:
     """From mass, first moment and inertia about the link's origin, (10,), and their covariance (10, 10)."""
     mass, mass_std = float(parameters[0]), float(np.sqrt(covariance[0, 0]))
     unknown = CarriedLoad(link, mass, np.full(3, np.nan), np.full((3, 3), np.nan))

@@ -25,7 +25,7 @@ from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online import worker
+from semiparam_ros.online import model_jobs
 from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
@@ -87,7 +87,7 @@ class LearnerListener(Protocol):
     def settings_reverted(self, settings: Settings) -> None:
         """The settings that hold from now on, after a change that failed or a model that broke."""
 
-    def change_told(self, record: ChangeRecord) -> None:
+    def change_reported(self, record: ChangeRecord) -> None:
         """The robot has changed, or more is known of a change."""
 
     def failed(self, place: str, error: BaseException) -> None:
@@ -116,8 +116,8 @@ class Learner:
         self._background, self._listener, self._checkpoint = background, listener, checkpoint
         self._failures = 0
         self.switcher = ModelSwitcher(body, background, self)
-        self.changes = ChangeWatch(body, background, listener.change_told, listener.failed)
-        self._begin(settings, worker.new_estimator(settings, body))
+        self.changes = ChangeWatch(body, background, listener.change_reported, listener.failed)
+        self._begin(settings, model_jobs.new_estimator(settings, body))
 
     def _begin(self, settings: Settings, estimator: Estimator, past: SampleBatch | None = None,
                renewal: Memory = None) -> None:
@@ -137,7 +137,7 @@ class Learner:
         self._seen = len(self.history)
         self._failures = 0
         self._asked: int | None = None
-        self._later: RecentWindow | None = None
+        self._recent: RecentWindow | None = None
         """That hyperparameters are estimated from; None: the initial window."""
         self._awaits_draft = False
         self.takeovers: list[int] = []
@@ -275,7 +275,7 @@ class Learner:
 
     def _end_window(self) -> None:
         """Let the background estimate hyperparameters, unless the settings want another model than this."""
-        self._asked, self._later = self.answered, None
+        self._asked, self._recent = self.answered, None
         self._awaits_draft = has_draft(self.built.initial_samples)
         if self.switcher.successor is None:
             self._listener.announce(f'the initial window holds {len(self.estimator.window)} samples of motion: the '
@@ -319,7 +319,7 @@ class Learner:
         successor = self.switcher.successor
         if successor is None:
             return True
-        outdated = self._renewal.outdates(self._later) and same_model(successor.settings, self.built)
+        outdated = self._renewal.outdates(self._recent) and same_model(successor.settings, self.built)
         if outdated:
             self._taken_over()
             self.switcher.retire_successor()
@@ -327,13 +327,13 @@ class Learner:
 
     def _renew(self) -> None:
         """Estimate the hyperparameters again."""
-        self._later = self._renewal.begin()
-        if self._later.draft or not has_draft(self.built.initial_samples):
+        self._recent = self._renewal.begin()
+        if self._recent.draft or not has_draft(self.built.initial_samples):
             self._listener.announce(f'the hyperparameters of {self.built.variant} are estimated again, from the latest '
-                                f'{self._later.samples} samples, as the robot moves otherwise than in the window that '
+                                f'{self._recent.samples} samples, as the robot moves otherwise than in the window that '
                                 'they are from; it answers on.')
         self._asked = self.answered
-        self.switcher.renew(self.built, self.history, self._later)
+        self.switcher.renew(self.built, self.history, self._recent)
 
     def _renewed(self, estimator: Estimator, later: RecentWindow) -> None:
         """The model with hyperparameters of a later window takes over, between two samples."""
@@ -370,7 +370,7 @@ class Learner:
         if same_model(settings, self.built):
             return
         latest = self.history.latest() or self._at_rest()
-        worker.new_estimator(settings, self.body).predict(latest)
+        model_jobs.new_estimator(settings, self.body).predict(latest)
 
     def _at_rest(self) -> Sample:
         zeros = np.zeros(self.body.n_joints)
@@ -402,7 +402,7 @@ class Learner:
         """Forget everything learnt."""
         self.tare = Tare(self.body.n_outputs)
         self.changes.applied.clear()
-        self._begin(self.settings, worker.new_estimator(self.settings, self.body, origin=self.history.origin))
+        self._begin(self.settings, model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin))
 
     def restore(self, saved: SavedState) -> None:
         """Go on with a state that was saved."""
@@ -425,7 +425,7 @@ class Learner:
             instead = f'{self.built.variant} of the last checkpoint goes on'
         else:
             self.settings = replace(self.settings, variant='P', effects=(), shadow_variants=())
-            estimator = worker.new_estimator(self.settings, self.body, origin=self.history.origin)
+            estimator = model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin)
             self._begin(self.settings, estimator)
             instead = 'P begins anew'
         self._listener.settings_reverted(self.settings)
@@ -444,8 +444,8 @@ class Learner:
         """It takes over, between two samples."""
         self._failures = 0
         if same_model(settings, self.built):
-            if self._later is not None:
-                self._renewed(estimator, self._later)
+            if self._recent is not None:
+                self._renewed(estimator, self._recent)
             else:
                 self._window_live(estimator)
             return
@@ -462,7 +462,7 @@ class Learner:
         if same_model(settings, self.built):
             if self.estimator.ready:
                 self._taken_over()
-                if self._later is None:
+                if self._recent is None:
                     self._renewal.clear()
                 self._listener.announce(f'the window gives no hyperparameters ({sentence}); {settings.variant} goes '
                                     'on with those it has.')

@@ -29,8 +29,8 @@ from semiparam_ros.online.applied_effects import AppliedEffects
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.learning import Learning, observe
+from semiparam_ros.online.model_jobs import Known, known_of, new_estimator
 from semiparam_ros.online.renewal import Renewal
-from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.snapshot import Settings
 

@@ -8,7 +8,7 @@ import pytest
 from semiparam_ros.core.robot import rigid_body
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.robot.arm_motion import FEW
-from semiparam_ros.core.robot.frames import felt_links, force_maps, frame_motion, loaded_links
+from semiparam_ros.core.robot.frames import force_maps, frame_motion, loaded_links, observed_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
@@ -215,7 +215,7 @@ def test_predictions_are_those_of_the_regressors_for_any_base_parameters(joints,
 @pytest.mark.parametrize('joints', [ODD_JOINTS, ODD_JOINTS[::-1]])
 def test_links_move_alike_seen_one_by_one_and_all_at_once(joints, options):
     body, motion = RigidBody.from_urdf(ODD_ARM, joints, *options), smooth_motion(len(joints), 2 * FEW)
-    for name in felt_links(body):
+    for name in observed_links(body):
         together = frame_motion(body, motion, name)
         pieces = [frame_motion(body, motion[start:start + FEW // 3], name) for start in range(0, 2 * FEW, FEW // 3)]
         for role, all_at_once, *few in zip(together._fields, together, *pieces, strict=True):

@@ -54,7 +54,7 @@ def loaded_links(body: RigidBody) -> dict[str, int]:
 
 
 @lru_cache(maxsize=8)
-def felt_links(body: RigidBody) -> tuple[str, ...]:
+def observed_links(body: RigidBody) -> tuple[str, ...]:
     """Every link that the outputs feel, by name."""
     model = body.arm if body.distal is None else body.distal
     return tuple(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint != 0)

@@ -30,11 +30,11 @@ from semiparam_ros.online.identified_parameters import (
     carried_load,
     conditioning,
     quantities,
-    told_load,
+    reported_load,
 )
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
-from semiparam_ros.ros.estimator.consistent import ConsistentTopic, Found
+from semiparam_ros.ros.estimator.consistent import ConsistentBodies, ConsistentTopic
 from semiparam_ros.ros.estimator.publishers import inertia_message
 from semiparam_ros.ros.estimator.subscriptions import WRENCH, InputStream
 
@@ -172,7 +172,7 @@ class InputReport:
         values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._rejections.counts).items())}
         self._last, self._elsewhere = self._latest(sum(faults.values())), self._rejections.on_topics
         values['last refusal'] = self._last
-        values['ignored: other_joints'] = stream.strangers if stream else 0
+        values['ignored: other_joints'] = stream.ignored if stream else 0
         values['waiting for their counterpart'] = stream.pending if stream else 0
         values['lost before the robot was known'] = counts['given up']
         return self._judged(now, sum(faults.values()) + self._rejections.on_topics, values)
@@ -203,7 +203,7 @@ class InputReport:
 
     def _ignored(self) -> str:
         stream = self._inputs.stream
-        return f' Ignored: {stream.last_stranger}' if stream and stream.last_stranger else ''
+        return f' Ignored: {stream.last_ignored}' if stream and stream.last_ignored else ''
 
     def _remedy(self, absent: Sequence[str]) -> str:
         if WRENCH in absent and self._inputs.has_efforts:
@@ -430,8 +430,8 @@ class Reports:
                  unseen: Callable[[], str], consistent: ConsistentTopic) -> None:
         self.tally = Tally(())
         self._consistent = consistent
-        self._told: Found | None = None
-        self._news = self._robot_name = self._stage = self._told_twins = ''
+        self._published: ConsistentBodies | None = None
+        self._news = self._robot_name = self._stage = self._known_twins = ''
         self._errors, self._twins, self._unseen = errors, twins, unseen
         self._node, self._inputs, self._learner = node, inputs, learner
         self._name = node.get_fully_qualified_name().lstrip('/')
@@ -481,9 +481,9 @@ class Reports:
 
     def _errors_report(self) -> Report:
         twins = self._twins()
-        if twins and not self._told_twins:
+        if twins and not self._known_twins:
             self.say(twins, self._node.get_logger().error)
-        self._told_twins = twins
+        self._known_twins = twins
         return errors_report(self._errors, twins)
 
     def _learning(self) -> Report:
@@ -521,9 +521,9 @@ class Reports:
 
     def _consistent_parameters(self, learner: Learner, load: Load | None, sentence: str) -> Report:
         """Of the latest bodies that were found; of what was learnt while there are none."""
-        before = self._told
+        before = self._published
         self._consistent.ask(learner.estimator, load, self.tally.stamp)
-        found = self._told = self._consistent.found
+        found = self._published = self._consistent.found
         if found is None:
             return parameters_report(quantities(learner.estimator), {
                 'payload': sentence or 'withheld: no consistent parameters are found yet.',
@@ -536,7 +536,7 @@ class Reports:
 
     def _publish_payload(self, load: Load, stamp: int | None) -> str:
         """With a stamp [ns], None: it is not to be published; returns its sentence."""
-        carried = told_load(*load)
+        carried = reported_load(*load)
         if stamp is not None and carried.std is not None:
             self._payload.publish(inertia_message(stamp, carried))
             self._payload_std.publish(inertia_message(stamp, carried.std))

@@ -23,7 +23,7 @@ from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.state_file import SavedState, folder_of
-from semiparam_ros.online.worker import Later, ProcessBackground, Worker
+from semiparam_ros.online.worker import ProcessBackground, Scheduler, Worker
 from semiparam_ros.ros.context import DELIVER_S
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.changing import Changing
@@ -55,7 +55,7 @@ NAME = 'estimator'
 class EstimatorNode(Node):
     """Learns, predicts and publishes.
 
-    :param later: see :data:`Later`.
+    :param schedule: see :data:`Scheduler`.
     :param files: the parameter files, see :func:`located`. :param worker: the process beside it; begun if left out.
     Raises SemiparamError when the parameters do not describe an estimator.
     """
@@ -64,7 +64,7 @@ class EstimatorNode(Node):
     _diagnosing: Diagnosing
     _changing: Changing
 
-    def __init__(self, later: Later, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
+    def __init__(self, schedule: Scheduler, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
         super().__init__(NAME)
         self.learner: Learner | None = None
         self.errors = InternalErrors(self.get_logger().error, self._complain)
@@ -75,10 +75,10 @@ class EstimatorNode(Node):
         self._outputs = Outputs(self, settings.outputs)
         self._outside = Outside(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id)
 
-        guarded = partial(later, self._guarded, 'the background')
+        guarded = partial(schedule, self._guarded, 'the background')
         self._background = ProcessBackground(guarded, first=worker)
         self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
-        self._inputs = InputStream(self, settings, self, later)
+        self._inputs = InputStream(self, settings, self, schedule)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
         others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report(),
@@ -211,7 +211,7 @@ class EstimatorNode(Node):
         """The parameters show what holds."""
         self._live.write(settings)
 
-    def change_told(self, record: ChangeRecord) -> None:
+    def change_reported(self, record: ChangeRecord) -> None:
         """The robot has changed, or more is known of a change."""
         self._changing.announce(record)
 

@@ -49,7 +49,7 @@ class Outside:
         if any(heard):
             external = self._external_of(answer)
             for publisher, values in ((self._wrench, external.wrench), (self._std, external.std)):
-                self._send(publisher, stamp, self._told_frame(), values)
+                self._send(publisher, stamp, self._frame_name(), values)
         if self._compensated is not None:
             self._compensate(self._compensated, answer)
         if is_heard(self._place):
@@ -69,7 +69,7 @@ class Outside:
             self._external, self._of_frame = ExternalWrench(learner.body, frame), frame
         return self._external.of(answer.prediction, answer.residual, learner.gate.widening)
 
-    def _told_frame(self) -> str:
+    def _frame_name(self) -> str:
         """As the sensor's driver calls it, where it is told there."""
         assert self._external is not None
         at_sensor = not self._of_frame and self._compensated is not None

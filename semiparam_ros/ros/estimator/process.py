@@ -16,7 +16,7 @@ from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.effects import kinds
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.worker import Later, Worker, forked_worker
+from semiparam_ros.online.worker import Scheduler, Worker, forked_worker
 from semiparam_ros.ros.context import SPIN_S, StopSignals, rcl_reason, spin_for, start_rclpy
 from semiparam_ros.ros.estimator.node import EstimatorNode
 
@@ -83,9 +83,9 @@ def parameter_files(ros_arguments: Sequence[str]) -> list[Path]:
     return [Path(path) for path in reversed(named)]
 
 
-def _new_node(later: Later, files: Sequence[Path], worker: Worker) -> EstimatorNode:
+def _new_node(schedule: Scheduler, files: Sequence[Path], worker: Worker) -> EstimatorNode:
     try:
-        return EstimatorNode(later, files, worker)
+        return EstimatorNode(schedule, files, worker)
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
 
