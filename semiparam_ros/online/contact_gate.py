@@ -27,6 +27,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from math import exp, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -259,6 +260,14 @@ def _follow_turns(now: Vector, speed: Vector, left: Vector, seconds: float) -> N
         left[joint] = TURN_S if turns else max(left[joint] - seconds, 0.0)
 
 
+class BesideUsual(NamedTuple):
+    """Innovations of one sample beside what is usual of them."""
+
+    change: Array  # (n,) innovations; at rest without their slow mean
+    scale: Array | None  # (n,) usual peaks; None where none are known
+    ratio: Array  # (n,) of the two, 0 where nothing is known to judge by
+
+
 class ContactGate:
     """Closes on an innovation that free motion brings about less often than ``gate.false_alarms_per_hour``.
 
@@ -334,73 +343,98 @@ class ContactGate:
 
     def _judge(self, prediction: Prediction, settings: Table, unseen: bool) -> bool:
         self.changed = False
-        if not settings.gate_enabled:
-            if self.closed or self._newest is not None:
+        if prediction.off or not settings.gate_enabled:
+            if self._newest is not None:
                 self.reset()
             return False
-        if prediction.off:
-            self.reset()
-            return False
         stamp = prediction.sample.stamp
-        seconds = 0.0 if self._newest is None else min(max(1e-9 * (stamp - self._newest), 0.0), LONGEST_STEP_S)
-        self._newest = stamp
-        moving, speed_band = self._follow_speed(prediction, seconds)
-        at = max(speed_band, self._closed_at)
-        self._awake = 0.0 if speed_band == 0 else self._awake + seconds
+        seconds = self._seconds_to(stamp)
+        moving, at = self._follow_speed(prediction, seconds)
         innovation = prediction.sample.outputs - prediction.model_mean
+        seen = self._beside_usual(prediction, innovation, at, seconds)
+        familiar, caution = self._caution(prediction, unseen, at, seconds)
+        usual_thresholds, usual_large = self._tails[at > 0].thresholds(settings.gate_false_alarms_per_hour)
+        thresholds = usual_thresholds * caution
+        self.level = self._plausible(prediction, seen, thresholds) / thresholds
+        if self.closed:
+            calm = bool((seen.ratio <= np.maximum(0.5 * thresholds, usual_large)).all())
+            self._perhaps_open(stamp, calm, settings)
+        elif self.level.max() > 1.0:
+            self._close(stamp, at)
+        if self.closed:
+            self._refuse(prediction, seen, seconds)
+            return True
+        self._rest(innovation, seconds, moving)
+        self._learn_usual(seen, at, familiar, seconds)
+        return False
+
+    def _seconds_to(self, stamp: int) -> float:
+        """Time under observation since the last sample."""
+        before, self._newest = self._newest, stamp
+        return 0.0 if before is None else min(max(1e-9 * (stamp - before), 0.0), LONGEST_STEP_S)
+
+    def _beside_usual(self, prediction: Prediction, innovation: Array, at: int, seconds: float) -> BesideUsual:
+        """Innovations (n,) of a sample in a band of speed, beside their usual peaks there."""
         if at == 0 and not self._resting and not self.closed:
             self._mean = innovation  # as where brakes have let go: how the arm is held now is not known from before
         change = innovation - self._mean if at == 0 else innovation
-        size = np.abs(change)
-        usual = self._usual(at)
-        if self._turns is not None:
-            own = self._joints
-            turning = self._turns.follow(prediction.sample.position[own], prediction.sample.velocity[own], seconds)
+        usual, turns = self._usual(at), self._turns
+        if turns is not None:
+            position, velocity = prediction.sample.position[self._joints], prediction.sample.velocity[self._joints]
+            turning = turns.follow(position, velocity, seconds)
             if at > 0:
-                self._turns.add(size, turning)
-                usual = None if usual is None else np.maximum(usual, np.where(turning, self._turns.usual, 0.0))
-        tail = self._tails[at > 0]
-        thresholds, levels = tail.thresholds(settings.gate_false_alarms_per_hour)
-        scale = None if usual is None else np.maximum(usual, SMALLEST_SCALE * prediction.model_std)
-        ratio = np.zeros(self._n_outputs) if scale is None else size / scale
-        if self._turns is not None:
-            ratio[self._turns.new] = 0.0
+                turns.add(np.abs(change), turning)
+                usual = None if usual is None else np.maximum(usual, np.where(turning, turns.usual, 0.0))
+        if usual is None:
+            return BesideUsual(change, None, np.zeros(self._n_outputs))
+        scale = np.maximum(usual, SMALLEST_SCALE * prediction.model_std)
+        ratio = np.abs(change) / scale
+        if turns is not None:
+            ratio[turns.new] = 0.0
+        return BesideUsual(change, scale, ratio)
+
+    def _caution(self, prediction: Prediction, unseen: bool, at: int, seconds: float) -> tuple[bool, float]:
+        """Whether the motion is familiar, and by how much thresholds are higher."""
         unseen = unseen or prediction.beyond > BEYOND
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
         self._within = 0.0 if unseen or prediction.beyond > JUST_BEYOND else min(self._within + seconds, UNSEEN_S)
-        familiar = self._familiar >= UNSEEN_S
+        if self._familiar < UNSEEN_S:
+            return False, UNSEEN_FACTOR
         new = 1.0 if self._within < UNSEEN_S else 1.0 - self._bands[at].known
-        caution = (1.0 + (NEW_FACTOR - 1.0) * new) * (1.0 if prediction.ready else NEW_FACTOR)
-        thresholds = thresholds * (caution if familiar else UNSEEN_FACTOR)
-        self.level = ratio / thresholds
-        if scale is not None and self._forces is not None and self.level.max() > 1.0:
-            plausible = explained(change / scale, self._forces(prediction.sample.position) / scale[:, None])
-            self.level = np.clip(plausible, IMPLAUSIBLE * ratio, ratio) / thresholds
-        if self.closed:
-            self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
-        elif self.level.max() > 1.0:
-            self.closed, self._closed_since, self._closed_at = True, stamp, at
-            self._calm_since = None
-            self.contacts += 1
-            self._bands[at].clear()
-            self._meanwhile, self._closed_ratio = Band(self._n_outputs), np.zeros(self._n_outputs)
-            self._closures = (*self._closures, stamp)[-AGAIN:]
-            if self.place is not None:
-                self.place.forget()
-        if self.closed:
-            self.refused += 1
-            if self.place is not None and scale is not None and self.level.max() > 1.0:
-                self.place.see(prediction.sample.position, change, scale / PEAK, seconds)
-            self._closed_ratio = np.maximum(self._closed_ratio, ratio)
-            self._meanwhile.add(size, ratio, seconds)
-            return True
-        self._rest(innovation, seconds, moving)
-        ratios = self._bands[at].add(size, ratio, seconds)
+        return True, (1.0 + (NEW_FACTOR - 1.0) * new) * (1.0 if prediction.ready else NEW_FACTOR)
+
+    def _plausible(self, prediction: Prediction, seen: BesideUsual, thresholds: Array) -> Array:
+        """(n,) ratios, where one is beyond its threshold as far as a push explains them."""
+        if seen.scale is None or self._forces is None or not (seen.ratio > thresholds).any():
+            return seen.ratio
+        forces = self._forces(prediction.sample.position) / seen.scale[:, None]
+        return np.clip(explained(seen.change / seen.scale, forces), IMPLAUSIBLE * seen.ratio, seen.ratio)
+
+    def _close(self, stamp: int, at: int) -> None:
+        self.closed, self._closed_since, self._closed_at = True, stamp, at
+        self._calm_since = None
+        self.contacts += 1
+        self._bands[at].clear()
+        self._meanwhile, self._closed_ratio = Band(self._n_outputs), np.zeros(self._n_outputs)
+        self._closures = (*self._closures, stamp)[-AGAIN:]
+        if self.place is not None:
+            self.place.forget()
+
+    def _refuse(self, prediction: Prediction, seen: BesideUsual, seconds: float) -> None:
+        """Keep what a sample of a contact shows."""
+        self.refused += 1
+        if self.place is not None and seen.scale is not None and self.level.max() > 1.0:
+            self.place.see(prediction.sample.position, seen.change, seen.scale / PEAK, seconds)
+        self._closed_ratio = np.maximum(self._closed_ratio, seen.ratio)
+        self._meanwhile.add(np.abs(seen.change), seen.ratio, seconds)
+
+    def _learn_usual(self, seen: BesideUsual, at: int, familiar: bool, seconds: float) -> None:
+        """Learn what is usual from a sample of free motion."""
+        ratios = self._bands[at].add(np.abs(seen.change), seen.ratio, seconds)
         if at and self._bands[at].blocks == SCALE_BLOCKS:
             self._drop_stale()
         if ratios is not None and familiar:
-            tail.add(ratios)
-        return False
+            self._tails[at > 0].add(ratios)
 
     def places(self) -> tuple[Array, float]:
         """How likely the present contact is at each of the links of :attr:`place`, (n_links,), and since when [s] it
@@ -468,10 +502,13 @@ class ContactGate:
         self._resting = 0
 
     def _follow_speed(self, prediction: Prediction, seconds: float) -> tuple[bool, int]:
-        """Whether the robot moves now, and the band of its speed over the last second."""
+        """Whether the robot moves now, and the band of its speed over the last second; while the gate is closed at
+        least that in which it closed."""
         speed = float(np.abs(prediction.sample.velocity).max())
         self._speed = max(speed, self._speed * exp(-seconds / SPEED_MEMORY_S))
-        return speed > SPEEDS[0], sum(self._speed > edge for edge in SPEEDS)
+        band = sum(self._speed > edge for edge in SPEEDS)
+        self._awake = 0.0 if band == 0 else self._awake + seconds
+        return speed > SPEEDS[0], max(band, self._closed_at)
 
     def _usual(self, at: int) -> Array | None:
         """Usual peaks (n,) in a band; of a neighbour while its own are unknown, but never rest's for motion."""
