@@ -1,4 +1,4 @@
-"""How wide the bands must be: the innovations as they are, against what the model thinks they are.
+"""Width of the bands: the innovations as they are, against what the model thinks they are.
 
 The model's standard deviation knows the noise of the initial window and what an unknown model of its class would do.
 It does not know that another motion shows effects of another size. So every output has a scale c^2, the recent mean

@@ -33,7 +33,7 @@ APPROACH_NS = 100_000_000
 
 
 class JointColumns(NamedTuple):
-    """Of J blocks alike: each acts on one joint's effort, by that joint's motion alone."""
+    """Columns of J blocks alike: each acts on one joint's effort, by that joint's motion alone."""
 
     joints: Indices  # (J,)
     outputs: Indices  # (J,) which outputs their efforts are
@@ -49,22 +49,22 @@ class ColumnBlock(Protocol):
 
     @property
     def of_sensor(self) -> bool:
-        """Whether it changes only what the sensor shows, not what the arm needs."""
+        """Tell whether it changes only what the sensor shows, not what the arm needs."""
 
     def check(self, body: RigidBody) -> None:
         """Raise SemiparamError when the effect cannot be declared on this robot."""
 
     @property
     def is_load(self) -> bool:
-        """Whether it is a body that a link carries: what shapes psi shapes its columns too."""
+        """Tell whether it is a body that a link carries: what shapes psi shapes its columns too."""
 
     @property
     def only_adds(self) -> bool:
-        """Whether :meth:`correct` and :meth:`transform` change nothing."""
+        """Tell whether :meth:`correct` and :meth:`transform` change nothing."""
 
     def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> JointColumns | None:
-        """What :meth:`columns` of ``blocks``, itself among them, give of one sample; None where
-        that is not to be had at once."""
+        """Columns that :meth:`columns` of ``blocks``, itself among them, give of one sample; None
+        where that is not to be had at once."""
 
     def prior_scale(self, body: RigidBody) -> Array:
         """(c,) prior standard deviation of each coefficient over gamma, in its unit; as many as there are columns."""
@@ -174,7 +174,8 @@ class CoupledColumns:
 
     @property
     def blocks(self) -> dict[str, slice]:
-        """Where the rigid body, friction and the offset stand in theta, each effect under its place in the list."""
+        """Places of the rigid body, friction and the offset in theta, each effect under its place
+        in the list."""
         sizes = {'rigid_body': self.body.n_parameters, 'friction': self._n_friction,
                  'offset': self._offset.shape[1]}
         sizes |= {str(index): len(scale) for index, scale in enumerate(self._effect_scales)}
@@ -237,7 +238,8 @@ class CoupledColumns:
 
     def _fill_others(self, body: RigidBody, rows: Samples, past: Sequence[tuple[Memory, Memory]],
                      columns: Array) -> list[tuple[Memory, Memory]]:
-        """Those of all other effects, from one corrected sample; what is remembered of it."""
+        """Fill in the columns of all other effects, from one corrected sample; return what is
+        remembered of it."""
         after = list(past)
         for index, block in self._by_themselves:
             found, remembered = self._of_effect(index, body, rows, past[index][1])
@@ -246,7 +248,8 @@ class CoupledColumns:
 
     @cached_property
     def only_add(self) -> bool:
-        """Whether no effect moves the inputs or shapes other columns, which then stand first."""
+        """Tell whether no effect moves the inputs or shapes other columns, which then stand
+        first."""
         return all(effect.only_adds for effect in self.effects)
 
     @cached_property
@@ -263,7 +266,7 @@ class CoupledColumns:
 
     @cached_property
     def _at_once(self) -> list[tuple[JointColumns, Indices]]:
-        """Of each group its columns, and where (J, c) these stand in all of a sample by rows."""
+        """Columns of each group, and where (J, c) these stand in all of a sample by rows."""
         found = []
         for members in self._groups:
             joint_columns = self._joint_columns(members)

@@ -1,4 +1,4 @@
-"""What a few filters of every output, mixed by their evidence, hold."""
+"""State of a few filters of every output, mixed by their evidence."""
 
 from __future__ import annotations
 

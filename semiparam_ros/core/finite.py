@@ -17,5 +17,6 @@ def require_finite(what: str, values: Array) -> None:
 
 @compiled
 def are_finite(values: Vector) -> bool:
-    """Whether none of the values (k,) is NaN or infinite; a dozen of them in a quarter of numpy's time."""
+    """Tell whether none of the values (k,) is NaN or infinite; a dozen of them in a quarter of
+    numpy's time."""
     return bool(np.isfinite(values).all())

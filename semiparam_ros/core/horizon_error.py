@@ -143,7 +143,7 @@ class AveragedHorizons(PendingHorizons):
 
 
 class Starts(NamedTuple):
-    """Where in a row each part begins, after outputs (n,) and squared errors (n,)."""
+    """Starts of the parts of a row, after outputs (n,) and squared errors (n,)."""
 
     gain: int  # (D,) g of the sample that the model learnt last
     innovations: int  # (n, p + 1) E of that sample
@@ -153,7 +153,7 @@ class Starts(NamedTuple):
 
 @compiled
 def starts(n: int, p: int, size: int) -> Starts:
-    """Of rows of models with D = ``size`` features."""
+    """Return those of rows of models with D = ``size`` features."""
     return Starts(2 * n, 2 * n + size, 2 * n + size + n * (p + 1), 2 * n + size + n * (p + 1) + p)
 
 

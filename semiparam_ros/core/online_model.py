@@ -28,7 +28,7 @@ COMPARED_EVERY_NS, LONGEST_COMPARED_NS = NANOSECONDS // 100, NANOSECONDS // 10
 
 
 class ModelState(NamedTuple):
-    """What a model has learnt, with its hyperparameters."""
+    """State of a model: what it has learnt, with its hyperparameters."""
 
     hyperparameters: Hyperparameters
     recursion: Mapping[str, Array | Indices]
@@ -119,7 +119,8 @@ class OnlineModel:
         return self.horizon.advance(sample.stamp, prior, outputs, update, parts, errors)
 
     def _is_due(self, prior: Prior) -> bool:
-        """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.
+        """Tell whether a sample that is to be learnt is the next of so many, and tells enough; the
+        initial window is whole.
 
         Never by its outputs: to learn the surprising ones alone would bias the model.
         """

@@ -1,4 +1,5 @@
-"""What several models say of one sample, made one answer: a logarithmic opinion pool (Genest and Zidek 1986).
+"""Answers of several models to one sample, made one: a logarithmic opinion pool (Genest and Zidek
+1986).
 
 The pool of Gaussian answers with weights w_m is the product of their densities, each to the power w_m; of each output:
 

@@ -59,7 +59,7 @@ _LEARNT = ('theta', '_weights', '_regression', '_renewed', '_discounts', '_memor
 
 
 class Prior(NamedTuple):
-    """What the model says of one sample before seeing its output, with the parts that learning reuses."""
+    """Prediction of one sample before its output is seen, with the parts that learning reuses."""
 
     mean: Vector  # (n,) predicted outputs
     covariance: Matrix  # (n, n) of the outputs, noise included
@@ -77,7 +77,8 @@ class Prior(NamedTuple):
 
 
 class Regression(NamedTuple):
-    """What the features leave of the outputs, on what they leave of the columns; R is changed in place."""
+    """Regression of what the features leave of the outputs on what they leave of the columns; R is
+    changed in place."""
 
     information: Matrix  # (p + 1, p + 1) R
     scale: Vector  # (n,) of each output
@@ -85,7 +86,7 @@ class Regression(NamedTuple):
 
 
 class Update(NamedTuple):
-    """What one sample changes."""
+    """Change by one sample."""
 
     theta: Vector  # (p,)
     innovations: Matrix  # (n, p + 1) E, y last
@@ -181,7 +182,7 @@ class SemiParametricRecursion:
 
     @property
     def arrays(self) -> tuple[Root, Regression]:
-        """What :func:`learn` changes in place; :meth:`take_over` follows it."""
+        """Arrays that :func:`learn` changes in place; :meth:`take_over` follows it."""
         return self._weights.root, self._regression
 
     def take_over(self, theta: Array, placed: int) -> None:
@@ -266,7 +267,7 @@ class SemiParametricRecursion:
         return max(self.n_features, self.n_columns)
 
     def _perhaps_forget(self) -> None:
-        """What follows each sample that is learnt."""
+        """Forget or renew what is due after each sample that is learnt."""
         factor = self.forgetting
         if self._discounts:
             self._discounts -= 1

@@ -62,7 +62,7 @@ class SquareRootFilter:
                          0, 1.0, np.full(n_estimates, -1), 0)
 
     def project(self, phi: Array) -> Projection:
-        """What a prediction at phi (D,) needs; nothing changes."""
+        """Products that a prediction at phi (D,) needs; nothing changes."""
         found = Projection(np.empty(self.size), np.empty(self.size), np.empty(len(self.root.places)))
         project(self.root, phi, found)
         return found

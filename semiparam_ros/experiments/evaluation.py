@@ -169,7 +169,7 @@ class TakeoverBackground(AtOnce):
 
     @property
     def holds(self) -> bool:
-        """Whether a model is to take over."""
+        """Tell whether a model is to take over."""
         self._held = [job for job in self._held if not job.cancelled]
         return bool(self._held)
 

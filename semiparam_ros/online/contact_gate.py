@@ -107,7 +107,7 @@ class Tail:
         self._rate: float | None = None
 
     def add(self, ratios: Array) -> None:
-        """Those of one block, (n,)."""
+        """Keep the ratios (n,) of one block."""
         self.ratios = np.vstack([self.ratios, ratios])[-TAIL_BLOCKS:]
         self._rate = None
 
@@ -142,7 +142,7 @@ class Band:
 
     @property
     def known(self) -> float:
-        """How well the usual peaks are known, from 0 to 1."""
+        """Share, from 0 to 1, to which the usual peaks are known."""
         return min(max(len(self.peaks), self.blocks) / SCALE_BLOCKS, 1.0)
 
     def clear(self) -> None:
@@ -394,7 +394,7 @@ class ContactGate:
         return BesideUsual(change, scale, ratio)
 
     def _caution(self, prediction: Prediction, unseen: bool, at: int, seconds: float) -> tuple[bool, float]:
-        """Whether the motion is familiar, and by how much thresholds are higher."""
+        """Tell whether the motion is familiar, and by how much thresholds are higher."""
         unseen = unseen or prediction.beyond > BEYOND
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
         self._within = 0.0 if unseen or prediction.beyond > JUST_BEYOND else min(self._within + seconds, UNSEEN_S)
@@ -437,8 +437,8 @@ class ContactGate:
             self._tails[at > 0].add(ratios)
 
     def places(self) -> tuple[Array, float]:
-        """How likely the present contact is at each of the links of :attr:`place`, (n_links,), and since when [s] it
-        lasts; zeros where there is none."""
+        """Probabilities (n_links,) of the present contact at each of the links of :attr:`place`,
+        and since when [s] it lasts; zeros where there is none."""
         if self.place is None or not self.closed:
             return np.zeros(0 if self.place is None else len(self.place.links)), 0.0
         newest = self._closed_since if self._newest is None else self._newest
@@ -502,8 +502,8 @@ class ContactGate:
         self._resting = 0
 
     def _follow_speed(self, prediction: Prediction, seconds: float) -> tuple[bool, int]:
-        """Whether the robot moves now, and the band of its speed over the last second; while the gate is closed at
-        least that in which it closed."""
+        """Tell whether the robot moves now, and the band of its speed over the last second; while
+        the gate is closed at least that in which it closed."""
         speed = float(np.abs(prediction.sample.velocity).max())
         self._speed = max(speed, self._speed * exp(-seconds / SPEED_MEMORY_S))
         band = sum(self._speed > edge for edge in SPEEDS)
@@ -547,13 +547,14 @@ class ContactGate:
             self.changed = True
 
     def _learn_closure(self) -> None:
-        """What was refused belongs to free motion."""
+        """Count what was refused as free motion."""
         band, tail = self._bands[self._closed_at], self._tails[self._closed_at > 0]
         band.restore(np.vstack([band.peaks, self._meanwhile.peaks, self._meanwhile.peak])[-SCALE_BLOCKS:])
         tail.add(self._closed_ratio)
 
     def _follow_change(self) -> None:
-        """What was refused is usual from now on, at rest or at every speed; nothing becomes smaller by it.
+        """Take what was refused for usual from now on, at rest or at every speed; nothing becomes
+        smaller by it.
 
         A robot that meanwhile stops shows in some outputs nothing but noise.
         """
@@ -596,7 +597,7 @@ def standardised_innovation(prediction: Prediction) -> float:
 
 @compiled
 def _root_mean_square(outputs: Vector, mean: Vector, std: Vector) -> float:
-    """Of (outputs - mean) / std, all (n,)."""
+    """Root mean square of (outputs - mean) / std, all (n,)."""
     squares = 0.0
     for k in range(len(mean)):
         squares += ((outputs[k] - mean[k]) / std[k]) ** 2

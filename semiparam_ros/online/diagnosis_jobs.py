@@ -31,7 +31,7 @@ LINGERS = 0.2
 
 
 class Progress(NamedTuple):
-    """Of a diagnosis: what is being tried, and how long it is expected to take yet [s]."""
+    """Progress of a diagnosis: what is being tried, and how long it is expected to take yet [s]."""
 
     words: str
     left_s: float
@@ -43,8 +43,8 @@ def expected_s(samples: int) -> float:
 
 
 def left_s(samples: int, passed: float, used: float) -> float:
-    """How long [s] a diagnosis is expected to take yet that ``passed`` seconds ago began, and has ``used`` so much of
-    a processor."""
+    """Time [s] that a diagnosis is expected to take yet that ``passed`` seconds ago began, and has
+    ``used`` so much of a processor."""
     return max(expected_s(samples) - used, LINGERS * used) * passed / max(used, 1e-3)
 
 
@@ -92,7 +92,7 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect],
 
 def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], since: int,
                 ended: int | None, inputs: Inputs | None, taken_off: Sequence[Contribution] = ()) -> NamedChange:
-    """What began at a stamp [ns], and ended at another; times of the effect as stamps. See
+    """Name what began at a stamp [ns], and ended at another; times of the effect as stamps. See
     :func:`~semiparam_ros.diagnosis.change.name_change`.
 
     :param taken_off: what was taken off the samples before they were kept.

@@ -1,6 +1,5 @@
-"""What the model has learnt, as quantities with names, units and standard deviations, and whether the robot has
-moved enough to identify it.
-"""
+"""Parameters that the model has learnt, as quantities with names, units and standard deviations,
+and whether the robot has moved enough to identify them."""
 
 from __future__ import annotations
 
@@ -47,7 +46,7 @@ class Excitation:
 
 
 class Conditioning(NamedTuple):
-    """How much the samples say of theta.
+    """Conditioning of theta by the samples.
 
     ``number``: largest over smallest eigenvalue of theta's covariance in units of its prior; ``undetermined``: how many
     directions of theta are still about as wide as the prior had them; ``columns``: how many there are.
@@ -59,7 +58,8 @@ class Conditioning(NamedTuple):
 
 
 def conditioning(model: Model, prior_scale: Array) -> Conditioning | None:
-    """Of a model whose prior is ``prior_scale`` (p,) times gamma; None when it learns no theta."""
+    """Conditioning of a model whose prior is ``prior_scale`` (p,) times gamma; None when it learns
+    no theta."""
     recursion = model.recursion
     if not recursion.n_columns:
         return None
@@ -78,7 +78,8 @@ class LearntCoefficient(NamedTuple):
 
 
 class CarriedLoad(NamedTuple):
-    """What the arm carries beyond its description, in the frame of ``link``; inertia (3, 3) about its centre.
+    """Load that the arm carries beyond its description, in the frame of ``link``; inertia (3, 3)
+    about its centre.
 
     ``std`` is of the same kind and has the standard deviations. What cannot be told is not a number: the centre and the
     inertia of a mass that is smaller than two standard deviations, and an inertia that no body has.
@@ -175,7 +176,7 @@ def _added_load(body: RigidBody, link: str, theta: Array, covariance: Array) -> 
 
 
 def is_shown(load: Load) -> bool:
-    """Whether its mass is one for certain."""
+    """Tell whether its mass is one for certain."""
     return bool(load.parameters[0] > max(SMALLEST_MASS, 2.0 * np.sqrt(load.covariance[0, 0])))
 
 
@@ -205,8 +206,8 @@ def _centred(parameters: Array) -> Array:
 
 
 def _has_a_body(inertia: Array) -> bool:
-    """Whether some distribution of mass has this inertia about its centre: no principal moment is larger than the sum
-    of the two others."""
+    """Tell whether some distribution of mass has this inertia about its centre: no principal moment
+    is larger than the sum of the two others."""
     moments = np.linalg.eigvalsh(inertia)
     return bool(moments[0] >= 0.0 and moments[0] + moments[1] >= moments[2])
 

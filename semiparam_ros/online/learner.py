@@ -49,7 +49,7 @@ FAILURES_AT_MOST = 3
 
 
 class Answer(NamedTuple):
-    """What is published of one sample."""
+    """Answer to one sample, as it is published."""
 
     prediction: Prediction
     residual: Array  # (n,) outputs minus prediction, in N and N m
@@ -62,7 +62,7 @@ class Answer(NamedTuple):
 
     @property
     def learnt(self) -> bool:
-        """Whether the model is to learn it."""
+        """Tell whether the model is to learn it."""
         return self.learning > 0
 
 
@@ -82,7 +82,7 @@ class LearnerListener(Protocol):
         """News for the log."""
 
     def model_switched(self, success: bool, sentence: str) -> None:
-        """Whether a change of the model came about, and a sentence about it."""
+        """Take note of whether a change of the model came about, with a sentence about it."""
 
     def settings_reverted(self, settings: Settings) -> None:
         """The settings that hold from now on, after a change that failed or a model that broke."""
@@ -149,7 +149,7 @@ class Learner:
 
     @property
     def estimating(self) -> bool:
-        """Whether hyperparameters are estimated from the initial window."""
+        """Tell whether hyperparameters are estimated from the initial window."""
         successor = self.switcher.successor
         return self.estimator.window_full and successor is not None and same_model(successor.settings, self.built)
 
@@ -237,7 +237,7 @@ class Learner:
         return prediction
 
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
-        """Whether the active model has taken it in; it is broken where it has not."""
+        """Tell whether the active model has taken it in; it is broken where it has not."""
         returns, passed_over = self.estimator.returns, self.estimator.passed_over
         try:
             errors = observe(self.estimator, prediction, learning, finish=False)
@@ -300,7 +300,8 @@ class Learner:
                             f'{self._taken_over()} samples after the end of the initial window.')
 
     def _taken_over(self) -> int:
-        """What was asked of a window is there, or cannot be: how many samples were answered since."""
+        """End the wait for what was asked of a window, which is there or cannot be; samples
+        answered since."""
         waited, self._asked = self.waited, None
         self.takeovers.extend([waited] * (1 + self._awaits_draft))  # it was built without
         self._awaits_draft = False
@@ -312,8 +313,8 @@ class Learner:
         return 0 if self._asked is None else self.answered - self._asked
 
     def _renews(self, prediction: Prediction) -> bool:
-        """Whether motion has left what the hyperparameters are from, and no successor is built but one that has none of
-        the motion of a draft that is due: that is given up."""
+        """Tell whether motion has left what the hyperparameters are from, and no successor is built
+        but one that has none of the motion of a draft that is due: that is given up."""
         if not self._renewal.see(self.estimator, prediction):
             return False
         successor = self.switcher.successor
@@ -413,7 +414,7 @@ class Learner:
         self.changes.applied.restore(saved.applied)
 
     def state(self) -> SavedState:
-        """What :meth:`restore` needs."""
+        """State that :meth:`restore` takes back."""
         return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state(),
                           self._renewal.state(), self.changes.applied.state())
 

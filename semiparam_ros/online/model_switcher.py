@@ -43,7 +43,7 @@ FOR_EACH_ANSWER = 2
 
 
 class State(Enum):
-    """Of a model beside the active one; see the module."""
+    """State of a model beside the active one; see the module."""
 
     BUILDING = 'building'
     CATCHING_UP = 'catching up'
@@ -74,7 +74,7 @@ class SwitcherListener(Protocol):
 
 
 def same_model(one: Settings, other: Settings) -> bool:
-    """Whether both settings describe the same model."""
+    """Tell whether both settings describe the same model."""
     return all(getattr(one, name) == getattr(other, name) for name in MODEL_PARAMETERS)
 
 
@@ -356,7 +356,7 @@ class ModelSwitcher:
 
 
 def sentence_of(error: BaseException | None) -> str:
-    """What to tell of a failed job: our own sentences as they are, others by their type."""
+    """Sentence on a failed job: our own sentences as they are, others by their type."""
     if isinstance(error, SemiparamError):
         return str(error).rstrip('.')
     return f'{type(error).__name__}: {error}' if error else 'no result'

@@ -45,7 +45,8 @@ Scheduler: TypeAlias = Callable[..., object]
 
 
 class Urgency(IntEnum):
-    """Of a job: those of more come first, and a shadow gives way to a model that is to take over."""
+    """Urgency of a job: the more urgent come first, and a shadow gives way to a model that is to
+    take over."""
 
     SHADOW = 0
     ASKED = 1
@@ -207,7 +208,7 @@ class ProcessBackground:
         return worker
 
     def _ask(self, worker: Worker, job: _ProcessJob) -> JobResult | None:
-        """What comes of a job; None: the process died."""
+        """Have a job done, and return its result; None: the process died."""
         (process, line), outcome = worker, None
         try:
             transport.send(line, (job.function, job.arguments))
@@ -279,7 +280,7 @@ def _activity(process: BaseProcess) -> tuple[str, int]:
 
 
 class JobResult(NamedTuple):
-    """Of a job: its result, or what it raised and where."""
+    """Result of a job, or what it raised and where."""
 
     result: object = None
     error: Exception | None = None

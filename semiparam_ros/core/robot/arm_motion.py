@@ -19,7 +19,8 @@ FEW = 30
 
 
 class ArmMotion(NamedTuple):
-    """Where every joint of a model is over N samples, in the base: placements after its turn, and its own motion.
+    """Motion of every joint of a model over N samples, in the base: placements after its turn, and
+    its own motion.
 
     Of a joint with several degrees of freedom, a free one that stays at zero, each is a column of its own.
     """
@@ -136,7 +137,8 @@ def _write(rotation: Stack, slide: Matrix, turn: Matrix, lever: Matrix, turning:
 
 
 def _accelerations(motion: ArmMotion, velocity: Array, acceleration: Array) -> list[tuple[Array, Array, Array]]:
-    """Of each joint's body the angular velocity, its change, and the acceleration less gravity (3, N), in the base."""
+    """Angular velocity of each joint's body, its change, and the acceleration less gravity (3, N),
+    in the base."""
     still = np.zeros_like(motion.position[0])
     found = [(still, still, still - np.array(motion.model.gravity.linear)[:, None])]
     for joint in range(1, motion.model.njoints):

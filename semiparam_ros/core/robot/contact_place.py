@@ -1,4 +1,4 @@
-"""Which link is touched, by what the outputs feel of it.
+"""Link that is touched, by what the outputs feel of it.
 
 A touch is a force f at a point on a link. Points along the bones stand for it: the link's centre of mass, and the ways
 from its joint to everything that is fixed to it. Skin lies beside the bones, which adds couples in proportion to the

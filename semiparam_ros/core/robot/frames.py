@@ -1,4 +1,5 @@
-"""What a force at a link does to the outputs, and how a link moves: the ground that many effects stand on."""
+"""Outputs caused by a force at a link, and motion of a link: the ground that many effects stand
+on."""
 
 from __future__ import annotations
 
@@ -166,7 +167,8 @@ def _on_sensor(body: RigidBody, position: Array, rotation: Array, sensor: Array)
 
 
 def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
-    """Of the links beside ``link``, the one whose origin is nearest to a point (3,) [m], and the point in its frame.
+    """Return the link, of those beside ``link``, whose origin is nearest to a point (3,) [m], and
+    the point in its frame.
 
     :param point: in the frame of ``link``.
     """

@@ -100,7 +100,7 @@ def _with_noise(samples: Samples, motion: Samples, noise: Array, measured: int, 
 
 @lru_cache(maxsize=8)
 def _hyperparameters(samples: Samples, measured: int, order: int) -> list[Array]:
-    """Of each joint :meth:`_SmoothingProblem.best`."""
+    """Return :meth:`_SmoothingProblem.best` of each joint."""
     return [_problem(samples.time, _measured(samples, joint, measured), order)[0].liveliest(TUNING_SAMPLES).best()
             for joint in range(samples.position.shape[1])]
 

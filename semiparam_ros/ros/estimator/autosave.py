@@ -79,7 +79,7 @@ class Autosave:
         return saved
 
     def report(self) -> Report:
-        """Whether they are written, and when the last one was."""
+        """Report of whether they are written, and when the last one was."""
         values = {'file': self.checkpoints.path, 'written': self._count, 'last failure': self._failed}
         if self._failed:
             return Report(ERROR, f'not written: {self._failed}', values)

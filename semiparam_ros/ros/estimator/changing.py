@@ -1,4 +1,4 @@
-"""What the node tells of changes of the robot: ``~/change``, its log, and a file of records."""
+"""Announcement of changes of the robot: ``~/change``, its log, and a file of records."""
 
 from __future__ import annotations
 

@@ -267,8 +267,8 @@ class DesiredTrajectory:
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
-    """Where our joints are in the message, which may name others too; raises SemiparamError unless each is there once.
-    """
+    """Places of our joints in the message, which may name others too; raises SemiparamError unless
+    each is there once."""
     wrong = [joint for joint in joints if names.count(joint) != 1]
     if wrong:
         raise SemiparamError(f'desired_trajectory must name joint {wrong[0]!r} once; it names {listed(names)}.')

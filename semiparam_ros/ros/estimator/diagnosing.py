@@ -75,7 +75,7 @@ class Diagnosing:
             self._background.close()
 
     def report(self) -> Report:
-        """How far one is, or how the last one ended."""
+        """Report of how far one is, or how the last one ended."""
         if self._running is None:
             return Report(OK, self._stage, {'running': False})
         elapsed = time.monotonic() - self._running.begun
@@ -208,7 +208,7 @@ class Diagnosing:
 
 
 def _looked(samples: SampleBatch, part: SampleBatch) -> str:
-    """Which samples a diagnosis looks at."""
+    """Sentence on the samples that a diagnosis looks at."""
     seconds = (samples.stamps[-1] - samples.stamps[0]) * 1e-9
     return f'{len(part)} of {len(samples)} samples, evenly spread over {seconds:.0f} s'
 

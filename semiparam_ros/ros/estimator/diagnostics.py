@@ -1,4 +1,5 @@
-"""What the node says of itself: every status once a second on /diagnostics (REP 107), and the payload."""
+"""Reports of the node on itself: every status once a second on /diagnostics (REP 107), and the
+payload."""
 
 from __future__ import annotations
 
@@ -68,7 +69,7 @@ class Rejections:
 
     @property
     def on_topics(self) -> int:
-        """How many messages."""
+        """Number of messages refused."""
         return self.counts.total() - self.counts[PARAMETERS]
 
 
@@ -114,7 +115,7 @@ class Report(NamedTuple):
 
 
 class Tally:
-    """What is counted between two reports."""
+    """Counts between two reports."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         self.excitation = Excitation(joints)
@@ -250,7 +251,7 @@ class TimingReport:
 
 
 def learning_report(learner: Learner, news: str) -> Report:
-    """Which model answers, and whether it learns."""
+    """Report of which model answers, and whether it learns."""
     level, message = _learning_state(learner)
     values = {
         'variant': learner.built.variant, 'random features': learner.estimator.features_count,
@@ -312,7 +313,7 @@ def _learning_state(learner: Learner) -> tuple[bytes, str]:
 
 
 def _unmoved(learner: Learner) -> str:
-    """What the initial window has not seen yet."""
+    """Joints that the initial window has not seen move yet, in words."""
     joints = [learner.body.joints[index] for index in
               learner.estimator.window.unmoved(learner.body.n_joints, MOVED_ENOUGH)]
     if not joints or learner.history.latest() is None:
@@ -353,7 +354,7 @@ def model_report(learner: Learner, tally: Tally) -> Report:
 
 
 def feedforward_report(feedforward: Feedforward) -> Report:
-    """How many desired states were answered, and what had to be said of them."""
+    """Report of how many desired states were answered, and what had to be said of them."""
     counts = feedforward.counts()
     values = {'answered': counts.answered, 'answered by the robot description': counts.described,
               'cut to the effort limits': counts.limited, 'outside of what was learnt': counts.doubtful,
@@ -364,7 +365,7 @@ def feedforward_report(feedforward: Feedforward) -> Report:
 
 
 def errors_report(errors: InternalErrors, twins: str = '') -> Report:
-    """What went wrong in the node itself, by its place.
+    """Report of what went wrong in the node itself, by its place.
 
     :param twins: who else publishes its topics, see :meth:`Outputs.twins`.
     """
@@ -377,7 +378,7 @@ def errors_report(errors: InternalErrors, twins: str = '') -> Report:
 
 
 def believed_load(learner: Learner, tally: Tally) -> tuple[Load | None, str]:
-    """What the arm carries; None and the reason while that cannot be told."""
+    """Load that the arm carries; None and the reason while that cannot be told."""
     if not learner.estimator.ready:
         return None, 'withheld: the initial window is not over.'
     detector, (picked, load) = learner.changes.detector, learner.changes.picked
@@ -520,7 +521,7 @@ class Reports:
         return parameters_report(quantities(learner.estimator), {'payload': sentence})
 
     def _consistent_parameters(self, learner: Learner, load: Load | None, sentence: str) -> Report:
-        """Of the latest bodies that were found; of what was learnt while there are none."""
+        """Report of the latest bodies that were found; of what was learnt while there are none."""
         before = self._published
         self._consistent.ask(learner.estimator, load, self.tally.stamp)
         found = self._published = self._consistent.found

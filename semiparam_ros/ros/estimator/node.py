@@ -140,7 +140,7 @@ class EstimatorNode(Node):
         self._inputs.open(body.joints)
 
     def _newest_checkpoint(self) -> SavedState | None:
-        """What a model that broke is replaced by."""
+        """State that replaces a model that broke."""
         return None if self.learner is None else self._autosave.newest(self._live.settings, self.learner.body)
 
     def _the_learner(self) -> Learner:
@@ -190,12 +190,12 @@ class EstimatorNode(Node):
             self._report(error, 'publishing')
 
     def horizon_completed(self, errors: HorizonErrors) -> None:
-        """Those of the active model."""
+        """Publish those of the active model."""
         self._outputs.publish_errors(errors)
         self._reports.tally.errors = errors
 
     def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
-        """Those of a shadow, on a topic of its own."""
+        """Publish those of a shadow, on a topic of its own."""
         self._outputs.publish_shadow(variant, errors)
 
     def announce(self, sentence: str) -> None:
@@ -273,7 +273,7 @@ class EstimatorNode(Node):
             raise
 
     def _announcement(self) -> str:
-        """What the parameters said last, while a model is being built."""
+        """Sentence that the parameters said last, while a model is being built."""
         if self.learner is None or self.learner.estimating or self.learner.switcher.successor is None:
             return ''
         return self._live.news

@@ -1,4 +1,5 @@
-"""What acts from outside: the wrench, the sensor's wrench without its tool, and the link that is touched."""
+"""Topics of what acts from outside: the wrench, the sensor's wrench without its tool, and the link
+that is touched."""
 
 from __future__ import annotations
 
@@ -42,7 +43,7 @@ class Outside:
         self._latest: Answer | None = None
 
     def publish(self, answer: Answer) -> None:
-        """What one answer says of it."""
+        """Publish what one answer says of it."""
         self._latest = answer
         stamp = answer.prediction.sample.stamp
         heard = is_heard(self._wrench), is_heard(self._std)

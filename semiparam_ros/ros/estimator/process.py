@@ -78,7 +78,7 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals, worker: Worker) -> int
 
 
 def parameter_files(ros_arguments: Sequence[str]) -> list[Path]:
-    """Those named on the command line, the last one first, for it has the last word."""
+    """Files named on the command line, the last one first, for it has the last word."""
     named = [value for option, value in pairwise(ros_arguments) if option == '--params-file']
     return [Path(path) for path in reversed(named)]
 
@@ -91,12 +91,14 @@ def _new_node(schedule: Scheduler, files: Sequence[Path], worker: Worker) -> Est
 
 
 def _find_effects(outputs: str) -> None:
-    """Those of other packages are looked for in every one that is installed: now, not between two samples."""
+    """Look for effects of other packages in every one that is installed: now, not between two
+    samples."""
     with suppress(SemiparamError):  # of a package that is not well; told where an effect is declared
         kinds(outputs)
 
 
 def _keep_collector_out() -> None:
-    """What is loaded now stays for good: the cyclic garbage collector need not look at it while samples come."""
+    """Keep the cyclic garbage collector from what is loaded now, which stays for good, while
+    samples come."""
     gc.collect()
     gc.freeze()

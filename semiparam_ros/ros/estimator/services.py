@@ -30,7 +30,8 @@ Result = TypeVar('Result')
 
 
 class Reply:
-    """What a request waits for: call it once, with the sentence and whether it went well, from the same thread."""
+    """Answer that a request waits for: call it once, with the sentence and whether it went well,
+    from the same thread."""
 
     def __init__(self) -> None:
         self._header: object = None
@@ -43,7 +44,7 @@ class Reply:
         self._deliver()
 
     def expect(self, header: object, send: Callable[[Trigger.Response, object], None]) -> None:
-        """Where the answer goes."""
+        """Send the answer there."""
         self._header, self._send = header, send
         self._deliver()
 

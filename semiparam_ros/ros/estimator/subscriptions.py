@@ -101,7 +101,7 @@ class MessageTurns:
 
     @property
     def late_s(self) -> float:
-        """How long the oldest has waited [s]."""
+        """Time that the oldest has waited [s]."""
         return time.perf_counter() - self._waiting[0].arrived if self._waiting else 0.0
 
     def add(self, topic: str, reading: Reading | None) -> None:
@@ -118,7 +118,8 @@ class MessageTurns:
             self._schedule(self._take_turn)
 
     def _drop(self) -> None:
-        """Those given up, which are the oldest of their topics, as far as they are in front."""
+        """Drop those given up, which are the oldest of their topics, as far as they are in
+        front."""
         while self._waiting and self._given_up[self._waiting[0].topic]:
             self._given_up[self._waiting.popleft().topic] -= 1
 
@@ -199,7 +200,7 @@ class InputsListener(Protocol):
         """A robot description."""
 
     def clock_jumped(self) -> None:
-        """What waited for its counterpart is dropped."""
+        """Take note that what waited for its counterpart is dropped."""
 
     def message_failed(self, topic: str, error: Exception) -> None:
         """A message was refused, or could not be handled."""
@@ -261,7 +262,7 @@ class InputStream:
         self._listener.clock_jumped()
 
     def publishers(self, topic: str) -> int:
-        """How many publishers a topic has that are heard."""
+        """Number of publishers of a topic that are heard."""
         return int(self._subscriptions[topic].get_publisher_count())
 
     def follow_reliability(self) -> list[str]:
