@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from semiparam_ros.core.robot.feedforward import Desired, described, desired
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
+from semiparam_ros.online.desired_state import Desired, described, desired
 from semiparam_ros.online.learner import Learner
 
 LARGEST_DISTANCE = 1.0

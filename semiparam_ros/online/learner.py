@@ -18,7 +18,6 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.finite import are_finite
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.compensation import Compensation, bodies_and_bias
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools
@@ -27,6 +26,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import model_jobs
 from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch
+from semiparam_ros.online.compensation import Compensation, bodies_and_bias
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
 from semiparam_ros.online.learning import Learning, learning_of, observe

@@ -21,13 +21,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from semiparam_ros.core.model import PRIORS
-from semiparam_ros.core.robot.compensation import Compensation
 from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.export.files import export_to
 from semiparam_ros.export.urdf import described_links
+from semiparam_ros.online.compensation import Compensation
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.history import KEPT_OF_REST
 from semiparam_ros.online.learner import Learner

@@ -17,8 +17,8 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.core.robot import feedforward
 from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.online import desired_state as feedforward
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.parameter_table import PARAMETERS

@@ -11,9 +11,9 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
-from semiparam_ros.core.robot.compensation import Compensation
 from semiparam_ros.core.robot.external_wrench import External, ExternalWrench
 from semiparam_ros.core.types import Array
+from semiparam_ros.online.compensation import Compensation
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.ros.cdr import Layout, joint_state_layout
 from semiparam_ros.ros.estimator.publishers import DEPTH, ValueMessage, is_heard, send
