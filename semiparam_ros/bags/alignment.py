@@ -118,6 +118,15 @@ class SampleStream:
     stays silent.
     A message that names joints, but none of ours (a gripper's own), is ignored: ``ignored`` counts these, and
     ``last_ignored`` says what the last one named.
+
+    :param joints: names in the order of the samples' columns; messages may order theirs in any way.
+    :param outputs: 'wrench' or 'effort'. :param sensor_frame: frame_id that wrenches must have; '' takes any.
+    :param tolerance_s: largest distance [s] from a wrench to the nearer of the joint states it lies between.
+    :param differentiator: gives the accelerations, unless ``measured_accelerations`` come on their own topic.
+    :param capacity: messages of a topic kept while another is silent; None keeps all.
+    :param velocity_filter: gives the velocities of joint states that leave them empty; None refuses such.
+    :param output_joints: those of the joints whose efforts are the outputs; all of them unless given.
+    :param temperatures: joints whose temperatures are measured; with a wrench, its sensor's frame_id.
     """
 
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
@@ -125,24 +134,7 @@ class SampleStream:
                  measured_accelerations: bool = False, capacity: int | None = CAPACITY,
                  velocity_filter: CausalDifferentiator | None = None, output_joints: Collection[str] = (),
                  temperatures: Collection[str] = ()) -> None:
-        """Make a stream without messages.
-
-        :param joints: names in the order of the samples' columns; messages may order theirs in any
-            way.
-        :param outputs: 'wrench' or 'effort'.
-        :param sensor_frame: frame_id that wrenches must have; '' takes any.
-        :param tolerance_s: largest distance [s] from a wrench to the nearer of the joint states it
-            lies between.
-        :param differentiator: gives the accelerations, unless ``measured_accelerations`` come on
-            their own topic.
-        :param capacity: messages of a topic kept while another is silent; None keeps all.
-        :param velocity_filter: gives the velocities of joint states that leave them empty; None
-            refuses such.
-        :param output_joints: those of the joints whose efforts are the outputs; all of them unless
-            given.
-        :param temperatures: joints whose temperatures are measured; with a wrench, its sensor's
-            frame_id.
-        """
+        """Make a stream without messages; SemiparamError where nothing gives accelerations."""
         if outputs not in ('wrench', 'effort'):
             raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
         if differentiator is None and not measured_accelerations:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 from semiparam_ros.bags import readings
@@ -75,20 +75,9 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
         joints = _joints(settings, description, bag)
         stream = sample_stream(settings, joints, measured, capacity=None)
         outputs = topics.wrench if settings.outputs == 'wrench' else topics.joint_states
-        frame_id, lengths, read_until = '', list[int](), bag.start_ns
-        samples: list[Sample] = []
-        for window in _windows(bag, bag.topics[outputs].count, most):
-            if window is not None:
-                stream.reset()
-                if topics.temperature in needed:  # it holds from before the stretch on
-                    _read(bag, stream, topics, [topics.temperature], read_until, window[0])
-                read_until = window[1]
-            frame, stretch = _read(bag, stream, topics, needed, *(window or (None, None)))
-            if window is not None and window[0] + WARM_UP_NS > bag.start_ns and stretch:
-                counts = stretch[0].stamp + WARM_UP_NS
-                stretch = [sample for sample in stretch if sample.stamp >= counts]
-            frame_id, samples = frame_id or frame, samples + stretch
-            lengths.append(len(stretch))
+        windows = _windows(bag, bag.topics[outputs].count, most)
+        frame_id, stretches = _read_windows(bag, stream, topics, needed, windows)
+        samples = [sample for stretch in stretches for sample in stretch]
         if not samples:
             raise SemiparamError(_nothing_matched(bag, stream, needed, bool(settings.joints)))
         return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, stream.last_fault,
@@ -159,6 +148,25 @@ def _windows(bag: BagReader, count: int, most: Callable[[float], int] | None) ->
     length = int(bag.duration_ns * limit / count) // STRETCHES
     starts = [bag.start_ns + (bag.duration_ns - length) * index // (STRETCHES - 1) for index in range(STRETCHES)]
     return [(start - WARM_UP_NS, start + length) for start in starts]
+
+
+def _read_windows(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collection[str],
+                  windows: Iterable[tuple[int, int] | None]) -> tuple[str, list[list[Sample]]]:
+    """Read (frame of the wrenches, samples of each window), without those that filters had first."""
+    frame_id, stretches, read_until = '', list[list[Sample]](), bag.start_ns
+    for window in windows:
+        if window is not None:
+            stream.reset()
+            if topics.temperature in needed:  # it holds from before the stretch on
+                _read(bag, stream, topics, [topics.temperature], read_until, window[0])
+            read_until = window[1]
+        frame, stretch = _read(bag, stream, topics, needed, *(window or (None, None)))
+        if window is not None and window[0] + WARM_UP_NS > bag.start_ns and stretch:
+            counts = stretch[0].stamp + WARM_UP_NS
+            stretch = [sample for sample in stretch if sample.stamp >= counts]
+        frame_id = frame_id or frame
+        stretches.append(stretch)
+    return frame_id, stretches
 
 
 def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collection[str], start: int | None = None,

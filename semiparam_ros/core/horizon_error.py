@@ -174,17 +174,28 @@ def complete(rows: Matrix, newest: int, eps: Matrix) -> None:
 
 
 @compiled
+def remember(row: Vector, n: int, at: Starts, update: Update, offsets: Matrix) -> None:
+    """Write the model as it stands after a sample into a row."""
+    row[n:at.theta] = 0.0
+    row[at.theta:at.offsets] = update.theta
+    row[at.offsets:] = offsets.reshape(offsets.size)
+    if len(update.innovations):
+        row[at.gain:at.innovations] = update.gain
+        row[at.innovations:at.theta] = update.innovations.reshape(update.innovations.size)
+
+
+@compiled
 def advance(rows: Matrix, start: int, filled: int, decay: Vector, prior: Prior, outputs: Vector, update: Update,
             offsets: Matrix, errors: Matrix, eps: Matrix) -> None:
     """See :meth:`HorizonIndex.advance`; ``eps`` takes the index (2, n) of a horizon that is complete."""
     n, p = prior.columns.shape
     size, newest = len(prior.phi), start - 1
-    at = starts(n, p, size)
+    at, regressed = starts(n, p, size), prior.projection.regressed
     running = np.empty(n * (p + 1))  # of each model in turn E_C, and less its prediction of y without it
     for k in range(n):
         for c in range(p):
-            running[k * (p + 1) + c] = prior.columns[k, c] - prior.regressed[k, c]
-        running[k * (p + 1) + p] = -prior.regressed[k, p]
+            running[k * (p + 1) + c] = prior.columns[k, c] - regressed[k * (p + 1) + c]
+        running[k * (p + 1) + p] = -regressed[k * (p + 1) + p]
     for model in range(filled):
         row = rows[start + model]
         squared, gain, learnt = row[n:at.gain], row[at.gain:at.innovations], row[at.innovations:at.theta]
@@ -210,13 +221,7 @@ def advance(rows: Matrix, start: int, filled: int, decay: Vector, prior: Prior, 
     rows[newest, :n] = outputs
     if filled == len(rows) // 2:
         complete(rows, newest, eps)
-    row = rows[newest]
-    row[n:at.theta] = 0.0
-    row[at.theta:at.offsets] = update.theta
-    row[at.offsets:] = offsets.reshape(len(decay) * n)
-    if len(update.innovations):
-        row[at.gain:at.innovations] = update.gain
-        row[at.innovations:at.theta] = update.innovations.reshape(n * (p + 1))
+    remember(rows[newest], n, at, update, offsets)
 
 
 _advance = direct(advance)

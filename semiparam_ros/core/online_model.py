@@ -209,7 +209,7 @@ def _learn_and_follow(
         root: Root, regression: Regression, prior: Prior, outputs: Vector, wandering: Matrix, calibration: Matrix,
         rows: Matrix, start: int, filled: int, decay: Vector, theta: Vector, errors: Matrix, eps: Matrix) -> int:
     """See :meth:`OnlineModel.take_in`, of a sample that is learnt and followed; what :func:`learn` gives."""
-    update = Update(theta, np.empty(prior.regressed.shape), np.empty(len(prior.phi)))
+    update = Update(theta, np.empty((len(outputs), len(theta) + 1)), np.empty(len(prior.phi)))
     placed = learn(root, regression, prior, outputs, update)
     _follow(outputs - prior.mean, prior.std, wandering, calibration)
     paces = len(decay)

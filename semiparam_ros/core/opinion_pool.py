@@ -34,16 +34,23 @@ def pool_together(weights: Array, means: Array, covariances: Array) -> tuple[Arr
     return mean, np.einsum('mk,mkj,mj->kj', roots, covariances, roots) + apart.T @ apart
 
 
-@compiled
-def pool_both(weights: Matrix, means: Matrix, std: Matrix, model_means: Matrix,
-              covariances: Stack) -> tuple[Vector, Vector, Vector, Matrix]:
+def pool_both(weights: Array, means: Array, std: Array, model_means: Array,
+              covariances: Array) -> tuple[Array, Array, Array, Array]:
     """(n,) mean and standard deviation of what is published, and :func:`pool_together` of the models alone."""
+    mean, spread, model_mean, covariance = *np.empty((3, means.shape[1])), np.empty(covariances.shape[1:])
+    _pool_both(weights, means, std, model_means, covariances, mean, spread, model_mean, covariance)
+    return mean, spread, model_mean, covariance
+
+
+@compiled
+def _pool_both(weights: Matrix, means: Matrix, std: Matrix, model_means: Matrix, covariances: Stack, mean: Vector,
+               spread: Vector, model_mean: Vector, covariance: Matrix) -> None:
+    """See :func:`pool_both`."""
     members, n = means.shape
-    mean, spread, model_mean = np.zeros(n), np.zeros(n), np.zeros(n)
-    covariance, roots = np.zeros((n, n)), np.empty((members, n))
+    roots = np.empty((members, n))
     for k in range(n):
         least, least_variance = std[:, k].min(), covariances[:, k, k].min()
-        total = model_total = 0.0
+        total = model_total = mean[k] = spread[k] = model_mean[k] = 0.0
         for m in range(members):
             share = weights[m, k] * (least / std[m, k]) ** 2
             total += share
@@ -60,7 +67,7 @@ def pool_both(weights: Matrix, means: Matrix, std: Matrix, model_means: Matrix,
         spread[k] = np.sqrt(spread[k])
     for k in range(n):
         for j in range(n):
+            covariance[k, j] = 0.0
             for m in range(members):
                 apart = (model_means[m, k] - model_mean[k]) * (model_means[m, j] - model_mean[j])
                 covariance[k, j] += roots[m, k] * roots[m, j] * (covariances[m, k, j] + apart)
-    return mean, spread, model_mean, covariance

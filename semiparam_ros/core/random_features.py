@@ -45,7 +45,9 @@ class RandomFeatures:
 
     def __call__(self, x: Array) -> Array:
         """(D,) features of one input (m,)."""
-        return _features(self._omega, self._phase, self._norm, x)
+        phi = np.empty(self.count)
+        _features(self._omega, self._phase, self._norm, x, phi)
+        return phi
 
     def batch(self, x: Array) -> Array:
         """(N, D) features of inputs (N, m)."""
@@ -64,10 +66,9 @@ class RandomFeatures:
 
 
 @compiled
-def _features(omega: Matrix, phase: Vector, norm: float, x: Vector) -> Vector:
+def _features(omega: Matrix, phase: Vector, norm: float, x: Vector, phi: Vector) -> None:
     """phi of one input, from omega (m, d)."""
     inputs, half = omega.shape
-    phi = np.empty(2 * half)
     for i in range(half):
         phi[i] = -phase[i]
     for j in range(inputs):
@@ -77,7 +78,6 @@ def _features(omega: Matrix, phase: Vector, norm: float, x: Vector) -> Vector:
         z = phi[i]
         phi[i] = norm * np.cos(z)
         phi[half + i] = norm * np.sin(z)
-    return phi
 
 
 def spectrum(n_inputs: int, count: int, seed: int, frequencies: str = FREQUENCIES[0]) -> Array:

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
-from semiparam_ros.core.compiled import Matrix, Vector, compiled, direct
+from semiparam_ros.core.compiled import Integers, Matrix, Vector, compiled, direct
 from semiparam_ros.core.square_root_filter import Projection, Root, SquareRootFilter, project, variance, wait
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
@@ -65,10 +65,14 @@ class Prior(NamedTuple):
     covariance: Matrix  # (n, n) of the outputs, noise included
     std: Vector  # (n,) of each output, noise included
     phi: Vector  # (D,) features
-    projection: Projection
-    regressed: Matrix  # (n, p + 1) phi' Theta, y last with what is known of it
+    projection: Projection  # with phi' Theta (n, p + 1), of y with what is known of it, row by row
     columns: Matrix  # (n, p) the coupled columns
     revision: int  # of the model that it was computed from
+
+    @property
+    def regressed(self) -> Array:
+        """(n, p + 1) phi' Theta, y last with what is known of it."""
+        return self.projection.regressed.reshape(len(self.mean), -1)
 
     @property
     def columns_left(self) -> Array:
@@ -137,11 +141,11 @@ class SemiParametricRecursion:
         :param known: (n,) part of the outputs that the model does not have to learn.
         """
         n, known = self.n_outputs, self._nothing_known if known is None else known
-        regressed = np.empty((n, self.n_columns + 1))
-        projection = Projection(np.empty(self.n_features), np.empty(self.n_features), regressed.reshape(-1))
-        prior = Prior(np.empty(n), np.empty((n, n)), np.empty(n), np.ascontiguousarray(phi), projection, regressed,
+        size, n_estimates = self.n_features, n * (self.n_columns + 1)
+        projection = Projection(np.empty(size), np.empty(size), np.empty(n_estimates))
+        prior = Prior(np.empty(n), np.empty((n, n)), np.empty(n), np.ascontiguousarray(phi), projection,
                       np.ascontiguousarray(columns), self.revision)
-        _predict(*self.arrays, self.theta, known, prior)
+        _predict(self._weights.root, self._regression, self.theta, known, prior)
         return prior
 
     def learn(self, prior: Prior, outputs: Array) -> Update:
@@ -150,7 +154,8 @@ class SemiParametricRecursion:
         Raises SemiparamError, with nothing changed, when the model has changed since.
         """
         self.require_current(prior)
-        update = Update(np.empty(self.n_columns), np.empty(prior.regressed.shape), np.empty(self.n_features))
+        update = Update(np.empty(self.n_columns), np.empty((self.n_outputs, self.n_columns + 1)),
+                        np.empty(self.n_features))
         self.take_over(update.theta, learn(*self.arrays, prior, outputs, update))
         return update
 
@@ -316,10 +321,10 @@ class SemiParametricRecursion:
 @compiled
 def predict(root: Root, regression: Regression, theta: Vector, known: Vector, prior: Prior) -> None:
     """Fill the arrays of a prior, but for features and columns."""
-    columns, regressed = prior.columns, prior.regressed
-    mean, covariance, std = prior.mean, prior.covariance, prior.std
+    columns, mean, covariance, std = prior.columns, prior.mean, prior.covariance, prior.std
     information, scale = regression.information, regression.scale
     n, p = columns.shape
+    regressed = prior.projection.regressed.reshape((n, p + 1))
     project(root, prior.phi, prior.projection)
     s = variance(prior.projection.f, regression.sigma)
     half = np.empty((n, p))  # E_C R^-1
@@ -354,10 +359,34 @@ _predict = direct(predict)
 
 
 @compiled
+def reflect(pivot: Vector, rows: Matrix, used: Integers, count: int, c: int, share: float, unit: float,
+            along: Vector) -> None:
+    """One reflection of a row of R and the ``used`` rows, ``TOGETHER`` of them at a time, beyond column ``c``."""
+    size = len(pivot)
+    for j in range(c + 1, size):
+        along[j] = pivot[j]
+    for g in range(0, count, TOGETHER):
+        one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
+        first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
+        for j in range(c + 1, size):
+            along[j] += first * one[j] + second * two[j] + third * three[j]
+    for j in range(c + 1, size):
+        along[j] *= share
+        pivot[j] -= along[j]
+    for g in range(0, count, TOGETHER):
+        one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
+        first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
+        for j in range(c + 1, size):
+            one[j] -= first * along[j]
+            two[j] -= second * along[j]
+            three[j] -= third * along[j]
+
+
+@compiled
 def triangular(information: Matrix, rows: Matrix, n: int) -> None:
     """R as ``information`` with ``n`` further rows: one, or several after which ``TOGETHER - 1`` of zeros stand.
 
-    A reflection takes only the rows that are not zero in its column, so many at a time.
+    A reflection takes only the rows that are not zero in its column.
     """
     size = len(information)
     along, used = np.empty(size), np.empty(len(rows), dtype=np.int64)
@@ -382,34 +411,19 @@ def triangular(information: Matrix, rows: Matrix, n: int) -> None:
                 step = (pivot[j] + factor * row[j]) * share
                 pivot[j] -= step
                 row[j] -= factor * step
-            continue
-        used[count], used[count + 1] = n, n + 1
-        for j in range(c + 1, size):
-            along[j] = pivot[j]
-        for g in range(0, count, TOGETHER):
-            one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
-            first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
-            for j in range(c + 1, size):
-                along[j] += first * one[j] + second * two[j] + third * three[j]
-        for j in range(c + 1, size):
-            along[j] *= share
-            pivot[j] -= along[j]
-        for g in range(0, count, TOGETHER):
-            one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
-            first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
-            for j in range(c + 1, size):
-                one[j] -= first * along[j]
-                two[j] -= second * along[j]
-                three[j] -= third * along[j]
+        else:
+            used[count], used[count + 1] = n, n + 1
+            reflect(pivot, rows, used, count, c, share, unit, along)
 
 
 @compiled
 def learn(root: Root, regression: Regression, prior: Prior, outputs: Vector, update: Update) -> int:
     """Fill an update, and take it in: [S | Theta] changes, and R gets further rows, after which reflections make it
     triangular again (Householder). How many estimates have a place now."""
-    columns, regressed, information = prior.columns, prior.regressed, regression.information
+    columns, information = prior.columns, regression.information
     theta, innovations, gain = update
-    n, size = regressed.shape
+    n, size = innovations.shape
+    regressed = prior.projection.regressed.reshape((n, size))
     s = variance(prior.projection.f, regression.sigma)
     for i in range(len(gain)):
         gain[i] = prior.projection.reach[i] / s

@@ -77,8 +77,9 @@ class SquareRootFilter:
 
     def has_changed(self, placed: int) -> None:
         """One change more waits, and so many estimates have a place now."""
-        self.root = self.root._replace(waiting=self.root.waiting + 1, placed=placed)
-        if self.root.waiting == MOST_WAITING:
+        array, left, right, waiting, inflation, places, _ = self.root
+        self.root = Root(array, left, right, waiting + 1, inflation, places, placed)
+        if waiting + 1 == MOST_WAITING:
             self._settle()
 
     def inflate(self, factor: float) -> None:
@@ -131,23 +132,14 @@ class SquareRootFilter:
 
 
 @compiled
-def project(root: Root, phi: Vector, projection: Projection) -> None:
-    """See :meth:`SquareRootFilter.project`.
+def pass_over(array: Matrix, phi: Vector, products: Vector, reach: Vector) -> None:
+    """M' phi added to ``products`` (D + q,), and of the first D of these M times them into ``reach`` (D,).
 
     Four columns of M at a time: what they give of f goes at once into S f, while they are in the first cache.
     """
-    array, left, right, places = root.array, root.left, root.right, root.places
-    size, width = len(phi), len(phi) + root.placed
-    f, reach, regressed = projection
-    products = np.zeros(width)  # f, then Theta' phi as far as it is placed
-    reach[:] = 0.0
-    for change in range(root.waiting):
-        along = 0.0
-        for i in range(size):
-            along += left[change, i] * phi[i]
-        for j in range(width):
-            products[j] += along * right[change, j]
+    size, width = len(phi), len(products)
     fours, together = width - width % 4, size - size % 4
+    reach[:] = 0.0
     for j in range(0, fours, 4):
         a = b = c = d = 0.0
         for i in range(size):
@@ -171,6 +163,22 @@ def project(root: Root, phi: Vector, projection: Projection) -> None:
     for j in range(together, size):
         for i in range(size):
             reach[i] += array[j, i] * products[j]
+
+
+@compiled
+def project(root: Root, phi: Vector, projection: Projection) -> None:
+    """See :meth:`SquareRootFilter.project`."""
+    left, right, places = root.left, root.right, root.places
+    f, reach, regressed = projection
+    size, width = len(f), len(f) + root.placed
+    products = np.zeros(width)  # f, then Theta' phi as far as it is placed
+    for change in range(root.waiting):
+        along = 0.0
+        for i in range(size):
+            along += left[change, i] * phi[i]
+        for j in range(width):
+            products[j] += along * right[change, j]
+    pass_over(root.array, phi, products, reach)
     for change in range(root.waiting):
         along = 0.0
         for j in range(size):
