@@ -81,7 +81,7 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
         if not samples:
             raise SemiparamError(_nothing_matched(bag, stream, needed, bool(settings.joints)))
         return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, stream.last_fault,
-                         bag.losses, tuple(lengths))
+                         bag.losses, tuple(map(len, stretches)))
 
 
 def measured_accelerations(settings: Table, published: bool) -> bool:
