@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -41,62 +41,78 @@ class JointColumns(NamedTuple):
     """(J, c) columns of positions, velocities and accelerations (J,)."""
 
 
-class ColumnBlock(Protocol):
-    """A physical cause with its nonlinear parameters set: it may move the inputs, shape psi, and add columns.
+class ColumnBlock:
+    """A physical cause with its nonlinear parameters set: it may move the inputs, shape psi, and add columns. One of
+    this class does none of these.
 
     Each method takes what the effect remembered of earlier samples (None at the start) where it needs a past.
     """
 
-    @property
-    def of_sensor(self) -> bool:
-        """Tell whether it changes only what the sensor shows, not what the arm needs."""
+    kind: ClassVar[str] = ''
+    where: str | None = None
+    of_sensor: ClassVar[bool] = False
+    """Mark of a cause that changes only what the sensor shows, not what the arm needs."""
+    is_load: ClassVar[bool] = False
+    """Mark of a carried body: its coefficients are ten inertial parameters in the link's frame, and what shapes psi
+    shapes its columns too."""
 
     def check(self, body: RigidBody) -> None:
         """Raise SemiparamError when the effect cannot be declared on this robot."""
 
     @property
-    def is_load(self) -> bool:
-        """Tell whether it is a body that a link carries: what shapes psi shapes its columns too."""
-
-    @property
     def only_adds(self) -> bool:
-        """Tell whether :meth:`correct` and :meth:`transform` change nothing."""
+        """Tell whether the effect leaves inputs and regressors as they are."""
+        own = type(self)
+        return own.correct is ColumnBlock.correct and own.transform is ColumnBlock.transform
 
     def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> JointColumns | None:
-        """Columns that :meth:`columns` of ``blocks``, itself among them, give of one sample; None
-        where that is not to be had at once."""
+        """Columns that :meth:`columns` of ``blocks``, itself among them, give of one sample; None where that is not to
+        be had at once."""
+        return None
+
+    def coefficients(self, body: RigidBody) -> Sequence[tuple[str, str]]:
+        """Names and units of the columns' coefficients, in order."""
+        return ()
 
     def prior_scale(self, body: RigidBody) -> Array:
         """(c,) prior standard deviation of each coefficient over gamma, in its unit; as many as there are columns."""
+        return np.zeros(0)
 
     def prior_mean(self, body: RigidBody) -> Array:
         """(c,) prior mean of each coefficient, in its unit; zero for what is not known."""
+        return np.zeros(len(self.prior_scale(body)))
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         """The body and the inputs as they really are (a joint's zero, the direction of gravity, a delay)."""
+        return body, samples, None
 
     def transform(self, body: RigidBody, regressors: Array) -> Array:
         """The regressors (N, n, p) as the sensor reports them (a gain, a rotation)."""
+        return regressors
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """(N, n, c) further columns."""
+        return np.zeros((len(samples), body.n_outputs, len(self.prior_scale(body)))), None
+
+    def acts(self, stamp: int, origin: int) -> bool:
+        """Tell whether it acts at a stamp [ns], by its start and its end; ``origin`` [ns] is where its time starts."""
+        return True
 
     def desired(self) -> ColumnBlock:
-        """The effect as it acts on a desired state, which is exact and belongs to no known time."""
+        """The effect as it acts on a desired state; as on any other, unless a kind says otherwise.
+
+        Such a state is exact, has no past, and is taken as of now: a start or an end that was reached counts, and a
+        drift stands where it stands. A kind that concerns the time of a measurement, or a phase that nobody knows
+        beforehand, is :class:`Absent`.
+        """
+        return self
 
 
-class Absent:
+class Absent(ColumnBlock):
     """Stands for an effect that does not act, with as many columns."""
-
-    of_sensor = False
-    is_load = False
-    only_adds = True
 
     def __init__(self, effect: ColumnBlock) -> None:
         self._effect = effect
-
-    def check(self, body: RigidBody) -> None:
-        """It can be absent anywhere."""
 
     def prior_scale(self, body: RigidBody) -> Array:
         """(c,) that of the effect."""
@@ -105,25 +121,6 @@ class Absent:
     def prior_mean(self, body: RigidBody) -> Array:
         """(c,) that of the effect."""
         return self._effect.prior_mean(body)
-
-    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
-        """Nothing moves."""
-        return body, samples, None
-
-    def transform(self, body: RigidBody, regressors: Array) -> Array:
-        """Nothing changes."""
-        return regressors
-
-    def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """(N, n, c) zeros."""
-        return np.zeros((len(samples), body.n_outputs, len(self.prior_scale(body)))), None
-
-    def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> None:
-        """They are all zero, and not those of another kind."""
-
-    def desired(self) -> ColumnBlock:
-        """Absent too."""
-        return self
 
 
 class CoupledColumns:
@@ -332,7 +329,7 @@ class CoupledColumns:
         effect, count = self.effects[index], len(self._effect_scales[index])
         columns, remembered = effect.columns(body, inputs, memory)
         if columns.shape[1:] != (body.n_outputs, count):
-            raise SemiparamError(f"effect '{getattr(effect, 'kind', effect)}' gives columns of shape "
+            raise SemiparamError(f"effect '{effect.kind}' gives columns of shape "
                                  f'{columns.shape[1:]}; expected {(body.n_outputs, count)}, one for each of '
                                  'its coefficients.')
         return self._shaped(body, columns) if effect.is_load else columns, remembered

@@ -163,9 +163,8 @@ class Estimator:
 
     def holds(self, effect: ColumnBlock) -> bool:
         """Tell whether an effect acts at the newest sample, by its start and its end."""
-        span = getattr(effect, 'span', None)
         now = self.origin if self._newest is None else self._newest
-        return span is None or now is None or bool(span.holds(now, self.origin or 0))
+        return now is None or effect.acts(now, self.origin or 0)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.

@@ -123,9 +123,9 @@ def carried_load(estimator: Estimator, before: Array | None = None, picked: Load
     if not estimator.ready:
         return None
     body, model = estimator.body, estimator.model
-    carried = [Load(str(getattr(effect, 'where', '')), *_block(model, estimator.columns.blocks[str(index)]))
+    carried = [Load(str(effect.where), *_block(model, estimator.columns.blocks[str(index)]))
                for index, effect in enumerate(estimator.columns.effects)
-               if getattr(effect, 'is_load', False) and estimator.holds(effect)]
+               if effect.is_load and estimator.holds(effect)]
     if not carried:
         theta, covariance = _block(model, slice(0, body.n_parameters))
         if not len(theta):
@@ -222,12 +222,6 @@ def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:
     if columns.has_offset:
         labels += [(f'offset_{axis}', unit) for axis, unit in zip(body.output_names, body.output_units, strict=True)]
     for effect in columns.effects:
-        labels += _effect_labels(effect, body)
+        head = f'{effect.kind}@{effect.where}' if effect.where else effect.kind
+        labels += [(f'{head}.{name}', unit) for name, unit in effect.coefficients(body)]
     return labels
-
-
-def _effect_labels(effect: object, body: RigidBody) -> list[tuple[str, str]]:
-    kind, where = getattr(effect, 'kind', 'effect'), getattr(effect, 'where', None)
-    head = f'{kind}@{where}' if where else kind
-    return [(f'{head}.{coefficient.name}', coefficient.unit)
-            for coefficient in effect.coefficients(body)]  # type: ignore[attr-defined]
