@@ -17,7 +17,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.change_watch import ChangeRecord
-from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.learner import Answer, Learner, LearnerListener
 from semiparam_ros.online.model_jobs import finish_window, renew
 from semiparam_ros.online.worker import Done, Job, Result, Urgency
 from semiparam_ros.settings import Settings
@@ -187,7 +187,7 @@ class TakeoverBackground(AtOnce):
         self._held.pop(0).run()
 
 
-class OfflineLearner:
+class OfflineLearner(LearnerListener):
     """The node's learner without a node, on whole recordings.
 
     :param bags: the first one that carries a robot description gives it, where the settings do not.
@@ -279,18 +279,6 @@ class OfflineLearner:
     def horizon_completed(self, errors: HorizonErrors) -> None:
         """Keep them."""
         self._horizon = errors
-
-    def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
-        """Pass over them: there are no shadows."""
-
-    def announce(self, sentence: str) -> None:
-        """Pass over it."""
-
-    def model_switched(self, success: bool, sentence: str) -> None:
-        """Pass over it: settings do not change."""
-
-    def settings_reverted(self, settings: Settings) -> None:
-        """Pass over them, likewise."""
 
     def change_reported(self, record: ChangeRecord) -> None:
         """Hand it on."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,8 +66,9 @@ class Answer(NamedTuple):
         return self.learning > 0
 
 
-class LearnerListener(Protocol):
-    """Receives what a learner has to tell; called in the learner's own thread."""
+class LearnerListener:
+    """Receives what a learner has to tell, in the learner's own thread, and makes nothing of it unless a method says
+    otherwise."""
 
     def answered(self, answer: Answer) -> None:
         """The answer to one sample, in the order of the samples."""

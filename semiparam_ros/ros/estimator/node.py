@@ -21,7 +21,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
 from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.folder_lock import FolderLock
-from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.learner import Answer, Learner, LearnerListener
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import ProcessBackground, Scheduler, Worker
 from semiparam_ros.ros.context import DELIVER_S
@@ -52,7 +52,7 @@ from semiparam_ros.settings.snapshot import Settings, unknown_name
 NAME = 'estimator'
 
 
-class EstimatorNode(Node):
+class EstimatorNode(Node, LearnerListener):
     """Learns, predicts and publishes.
 
     :param schedule: see :data:`Scheduler`.
