@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
@@ -198,11 +199,8 @@ def reported_load(link: str, parameters: Array, covariance: Array) -> CarriedLoa
 
 def _centred(parameters: Array) -> Array:
     """(12,) centre of mass and inertia about it, row by row, from parameters about the origin (10,)."""
-    centre = parameters[1:4] / parameters[0]
-    xx, xy, yy, xz, yz, zz = parameters[4:]
-    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    inertia = about_origin - parameters[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return np.concatenate([centre, inertia.ravel()])
+    body = pin.Inertia.FromDynamicParameters(parameters)
+    return np.concatenate([body.lever, body.inertia.ravel()])
 
 
 def _has_a_body(inertia: Array) -> bool:
