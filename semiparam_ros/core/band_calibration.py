@@ -1,15 +1,17 @@
 """Width of the bands: the innovations as they are, against what the model thinks they are.
 
-The model's standard deviation knows the noise of the initial window and what an unknown model of its class would do.
-It does not know that another motion shows effects of another size. So every output has a scale c^2, the recent mean
-of innovation^2 / variance, and the published standard deviation is c times the model's:
+The model's standard deviation knows the noise of the initial window and what an unknown model of
+its class would do. It does not know that another motion shows effects of another size. So every
+output has a scale c^2, the recent mean of innovation^2 / variance, and the published standard
+deviation is c times the model's:
 
     c_m^2 <- c_m^2 + (q - c_m^2) / m,      q = innovation^2 / variance
 
-for a few memories m; m without end is the model's own scale, c = 1. They are mixed by their evidence
-(:mod:`semiparam_ros.core.mixture`), which is forgotten fast: a short memory takes over within a few samples of a
-change, a long one when all is calm. With a memory of m samples the prediction is Student's t with 2 m - 1 degrees of
-freedom, whose variance is wider than c^2; that factor is included.
+for a few memories m; m without end is the model's own scale, c = 1. They are mixed by their
+evidence (:mod:`semiparam_ros.core.mixture`), which is forgotten fast: a short memory takes over
+within a few samples of a change, a long one when all is calm. With a memory of m samples the
+prediction is Student's t with 2 m - 1 degrees of freedom, whose variance is wider than c^2; that
+factor is included.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ SHARE_OF_OWN = 0.5
 EVIDENCE_MEMORY = 100.0
 """[samples]"""
 LARGEST_STEP = 100.0
-"""Of q over c^2: one spike widens the band of the shortest memory by a factor of 3.3, not by its own size."""
+"""Of q over c^2: one spike widens the band of the shortest memory by a factor of 3.3, not by its
+own size."""
 LEAST_SCALE = 1e-6
 """Of c^2: an output without any noise still has a band."""
 LEAST_LOG_WEIGHT = -30.0
@@ -51,7 +54,8 @@ class BandCalibration(FilterBank):
         return self._mixture
 
     def learn(self, innovation: Array, std: Array) -> None:
-        """Take in the innovation (n,) of a sample, and the standard deviation (n,) that the model gave it."""
+        """Take in the innovation (n,) of a sample, and the standard deviation (n,) that the model
+        gave it."""
         calibrate(innovation, std, self.table)
 
     def _possible(self, table: Array) -> bool:

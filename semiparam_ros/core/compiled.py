@@ -27,7 +27,8 @@ Part: TypeAlias = Annotated[Array, numba.float64[:, :]]
 """Those that may have gaps: a vector, and a part of a matrix."""
 
 _FAST = {'reassoc', 'contract', 'nsz'}
-"""Sums may be added in any order, so that the processor's vectors are used; what is not finite stays so."""
+"""Sums may be added in any order, so that the processor's vectors are used; what is not finite
+stays so."""
 
 Function = TypeVar('Function', bound=Callable[..., Any])
 
@@ -39,27 +40,29 @@ def compiled(function: Function) -> Function:
     options: Any = {'fastmath': _FAST, 'error_model': 'numpy'}
     try:
         return numba.njit(returned(*arguments), cache=True, **options)(function)
-    except (OSError, RuntimeError):  # neither beside this file nor in the home of its user can a cache be written
+    except (OSError, RuntimeError):  # no cache can be written, beside this file or at home
         return numba.njit(returned(*arguments), **options)(function)
 
 
 def direct(function: Function) -> Function:
-    """Return a compiled function for callers that pass just what it is annotated with, arrays without gaps: nothing
-    looks at them. Of a NamedTuple numba would look at every field, which takes a microsecond."""
+    """Return a compiled function for callers that pass just what it is annotated with, arrays
+    without gaps: nothing looks at them. Of a NamedTuple numba would look at every field, which
+    takes a microsecond."""
     overloads = getattr(function, 'overloads', {})  # none where numba is switched off
     return next((each.entry_point for each in overloads.values()), function)
 
 
 def _name_by_dependencies(function: Callable[..., Any]) -> None:
-    """Give the cached function another name with every change of what it uses of other modules: numba sees only
-    whether the function's own file has changed."""
+    """Give the cached function another name with every change of what it uses of other modules:
+    numba sees only whether the function's own file has changed."""
     own = function.__code__.co_filename
     used = [function.__globals__.get(name) for name in function.__code__.co_names]
     callees = [each.py_func for each in used if isinstance(each, Dispatcher)]
     files = sorted({each.__code__.co_filename for each in callees} - {own})
     if files:
         names = ''.join(sorted(each.__qualname__ for each in callees))
-        digest = hashlib.sha256(b''.join(Path(name).read_bytes() for name in files) + names.encode())
+        contents = b''.join(Path(name).read_bytes() for name in files)
+        digest = hashlib.sha256(contents + names.encode())
         function.__qualname__ += f'_{digest.hexdigest()[:16]}'
 
 
@@ -75,4 +78,5 @@ def _numba_type(hint: Any) -> Any:
         return numba.types.BaseTuple.from_types(tuple(map(_numba_type, _hints(hint))), hint)
     if hasattr(hint, '__args__'):
         return numba.types.BaseTuple.from_types(tuple(map(_numba_type, hint.__args__)))
-    return {int: numba.int64, float: numba.float64, bool: numba.boolean, type(None): numba.void}[hint]
+    return {int: numba.int64, float: numba.float64, bool: numba.boolean,
+            type(None): numba.void}[hint]

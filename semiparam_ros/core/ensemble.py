@@ -1,9 +1,10 @@
 """Several models of one robot that learn side by side, averaged by their running evidence.
 
-Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members by itself: w_mk follows the
-log density that member m gave to what was measured, forgotten slowly, with Student's t for the densities, so that a
-spike decides nothing. The answers meet in a logarithmic pool (see ``opinion_pool``). Each member has its own wandering
-offset and bands; those that have the same effects share their columns. One model alone is an ensemble of one.
+Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members by
+itself: w_mk follows the log density that member m gave to what was measured, forgotten slowly, with
+Student's t for the densities, so that a spike decides nothing. The answers meet in a logarithmic
+pool (see ``opinion_pool``). Each member has its own wandering offset and bands; those that have the
+same effects share their columns. One model alone is an ensemble of one.
 """
 
 from __future__ import annotations
@@ -28,21 +29,24 @@ from semiparam_ros.errors import SemiparamError
 EVIDENCE_MEMORY = 500.0
 """[samples]"""
 LEAST_LOG_WEIGHT = -6.0
-"""The best has 0: who was poor for long still weighs enough to take over within a few samples of a change."""
+"""The best has 0: who was poor for long still weighs enough to take over within a few samples of a
+change."""
 
 OFF_SHARE = 0.1
 """Where nothing moves and all outputs are below this share of what is predicted, the motors are
 off behind brakes."""
 
 ELSEWHERE = 2.0
-"""Errors on another motion are up to so many times those on a block of the same motion that was left out: on thirteen
-pairs of recordings of measured and simulated arms then at most 1 % are beyond three standard deviations."""
+"""Errors on another motion are up to so many times those on a block of the same motion that was
+left out: on thirteen pairs of recordings of measured and simulated arms then at most 1 % are beyond
+three standard deviations."""
 
 
 class Ensemble:
     """The models, their weights, and what follows all of them together.
 
-    :param columns: of the first model, which has the declared effects; the others have them or none.
+    :param columns: of the first model, which has the declared effects; the others have them or
+        none.
     """
 
     def __init__(self, models: Sequence[OnlineModel], columns: CoupledColumns, options: ModelOptions) -> None:
@@ -134,8 +138,8 @@ class Ensemble:
             self.carried.begin_block(stamp, [each.coefficients() for each in self.models])
 
     def compare(self, prediction: Prediction) -> int:
-        """Let each model return to what was known before the last change of the robot, if that predicts better; how
-        many did."""
+        """Let each model return to what was known before the last change of the robot, if that
+        predicts better; how many did."""
         if not prediction.motion.is_news:
             return 0
         returns = sum([model.compare(prediction.sample, its)
@@ -145,7 +149,8 @@ class Ensemble:
         return returns
 
     def follow_change(self) -> None:
-        """The robot has changed: see :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
+        """The robot has changed: see
+        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
         self.carried.interrupt()
         for each in self.models:
             each.model.recursion.follow_change()
@@ -164,10 +169,11 @@ class Ensemble:
                 each.wandering.forget()
 
     def predict_desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
-        """Outputs at x (m,): each model with the errors to expect of it on motion that it has not learnt, and weighed
-        by them.
+        """Outputs at x (m,): each model with the errors to expect of it on motion that it has not
+        learnt, and weighed by them.
 
-        :param shown: (n, p) columns of the first model, of what the sensor shows. :param needed: by the arm.
+        :param shown: (n, p) columns of the first model, of what the sensor shows. :param needed: by
+            the arm.
         """
         plain = shown, needed
         if self._without_effects is not self._columns:
@@ -187,8 +193,9 @@ class Ensemble:
                               float(shares.mean(axis=1) @ [each.variance_ratio for each in found]))
 
     def _weights_elsewhere(self) -> Array:
-        """(K, n) by the errors on blocks that were left out. Before the first of these, features are not taken to know
-        anything elsewhere: the models without any weigh by their evidence, where there are such."""
+        """(K, n) by the errors on blocks that were left out. Before the first of these, features
+        are not taken to know anything elsewhere: the models without any weigh by their evidence,
+        where there are such."""
         if len(self.carried.squares):
             return self.carried.weights
         without = np.array([each.model.features is None for each in self.models])
@@ -196,10 +203,12 @@ class Ensemble:
         return np.asarray(weights / weights.sum(axis=0))
 
     def state(self) -> tuple[tuple[ModelState, ...], dict[str, Array | Stamps], dict[str, Array | Stamps]]:
-        """Copies of what each model has learnt, of the errors of left-out blocks, and of the average; the last is empty
-        for one model."""
-        average = {'log_weights': self._log_weights.copy(), 'shares': self.weights.copy(), **self._horizons.state()} \
-            if len(self.models) > 1 else {}
+        """Copies of what each model has learnt, of the errors of left-out blocks, and of the
+        average; the last is empty for one model."""
+        average: dict[str, Array | Stamps] = {}
+        if len(self.models) > 1:
+            average = {'log_weights': self._log_weights.copy(), 'shares': self.weights.copy(),
+                       **self._horizons.state()}
         return tuple(each.state() for each in self.models), self.carried.state(), average
 
     def restore(self, models: Sequence[ModelState], carried: Mapping[str, Array | Stamps],
@@ -217,16 +226,19 @@ class Ensemble:
                                        for each in self.models])
 
     def _restore_weights(self, average: Mapping[str, Array | Stamps]) -> None:
-        found = [np.array(average.get(name, np.nan), dtype=float) for name in ('log_weights', 'shares')]
-        if any(values.shape != self.weights.shape or not np.isfinite(values).all() for values in found):
-            raise SemiparamError(f'the saved weights of the models have shape {found[0].shape}; expected finite '
-                                 f'values of shape {self.weights.shape}.')
+        shape = self.weights.shape
+        found = [np.array(average.get(name, np.nan), dtype=float)
+                 for name in ('log_weights', 'shares')]
+        if any(each.shape != shape or not np.isfinite(each).all() for each in found):
+            raise SemiparamError(f'the saved weights of the models have shape {found[0].shape}; '
+                                 f'expected finite values of shape {shape}.')
         self._log_weights, self.weights = found
 
 
 @compiled
 def weigh_models(log_weights: Matrix, errors: Matrix, std: Matrix) -> Matrix:
-    """(K, n) weights after the errors (K, n) of a sample, and the standard deviations (K, n) that were given to it."""
+    """(K, n) weights after the errors (K, n) of a sample, and the standard deviations (K, n) that
+    were given to it."""
     evidence = np.empty(errors.shape)
     for m in range(len(errors)):
         for k in range(errors.shape[1]):

@@ -1,13 +1,16 @@
-"""Relative squared prediction error over a horizon, the paper's index (Romeres et al. 2016, section V).
+"""Relative squared prediction error over a horizon, the paper's index (Romeres et al. 2016, section
+V).
 
     eps_t[k] = sum_{s=1..T} (y_{t+s}[k] - yhat_{t+s|t}[k])^2 / sum_{s=1..T} y_{t+s}[k]^2
 
-with the model as it stood at t and the inputs as they came. Every sample is thus predicted by the last T models, none
-of which is kept: learning sample i added g_i E_i to Theta, so that a model of the past says
+with the model as it stood at t and the inputs as they came. Every sample is thus predicted by the
+last T models, none of which is kept: learning sample i added g_i E_i to Theta, so that a model of
+the past says
 
     phi' Theta_t = phi' Theta_now - sum_{i > t} (phi' g_i) E_i
 
-and T gains and innovations do the work of T models: T (D + n p) operations a sample in place of T D n.
+and T gains and innovations do the work of T models: T (D + n p) operations a sample in place of T D
+n.
 """
 
 from __future__ import annotations
@@ -23,7 +26,8 @@ from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 
 LEAST_POWER = 1e-18
-"""Floor of a denominator for each sample, in squared outputs: far below any sensor, and keeps the index finite."""
+"""Floor of a denominator for each sample, in squared outputs: far below any sensor, and keeps the
+index finite."""
 
 NO_OFFSETS = np.zeros(0)
 
@@ -39,8 +43,9 @@ class HorizonErrors(NamedTuple):
 class PendingHorizons:
     """Horizons of ``length`` T samples, at least 1, that are not complete.
 
-    One row for each of the last T models, newest first, in a buffer of 2 T rows that fills towards its front: outputs
-    (n,) of the sample that the model learnt last, its squared errors (n,) so far, and what its answers need.
+    One row for each of the last T models, newest first, in a buffer of 2 T rows that fills towards
+    its front: outputs (n,) of the sample that the model learnt last, its squared errors (n,) so
+    far, and what its answers need.
     """
 
     def __init__(self, length: int, width: int) -> None:
@@ -57,8 +62,8 @@ class PendingHorizons:
         self.filled, self.start = 0, 2 * self.length
 
     def make_room(self) -> None:
-        """Have a row before the newest one; all move back to the end when they have reached the front, once in T
-        samples."""
+        """Have a row before the newest one; all move back to the end when they have reached the
+        front, once in T samples."""
         if not self.start:
             end = 2 * self.length
             for values in (self.rows, self._origins):
@@ -66,8 +71,8 @@ class PendingHorizons:
             self.start = end - self.filled
 
     def moved_on(self, stamp: int, eps: Array) -> HorizonErrors | None:
-        """Count the row before the newest one as that of ``stamp`` [ns]; what a horizon gave (2, n), if it was
-        complete."""
+        """Count the row before the newest one as that of ``stamp`` [ns]; what a horizon gave (2,
+        n), if it was complete."""
         found = None
         if self.filled == self.length:
             found = HorizonErrors(int(self._origins[self.start + self.length - 1]), eps[0], eps[1])
@@ -79,11 +84,12 @@ class PendingHorizons:
     def state(self) -> dict[str, Array | Stamps]:
         """Copies; :meth:`restore` takes them back bit for bit."""
         used = slice(self.start, self.start + self.filled)
-        return {'filled': np.array(self.filled), 'start': np.array(self.start), 'rows': self.rows[used].copy(),
-                'origins': self._origins[used].copy()}
+        return {'filled': np.array(self.filled), 'start': np.array(self.start),
+                'rows': self.rows[used].copy(), 'origins': self._origins[used].copy()}
 
     def restore(self, state: Mapping[str, Array | Stamps]) -> None:
-        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it is of another size."""
+        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it is
+        of another size."""
         filled, start = int(state['filled']), int(state['start'])
         if not 0 <= filled <= min(self.length, 2 * self.length - start) or start < 0:
             raise SemiparamError(f'the saved horizons are {filled} from row {start}; expected at most {self.length} in '
@@ -100,31 +106,38 @@ class PendingHorizons:
 class HorizonIndex(PendingHorizons):
     """The running index of a :class:`SemiParametricRecursion` over ``length`` T samples.
 
-    :param decay: (K,) by which the parts of each model's offset shrink with every sample; none where there is none.
+    :param decay: (K,) by which the parts of each model's offset shrink with every sample; none
+        where there is none.
     """
 
-    def __init__(self, length: int, n_outputs: int, n_features: int, n_columns: int, decay: Array = NO_OFFSETS) -> None:
+    def __init__(self, length: int, n_outputs: int, n_features: int, n_columns: int,
+                 decay: Array = NO_OFFSETS) -> None:
         self.decay = decay
-        super().__init__(length, 2 * n_outputs + n_features + n_outputs * (n_columns + 1) + n_columns
-                         + len(decay) * n_outputs)
+        at = starts(n_outputs, n_columns, n_features)
+        super().__init__(length, at.offsets + len(decay) * n_outputs)
 
     def advance(self, stamp: int, prior: Prior, outputs: Array, update: Update, offsets: Array,
                 errors: Array) -> HorizonErrors | None:
-        """Charge one sample of ``stamp`` [ns] to the last T models, and keep the model as it stands after it.
+        """Charge one sample of ``stamp`` [ns] to the last T models, and keep the model as it stands
+        after it.
 
-        :param prior: of the sample. :param outputs: (n,) measured. :param update: what it changed; without innovations
-            where it was not learnt. :param offsets: (K, n) the parts of the model's offset at the next sample.
-        :param errors: (T, n) takes the errors of the last k <= T models at this sample, newest first; (0, n): none.
+        :param prior: of the sample. :param outputs: (n,) measured. :param update: what it changed;
+            without innovations where it was not learnt. :param offsets: (K, n) the parts of the
+            model's offset at the next sample.
+        :param errors: (T, n) takes the errors of the last k <= T models at this sample, newest
+            first; (0, n): none.
         :return: the errors of the oldest of them when its horizon is now complete.
         """
         self.make_room()
         eps = np.empty((2, len(outputs)))
-        _advance(self.rows, self.start, self.filled, self.decay, prior, outputs, update, offsets, errors, eps)
+        _advance(self.rows, self.start, self.filled, self.decay, prior, outputs, update, offsets,
+                 errors, eps)
         return self.moved_on(stamp, eps)
 
 
 class AveragedHorizons(PendingHorizons):
-    """The running index of several models in a pool (see ``opinion_pool``): of each moment's weights, as they stood.
+    """The running index of several models in a pool (see ``opinion_pool``): of each moment's
+    weights, as they stood.
 
     :param n_models: K, in a fixed order.
     """
@@ -132,9 +145,11 @@ class AveragedHorizons(PendingHorizons):
     def __init__(self, length: int, n_outputs: int, n_models: int) -> None:
         super().__init__(length, (2 + n_models) * n_outputs)
 
-    def advance(self, stamp: int, errors: Array, outputs: Array, weights: Array, std: Array) -> HorizonErrors | None:
-        """Charge one sample, from the errors (K, T, n) that each model's own index charged it with and the standard
-        deviations (K, n) of it, and keep the weights (K, n) as they stand after it; see :meth:`HorizonIndex.advance`.
+    def advance(self, stamp: int, errors: Array, outputs: Array, weights: Array,
+                std: Array) -> HorizonErrors | None:
+        """Charge one sample, from the errors (K, T, n) that each model's own index charged it with
+        and the standard deviations (K, n) of it, and keep the weights (K, n) as they stand after
+        it; see :meth:`HorizonIndex.advance`.
         """
         self.make_room()
         eps = np.empty((2, len(outputs)))
@@ -185,9 +200,10 @@ def remember(row: Vector, n: int, at: Starts, update: Update, offsets: Matrix) -
 
 
 @compiled
-def advance(rows: Matrix, start: int, filled: int, decay: Vector, prior: Prior, outputs: Vector, update: Update,
-            offsets: Matrix, errors: Matrix, eps: Matrix) -> None:
-    """See :meth:`HorizonIndex.advance`; ``eps`` takes the index (2, n) of a horizon that is complete."""
+def advance(rows: Matrix, start: int, filled: int, decay: Vector, prior: Prior, outputs: Vector,
+            update: Update, offsets: Matrix, errors: Matrix, eps: Matrix) -> None:
+    """See :meth:`HorizonIndex.advance`; ``eps`` takes the index (2, n) of a horizon that is
+    complete."""
     n, p = prior.columns.shape
     size, newest = len(prior.phi), start - 1
     at, regressed = starts(n, p, size), prior.projection.regressed
@@ -198,7 +214,8 @@ def advance(rows: Matrix, start: int, filled: int, decay: Vector, prior: Prior, 
         running[k * (p + 1) + p] = -regressed[k * (p + 1) + p]
     for model in range(filled):
         row = rows[start + model]
-        squared, gain, learnt = row[n:at.gain], row[at.gain:at.innovations], row[at.innovations:at.theta]
+        squared, gain = row[n:at.gain], row[at.gain:at.innovations]
+        learnt = row[at.innovations:at.theta]
         theta, offset = row[at.theta:at.offsets], row[at.offsets:]
         for k in range(n):
             left = running[k * (p + 1):(k + 1) * (p + 1)]
@@ -228,9 +245,10 @@ _advance = direct(advance)
 
 
 @compiled
-def advance_average(rows: Matrix, start: int, filled: int, errors: Stack, outputs: Vector, weights: Matrix,
-                    std: Matrix, eps: Matrix) -> None:
-    """See :meth:`AveragedHorizons.advance`; ``eps`` takes the index (2, n) of a horizon that is complete."""
+def advance_average(rows: Matrix, start: int, filled: int, errors: Stack, outputs: Vector,
+                    weights: Matrix, std: Matrix, eps: Matrix) -> None:
+    """See :meth:`AveragedHorizons.advance`; ``eps`` takes the index (2, n) of a horizon that is
+    complete."""
     members, n = weights.shape
     newest = start - 1
     for k in range(n):

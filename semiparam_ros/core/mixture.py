@@ -39,8 +39,8 @@ def shares(log_weights: Matrix) -> Matrix:
 
 @compiled
 def weigh(log_weights: Matrix, evidence: Matrix, memory: float, least: float) -> Matrix:
-    """Let the log weights (H, n) take in a sample, by the log densities (H, n) that the hypotheses gave it; the weights
-    (H, n).
+    """Let the log weights (H, n) take in a sample, by the log densities (H, n) that the hypotheses
+    gave it; the weights (H, n).
 
     :param memory: of the evidence, in samples.
     """

@@ -1,4 +1,5 @@
-"""A model that is learnt sample by sample, with what follows its errors: offset, bands, and index over the horizon."""
+"""A model that is learnt sample by sample, with what follows its errors: offset, bands, and index
+over the horizon."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
 
 COMPARED_EVERY_NS, LONGEST_COMPARED_NS = NANOSECONDS // 100, NANOSECONDS // 10
-"""A model is compared with the one from before the last change no more often, and a pause counts for no more."""
+"""A model is compared with the one from before the last change no more often, and a pause counts
+for no more."""
 
 
 class ModelState(NamedTuple):
@@ -40,9 +42,11 @@ class ModelState(NamedTuple):
 
 
 class OnlineModel:
-    """A model, the offset that wanders beside it, the width of its bands, and its index over the horizon.
+    """A model, the offset that wanders beside it, the width of its bands, and its index over the
+    horizon.
 
-    :param columns: of C that it has. :param ready: whether its hyperparameters are those of an initial window.
+    :param columns: of C that it has. :param ready: whether its hyperparameters are those of an
+        initial window.
     :param window: how many samples of that window come again first.
     """
 
@@ -58,7 +62,8 @@ class OnlineModel:
         self.window_left = window
         self._since_learnt = 0
         self.passed_over = 0
-        """Samples that were to be learnt but were not, by ``learn_every`` and ``learn_least_gain``."""
+        """Samples that were to be learnt but were not, by ``learn_every`` and
+        ``learn_least_gain``."""
 
     def predict(self, observed: Observed, columns: Array) -> MemberPrediction:
         """Predict a sample, whose columns (n, p) are those of this model; nothing changes."""
@@ -70,7 +75,8 @@ class OnlineModel:
         return prior.mean if self.wandering is None else prior.mean + self.wandering.offset
 
     def predict_desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
-        """Outputs at x (m,), from the columns (n, p) of what the sensor shows and of what the arm needs.
+        """Outputs at x (m,), from the columns (n, p) of what the sensor shows and of what the arm
+        needs.
 
         Without the wandering offset, which is that of the last moments' motion.
         """
@@ -88,10 +94,12 @@ class OnlineModel:
 
     def take_in(self, sample: Sample, prediction: MemberPrediction, learn: bool, is_news: bool,
                 errors: Array | None = None, follow: bool = False) -> HorizonErrors | None:
-        """Charge a predicted sample to the horizon index, and learn it where it is due; the horizon it completed.
+        """Charge a predicted sample to the horizon index, and learn it where it is due; the horizon
+        it completed.
 
         :param is_news: let bands follow it, and the wandering offset where it is learnt.
-        :param errors: see :meth:`HorizonIndex.advance`. :param follow: let the wandering offset follow it all the same.
+        :param errors: see :meth:`HorizonIndex.advance`. :param follow: let the wandering offset
+            follow it all the same.
         """
         prior, recursion = prediction.prior, self.model.recursion
         errors = self._nothing if errors is None else errors
@@ -99,11 +107,12 @@ class OnlineModel:
         due = learn and self._is_due(prior)
         if due and is_news and self.wandering is not None:
             self.window_left -= min(self.window_left, 1)
-            horizon, theta, eps = self.horizon, np.empty(len(recursion.theta)), np.empty((2, len(outputs)))
+            horizon = self.horizon
+            theta, eps = np.empty(len(recursion.theta)), np.empty((2, len(outputs)))
             horizon.make_room()
             placed = _learn_and_follow(
-                *recursion.arrays, prior, outputs, self.wandering.table, self.calibration.table, horizon.rows,
-                horizon.start, horizon.filled, horizon.decay, theta, errors, eps)
+                *recursion.arrays, prior, outputs, self.wandering.table, self.calibration.table,
+                horizon.rows, horizon.start, horizon.filled, horizon.decay, theta, errors, eps)
             recursion.take_over(theta, placed)
             return horizon.moved_on(sample.stamp, eps)
         if due:
@@ -137,8 +146,8 @@ class OnlineModel:
         return True
 
     def _follow(self, outputs: Array, prior: Prior, follow: bool) -> None:
-        """Let bands, and the wandering offset where it is to follow, follow what ``prior`` left of a sample (n,), in N
-        and N m."""
+        """Let bands, and the wandering offset where it is to follow, follow what ``prior`` left of
+        a sample (n,), in N and N m."""
         residual = outputs - prior.mean
         if self.wandering is None:
             self.calibration.learn(residual, prior.std)
@@ -150,7 +159,8 @@ class OnlineModel:
             self.calibration.learn(innovation, prior.std)
 
     def learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
-        """Learn a sample of the window; mean and standard deviation (n,) that were predicted for it, in N and N m."""
+        """Learn a sample of the window; mean and standard deviation (n,) that were predicted for
+        it, in N and N m."""
         inputs, outputs, columns = remembered
         prior = self.model.predict(inputs, columns)
         mean, std = self._mean(prior), self.calibration.factor * prior.std
@@ -160,8 +170,8 @@ class OnlineModel:
         return mean, std
 
     def compare(self, sample: Sample, prediction: MemberPrediction) -> bool:
-        """Go on from what was known before the last change of the robot, if that predicts the last seconds better;
-        whether it does."""
+        """Go on from what was known before the last change of the robot, if that predicts the last
+        seconds better; whether it does."""
         recursion = self.model.recursion
         if recursion.before is None:
             return False
@@ -175,7 +185,8 @@ class OnlineModel:
         return recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then)
 
     def state(self) -> ModelState:
-        """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
+        """Copies of everything that samples have changed; :meth:`restore` takes them back bit for
+        bit."""
         wandering = {} if self.wandering is None else self.wandering.state()
         return ModelState(self.model.hyperparameters, self.model.recursion.state(), self.horizon.state(),
                           self.calibration.state(), wandering, self.window_left,
@@ -206,12 +217,15 @@ def _follow(residual: Vector, std: Vector, wandering: Matrix, calibration: Matri
 @direct
 @compiled
 def _learn_and_follow(
-        root: Root, regression: Regression, prior: Prior, outputs: Vector, wandering: Matrix, calibration: Matrix,
-        rows: Matrix, start: int, filled: int, decay: Vector, theta: Vector, errors: Matrix, eps: Matrix) -> int:
-    """See :meth:`OnlineModel.take_in`, of a sample that is learnt and followed; what :func:`learn` gives."""
+        root: Root, regression: Regression, prior: Prior, outputs: Vector, wandering: Matrix,
+        calibration: Matrix, rows: Matrix, start: int, filled: int, decay: Vector, theta: Vector,
+        errors: Matrix, eps: Matrix) -> int:
+    """See :meth:`OnlineModel.take_in`, of a sample that is learnt and followed; what :func:`learn`
+    gives."""
     update = Update(theta, np.empty((len(outputs), len(theta) + 1)), np.empty(len(prior.phi)))
     placed = learn(root, regression, prior, outputs, update)
     _follow(outputs - prior.mean, prior.std, wandering, calibration)
     paces = len(decay)
-    advance(rows, start, filled, decay, prior, outputs, update, wandering[2 * paces:3 * paces], errors, eps)
+    parts = wandering[2 * paces:3 * paces]
+    advance(rows, start, filled, decay, prior, outputs, update, parts, errors, eps)
     return placed

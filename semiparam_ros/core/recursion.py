@@ -1,8 +1,9 @@
-"""Recursive regularised least squares for y = C theta + (phi' (x) I_n) alpha + e, exact and with square roots.
+"""Recursive regularised least squares for y = C theta + (phi' (x) I_n) alpha + e, exact and with
+square roots.
 
-Every output shares the features, so the estimate needs one D x D root and one p x p root, not a (p + D n)^2 one. The
-features regress the outputs and the coupled columns together; what they cannot explain of the columns carries theta
-(docs/mathematics.md derives it):
+Every output shares the features, so the estimate needs one D x D root and one p x p root, not a (p
++ D n)^2 one. The features regress the outputs and the coupled columns together; what they cannot
+explain of the columns carries theta (docs/mathematics.md derives it):
 
     Theta : D x n (p + 1)     coefficients of [C | y] on phi, output by output
     S     : D x D             P = S S', covariance of the feature weights given theta
@@ -11,11 +12,11 @@ features regress the outputs and the coupled columns together; what they cannot 
     R     : (p + 1) square    R'R = prior + sum E' N^-2 E / s   (triangular; updated by QR; the last column of C first)
     theta = R_CC^-1 R_Cy,     alpha = Theta_y - Theta_C theta
 
-with N = diag(scale): outputs whose noise differs share S too, when sigma and rho are told in units of each output's
-own. A part of y that is known beforehand counts as one that phi' Theta says.
+with N = diag(scale): outputs whose noise differs share S too, when sigma and rho are told in units
+of each output's own. A part of y that is known beforehand counts as one that phi' Theta says.
 
-R has the columns of C in reverse. Those of friction and offset stand last in C and each acts on one output alone: taken
-first, a row has zeros for all but its own, which cost nothing.
+R has the columns of C in reverse. Those of friction and offset stand last in C and each acts on one
+output alone: taken first, a row has zeros for all but its own, which cost nothing.
 """
 
 from __future__ import annotations
@@ -31,13 +32,20 @@ import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
 from semiparam_ros.core.compiled import Integers, Matrix, Vector, compiled, direct
-from semiparam_ros.core.square_root_filter import Projection, Root, SquareRootFilter, project, variance, wait
+from semiparam_ros.core.square_root_filter import (
+    Projection,
+    Root,
+    SquareRootFilter,
+    project,
+    variance,
+    wait,
+)
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 BACK, COMPARED_S = 0.5, 2.0
-"""The model from before the last change returns where its squared error over the last seconds is so small a share of
-that of the model in force."""
+"""The model from before the last change returns where its squared error over the last seconds is so
+small a share of that of the model in force."""
 LEAST_COMPARED_S = 1.0
 """Of those seconds so many must have been seen."""
 
@@ -45,14 +53,16 @@ TOGETHER = 3
 """Rows that a reflection takes in at a time."""
 
 DISCOUNT, KEPT = 0.99, 1000.0
-"""A change of the robot: the past is forgotten at this factor until it counts as so many samples. Over the samples
-after that, one for each feature, the prior is renewed."""
+"""A change of the robot: the past is forgotten at this factor until it counts as so many samples.
+Over the samples after that, one for each feature, the prior is renewed."""
 
 REVISIONS = count(secrets.randbits(60))
-"""Numbers the states of all models. It starts at random, so that no two processes give the same number."""
+"""Numbers the states of all models. It starts at random, so that no two processes give the same
+number."""
 
 LARGEST_LOSS = log(1e4)
-"""Of the information of a weight that is not excited, what may be forgotten before its prior is renewed [nat]."""
+"""Of the information of a weight that is not excited, what may be forgotten before its prior is
+renewed [nat]."""
 
 _LEARNT = ('theta', '_weights', '_regression', '_renewed', '_discounts', '_memory')
 """What changes places with that of :attr:`SemiParametricRecursion.before`."""
@@ -107,7 +117,8 @@ class SemiParametricRecursion:
     :param prior_mean: (p,) mean of theta, zero unless given.
     :param forgetting: weight of the past after each sample, in (0, 1]; 1 never forgets.
     :param scale: (n,) scale of each output, in its unit; 1 unless given.
-    :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting outside (0, 1].
+    :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting
+        outside (0, 1].
     """
 
     def __init__(self, n_outputs: int, n_features: int, prior_std: Array, rho: float, sigma: float,
@@ -143,8 +154,8 @@ class SemiParametricRecursion:
         n, known = self.n_outputs, self._nothing_known if known is None else known
         size, n_estimates = self.n_features, n * (self.n_columns + 1)
         projection = Projection(np.empty(size), np.empty(size), np.empty(n_estimates))
-        prior = Prior(np.empty(n), np.empty((n, n)), np.empty(n), np.ascontiguousarray(phi), projection,
-                      np.ascontiguousarray(columns), self.revision)
+        prior = Prior(np.empty(n), np.empty((n, n)), np.empty(n), np.ascontiguousarray(phi),
+                      projection, np.ascontiguousarray(columns), self.revision)
         _predict(self._weights.root, self._regression, self.theta, known, prior)
         return prior
 
@@ -160,15 +171,16 @@ class SemiParametricRecursion:
         return update
 
     def follow_change(self) -> None:
-        """The robot has changed: let the past count less from the next samples on, and keep what was known
-        :attr:`before`. No estimate moves by that."""
+        """The robot has changed: let the past count less from the next samples on, and keep what
+        was known :attr:`before`. No estimate moves by that."""
         self.before, self._compared = None, np.zeros(3)
         self.before = deepcopy(self)
         if self._memory > KEPT:
             self._discounts = ceil(log(KEPT / self._memory) / log(DISCOUNT)) + self._round
 
     def compare(self, seconds: float, now: Array, then: Array) -> bool:
-        """Charge what this model and the one :attr:`before` left of a sample (n,), so long after the last one.
+        """Charge what this model and the one :attr:`before` left of a sample (n,), so long after
+        the last one.
 
         True where the robot is as it was before (a load was put down): the two have changed places.
         """
@@ -292,13 +304,14 @@ class SemiParametricRecursion:
         self._renew(factor)
 
     def _renew(self, factor: float) -> None:
-        """Renew the prior of one feature weight and one coefficient in turn, of which each round forgets by ``factor``
-        for each sample; 0: all of it.
+        """Renew the prior of one feature weight and one coefficient in turn, of which each round
+        forgets by ``factor`` for each sample; 0: all of it.
 
-        What the motion no longer excites would otherwise lose all information, the prior's included: its variance
-        would grow without bound while the robot stands still, and the model would burst when it moves again. Each
-        renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves. Where
-        much is forgotten within a round, several are renewed for each sample: what waits for its turn keeps its digits.
+        What the motion no longer excites would otherwise lose all information, the prior's
+        included: its variance would grow without bound while the robot stands still, and the model
+        would burst when it moves again. Each renewal says, with the prior's standard deviation,
+        that a weight stays what it is; no estimate moves. Where much is forgotten within a round,
+        several are renewed for each sample: what waits for its turn keeps its digits.
         """
         for size, renew in ((self.n_features, self._renew_weight), (self.n_columns, self._renew_coefficient)):
             times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS)) if factor else 1
@@ -359,9 +372,10 @@ _predict = direct(predict)
 
 
 @compiled
-def reflect(pivot: Vector, rows: Matrix, used: Integers, count: int, c: int, share: float, unit: float,
-            along: Vector) -> None:
-    """One reflection of a row of R and the ``used`` rows, ``TOGETHER`` of them at a time, beyond column ``c``."""
+def reflect(pivot: Vector, rows: Matrix, used: Integers, count: int, c: int, share: float,
+            unit: float, along: Vector) -> None:
+    """One reflection of a row of R and the ``used`` rows, ``TOGETHER`` of them at a time, beyond
+    column ``c``."""
     size = len(pivot)
     for j in range(c + 1, size):
         along[j] = pivot[j]
@@ -384,7 +398,8 @@ def reflect(pivot: Vector, rows: Matrix, used: Integers, count: int, c: int, sha
 
 @compiled
 def triangular(information: Matrix, rows: Matrix, n: int) -> None:
-    """R as ``information`` with ``n`` further rows: one, or several after which ``TOGETHER - 1`` of zeros stand.
+    """R as ``information`` with ``n`` further rows: one, or several after which ``TOGETHER - 1`` of
+    zeros stand.
 
     A reflection takes only the rows that are not zero in its column.
     """
@@ -418,8 +433,8 @@ def triangular(information: Matrix, rows: Matrix, n: int) -> None:
 
 @compiled
 def learn(root: Root, regression: Regression, prior: Prior, outputs: Vector, update: Update) -> int:
-    """Fill an update, and take it in: [S | Theta] changes, and R gets further rows, after which reflections make it
-    triangular again (Householder). How many estimates have a place now."""
+    """Fill an update, and take it in: [S | Theta] changes, and R gets further rows, after which
+    reflections make it triangular again (Householder). How many estimates have a place now."""
     columns, information = prior.columns, regression.information
     theta, innovations, gain = update
     n, size = innovations.shape

@@ -1,15 +1,18 @@
-"""D random weights in one array [S | Theta]: a square root S of their covariance P = S S', and q estimates beside it.
+"""D random weights in one array [S | Theta]: a square root S of their covariance P = S S', and q
+estimates beside it.
 
 What is learnt changes both by multiples of the same vector S f (Potter 1963):
 
     f = S' phi,  s = sigma^2 + f'f,   S -= S f f' / (s + sigma sqrt(s)),   Theta += S f e' / s
 
-and of both a prediction asks for products with phi. At D = 1000 the array is 9 MB, and the time of a sample is that of
-moving it through the processor. So the changes of a few samples wait, M + U V', and are added together; and S f is
-computed four columns at a time, while those that gave their part of f are near.
+and of both a prediction asks for products with phi. At D = 1000 the array is 9 MB, and the time of
+a sample is that of moving it through the processor. So the changes of a few samples wait, M + U V',
+and are added together; and S f is computed four columns at a time, while those that gave their part
+of f are near.
 
-An estimate whose e has always been zero is zero itself: a joint's friction in the effort of another, a distal body in
-the effort of a joint that does not carry it. It gets a column in memory with the first e that is not.
+An estimate whose e has always been zero is zero itself: a joint's friction in the effort of
+another, a distal body in the effort of a joint that does not carry it. It gets a column in memory
+with the first e that is not.
 """
 
 from __future__ import annotations
@@ -26,13 +29,15 @@ from semiparam_ros.errors import SemiparamError
 
 RENORMALISE_ABOVE = 1e3
 BLOCK_ELEMENTS = 2**16
-"""Elements of a block of columns: 512 kB, which stay in a processor's second cache beside what else is at work."""
+"""Elements of a block of columns: 512 kB, which stay in a processor's second cache beside what else
+is at work."""
 MOST_WAITING = 8
 """Changes that wait: with more of them their own products take longer than is won."""
 
 
 class Root(NamedTuple):
-    """[inflation S | Theta] = M + U V' of D features and q estimates; arrays are changed in place."""
+    """[inflation S | Theta] = M + U V' of D features and q estimates; arrays are changed in
+    place."""
 
     array: Matrix  # (D + q, D) M'
     left: Matrix  # (w, D) U'
@@ -52,23 +57,26 @@ class Projection(NamedTuple):
 
 
 class SquareRootFilter:
-    """The array [S | Theta], S starting from ``deviation`` times the identity and Theta from zero."""
+    """The array [S | Theta], S starting from ``deviation`` times the identity and Theta from
+    zero."""
 
     def __init__(self, size: int, deviation: float, n_estimates: int = 0) -> None:
         array = np.zeros((size + n_estimates, size))
         array[:size] = deviation * np.eye(size)
         self.size = size
-        self.root = Root(array, np.zeros((MOST_WAITING, size)), np.zeros((MOST_WAITING, size + n_estimates)),
-                         0, 1.0, np.full(n_estimates, -1), 0)
+        left, right = np.zeros((MOST_WAITING, size)), np.zeros((MOST_WAITING, size + n_estimates))
+        self.root = Root(array, left, right, 0, 1.0, np.full(n_estimates, -1), 0)
 
     def project(self, phi: Array) -> Projection:
         """Products that a prediction at phi (D,) needs; nothing changes."""
-        found = Projection(np.empty(self.size), np.empty(self.size), np.empty(len(self.root.places)))
+        size, n_estimates = self.size, len(self.root.places)
+        found = Projection(np.empty(size), np.empty(size), np.empty(n_estimates))
         project(self.root, phi, found)
         return found
 
     def learn(self, projection: Projection, sigma: float, innovations: Array | None = None) -> None:
-        """Take in one observation with noise ``sigma``, whose estimates were wrong by ``innovations`` (q,), None: by 0.
+        """Take in one observation with noise ``sigma``, whose estimates were wrong by
+        ``innovations`` (q,), None: by 0.
 
         ``projection`` is that of its features, with no change since.
         """
@@ -102,12 +110,14 @@ class SquareRootFilter:
 
     def state(self) -> dict[str, Array | Indices]:
         """M', U', V', the places and the inflation; :meth:`restore` takes them back bit for bit."""
-        return {name: np.array(value) for name, value in self.root._asdict().items() if name != 'placed'}
+        return {name: np.array(value) for name, value in self.root._asdict().items()
+                if name != 'placed'}
 
     def restore(self, state: Mapping[str, Array | Indices]) -> None:
         """Return to a saved :meth:`state` of the same size.
 
-        Raises SemiparamError, with nothing changed, when the number of waiting changes or a place is impossible.
+        Raises SemiparamError, with nothing changed, when the number of waiting changes or a place
+        is impossible.
         """
         if state['waiting'] not in range(MOST_WAITING):
             raise SemiparamError(f"the saved 'waiting' is {state['waiting']}; expected a number from 0 to "
@@ -117,8 +127,10 @@ class SquareRootFilter:
         if (used != np.arange(len(used))).any() or places.min(initial=0) < -1:
             raise SemiparamError(f"the saved 'places' of the estimates are {places.tolist()}; expected different ones "
                                  'from 0 on, and -1.')
-        array, left, right = (np.array(state[name], dtype=float, order='C') for name in ('array', 'left', 'right'))
-        self.root = Root(array, left, right, int(state['waiting']), float(state['inflation']), places, len(used))
+        array, left, right = (np.array(state[name], dtype=float, order='C')
+                              for name in ('array', 'left', 'right'))
+        self.root = Root(array, left, right, int(state['waiting']), float(state['inflation']),
+                         places, len(used))
 
     def _settle(self) -> None:
         """M takes in the changes that wait."""
@@ -133,9 +145,11 @@ class SquareRootFilter:
 
 @compiled
 def pass_over(array: Matrix, phi: Vector, products: Vector, reach: Vector) -> None:
-    """M' phi added to ``products`` (D + q,), and of the first D of these M times them into ``reach`` (D,).
+    """M' phi added to ``products`` (D + q,), and of the first D of these M times them into
+    ``reach`` (D,).
 
-    Four columns of M at a time: what they give of f goes at once into S f, while they are in the first cache.
+    Four columns of M at a time: what they give of f goes at once into S f, while they are in the
+    first cache.
     """
     size, width = len(phi), len(products)
     fours, together = width - width % 4, size - size % 4

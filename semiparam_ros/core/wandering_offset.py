@@ -1,16 +1,18 @@
 """An offset of each output that wanders, at a pace that is found while samples come.
 
-What a model leaves of a real robot's outputs stays alike for seconds: offsets wander, cables settle, joints warm up. A
-forgetting factor follows that by forgetting inertias too. Here the model forgets nothing, and what it leaves, r, is
-followed beside it by a few filters, one for each pace g, of every output by itself:
+What a model leaves of a real robot's outputs stays alike for seconds: offsets wander, cables
+settle, joints warm up. A forgetting factor follows that by forgetting inertias too. Here the model
+forgets nothing, and what it leaves, r, is followed beside it by a few filters, one for each pace g,
+of every output by itself:
 
     b_{t+1} = a (b_t + g (r_t - b_t)),      a = 1 - g / 50
 
-the steady state of the Kalman filter of an offset that wanders and slowly returns to zero (exponential smoothing).
-g = 0 is the model alone. The filters are mixed by their evidence (:mod:`semiparam_ros.core.mixture`), with Student's t
-for the densities.
+the steady state of the Kalman filter of an offset that wanders and slowly returns to zero
+(exponential smoothing). g = 0 is the model alone. The filters are mixed by their evidence
+(:mod:`semiparam_ros.core.mixture`), with Student's t for the densities.
 
-Only samples that are learnt are followed. While others go by, as in a contact or at rest, the offsets return to zero.
+Only samples that are learnt are followed. While others go by, as in a contact or at rest, the
+offsets return to zero.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ LARGEST_STEP = 6.0
 
 
 class WanderingOffset(FilterBank):
-    """The offsets b of every pace, (K, n), and their log weights; then their parts in the mean (K, n)."""
+    """The offsets b of every pace, (K, n), and their log weights; then their parts in the mean (K,
+    n)."""
 
     def __init__(self, n_outputs: int) -> None:
         super().__init__('the wandering offset', len(PACES), np.zeros((3 * len(PACES) + 1, n_outputs)), SHARE_OF_NONE)
@@ -55,7 +58,8 @@ class WanderingOffset(FilterBank):
         return np.asarray(PACES @ shares(self._log_weights))
 
     def learn(self, residual: Array, std: Array) -> None:
-        """Follow what the model left of a sample, (n,), whose predictive standard deviation was ``std`` (n,)."""
+        """Follow what the model left of a sample, (n,), whose predictive standard deviation was
+        ``std`` (n,)."""
         follow(residual, std, self.table)
 
     def rest(self) -> None:

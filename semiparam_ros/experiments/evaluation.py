@@ -48,12 +48,14 @@ class VariantScores:
         self._origin, self._offset = 0, 0.0
 
     def start_recording(self, origin: int) -> None:
-        """Stamps [ns] from now on belong to another recording, which starts at ``origin`` and continues the last."""
+        """Stamps [ns] from now on belong to another recording, which starts at ``origin`` and
+        continues the last."""
         self._offset = self._times[-1] if self._times else 0.0
         self._origin = origin
 
     def add(self, measured: Array, predicted: Array, seconds: float | None = None) -> None:
-        """One sample's outputs (n,), the prediction of them, and the time that prediction and update took [s]."""
+        """One sample's outputs (n,), the prediction of them, and the time that prediction and
+        update took [s]."""
         self._measured.append(measured)
         self._errors.append(predicted - measured)
         if seconds is not None:
@@ -100,7 +102,8 @@ def means(eps: Array, outputs: str) -> tuple[float, ...]:
 
 
 def normalised_errors(errors: Array, measured: Array) -> tuple[list[float | None], list[float]]:
-    """Mean squared error over the channel's variance (None for a constant channel), and its root, for (N, n)."""
+    """Mean squared error over the channel's variance (None for a constant channel), and its root,
+    for (N, n)."""
     square = np.mean(errors**2, axis=0)
     variance = np.var(measured, axis=0)
     ratios = [float(a / b) if b > 0.0 else None for a, b in zip(square, variance, strict=True)]
@@ -108,7 +111,8 @@ def normalised_errors(errors: Array, measured: Array) -> tuple[list[float | None
 
 
 def by_phase(times: Array, values: Array) -> dict[str, float | None]:
-    """Means over everything, the transient (the first 30 s after learning starts) and the steady state after it."""
+    """Means over everything, the transient (the first 30 s after learning starts) and the steady
+    state after it."""
     early = times - times[:1] < TRANSIENT_S if len(times) else np.zeros(0, dtype=bool)
     return {'mean': _mean(values), 'first_30_s': _mean(values[early]), 'steady_state': _mean(values[~early])}
 
@@ -191,11 +195,12 @@ class OfflineLearner(LearnerListener):
     """The node's learner without a node, on whole recordings.
 
     :param bags: the first one that carries a robot description gives it, where the settings do not.
-    :param tick: called after each sample. ``on_answer``: receives each answer, and how much its bands are widened in
-        free motion (n,). ``on_change``: receives each record of a change.
-    :param takeovers: samples from the end of each window until the model of it takes over, or cannot be; the last one
-        for all that follow. The node estimates hyperparameters meanwhile, and the model that it has answers; here it
-        need not. The initial window has two: that of a draft comes first.
+    :param tick: called after each sample. ``on_answer``: receives each answer, and how much its
+        bands are widened in free motion (n,). ``on_change``: receives each record of a change.
+    :param takeovers: samples from the end of each window until the model of it takes over, or
+        cannot be; the last one for all that follow. The node estimates hyperparameters meanwhile,
+        and the model that it has answers; here it need not. The initial window has two: that of a
+        draft comes first.
     """
 
     def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None],
@@ -207,8 +212,8 @@ class OfflineLearner(LearnerListener):
         self.on_change: Callable[[ChangeRecord], None] = lambda record: None
         self._horizon: HorizonErrors | None = None
         self._background = TakeoverBackground()
-        self.learner = Learner(replace(settings, shadow_variants=()), build_rigid_body(settings, description),
-                               self._background, self)
+        body = build_rigid_body(settings, description)
+        self.learner = Learner(replace(settings, shadow_variants=()), body, self._background, self)
 
     @property
     def estimator(self) -> Estimator:
@@ -216,7 +221,8 @@ class OfflineLearner(LearnerListener):
         return self.learner.estimator
 
     def take(self, bag: LoadedBag, scores: VariantScores, learning: bool) -> None:
-        """Predict, then perhaps learn, one recording; what the variant itself predicts is scored."""
+        """Predict, then perhaps learn, one recording; what the variant itself predicts is
+        scored."""
         scores.start_recording(bag.samples.origin)
         self.begin(bag.samples.origin)
         for sample in bag.samples:
@@ -241,7 +247,8 @@ class OfflineLearner(LearnerListener):
         history.origin = origin if history.origin is None else history.origin
 
     def step(self, sample: Sample, learning: bool) -> Prediction:
-        """Answer a sample as the node does; it learns one of a robot that moves, without a contact."""
+        """Answer a sample as the node does; it learns one of a robot that moves, without a
+        contact."""
         learner = self.learner
         if learner.settings.learning != learning:
             learner.settings = replace(learner.settings, learning=learning)

@@ -57,7 +57,8 @@ def processor_share() -> float:
 
 
 class DiagnosisOutcome(NamedTuple):
-    """A diagnosis in words and as the machine-readable report; ``effects`` are all that the model then declares.
+    """A diagnosis in words and as the machine-readable report; ``effects`` are all that the model
+    then declares.
 
     ``summary`` has what was found, line by line, ``words`` all that is to be said of it.
     """
@@ -110,8 +111,8 @@ def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], 
 
 def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence[Effect],
                after: Sequence[Effect], taken_off: Sequence[Contribution] = ()) -> float | None:
-    """By how much [nat] other effects predict what came after a stamp [ns] better than those before; None where that
-    is too little to tell.
+    """By how much [nat] other effects predict what came after a stamp [ns] better than those
+    before; None where that is too little to tell.
 
     :param taken_off: what was taken off the samples before they were kept.
     """
@@ -128,7 +129,8 @@ def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence
 
 
 def declared(found: Diagnosis) -> tuple[Effect, ...]:
-    """The effects of the final model, times as stamps: a node counts time from its own start, which a reset moves."""
+    """The effects of the final model, times as stamps: a node counts time from its own start, which
+    a reset moves."""
     origin = found.recorded.samples.origin
     return tuple(effect.at_stamps(origin) for effect in found.everything.effects)
 

@@ -23,15 +23,16 @@ EstimatorJob = Callable[..., Estimator]
 """Gives an estimator, in the background."""
 
 OLDER = 5
-"""One of so many samples before a later window is learnt, none from before a change of the robot: hyperparameters of
-that window make a model that fits other motion less well than it believes, and where that is most of what it learns the
-new motion is fitted the worse."""
+"""One of so many samples before a later window is learnt, none from before a change of the robot:
+hyperparameters of that window make a model that fits other motion less well than it believes, and
+where that is most of what it learns the new motion is fitted the worse."""
 OLDER_OF_DRAFT = 1000
 """Of a draft, which is wanted soon, so many at most."""
 
 
 class Known(NamedTuple):
-    """Hyperparameters that an earlier estimate gave for the same model, with the scaling of its inputs."""
+    """Hyperparameters that an earlier estimate gave for the same model, with the scaling of its
+    inputs."""
 
     hyperparameters: Hyperparameters
     input_mean: tuple[float, ...]
@@ -41,7 +42,8 @@ class Known(NamedTuple):
 
 
 def finish_window(estimator: Estimator, draft: bool = False) -> Estimator:
-    """The estimator whose initial window is full, with its hyperparameters estimated and the window learnt."""
+    """The estimator whose initial window is full, with its hyperparameters estimated and the window
+    learnt."""
     estimator.finish_window(draft)
     return estimator
 
@@ -56,8 +58,8 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
           later: RecentWindow | None = None) -> Estimator:
     """The same with hyperparameters from a later window, see :mod:`semiparam_ros.online.renewal`.
 
-    Raises SemiparamError when the window holds too little to estimate from, or the model predicts it worse than the one
-    that it is to beat.
+    Raises SemiparamError when the window holds too little to estimate from, or the model predicts
+    it worse than the one that it is to beat.
     """
     later = later or RecentWindow(settings.initial_samples)
     gathering, learning, learnt = new_estimator(settings, body, origin=origin), batch.learning, batch.learnt

@@ -1,6 +1,8 @@
-"""A process beside the node, for what takes seconds: the node goes on receiving, predicting and learning.
+"""A process beside the node, for what takes seconds: the node goes on receiving, predicting and
+learning.
 
-A thread would not do: it would share the interpreter's lock with the callbacks, and samples would be late.
+A thread would not do: it would share the interpreter's lock with the callbacks, and samples would
+be late.
 """
 
 from __future__ import annotations
@@ -31,10 +33,12 @@ Result = TypeVar('Result')
 Done = Callable[[Result | None, BaseException | None], None]
 NICENESS = 5
 MOST_DEATHS = 2
-"""A job whose process dies so many times is given up: it is the job that kills it, by its memory for instance."""
+"""A job whose process dies so many times is given up: it is the job that kills it, by its memory
+for instance."""
 
 STILL_S = 30.0
-"""So long a process may sleep over a job without using the processor; then it is taken for dead, and killed."""
+"""So long a process may sleep over a job without using the processor; then it is taken for dead,
+and killed."""
 GIVE_UP_S = 0.05
 """How soon a process hears that nobody wants the result of its job any more."""
 LOOKS = 30
@@ -64,7 +68,8 @@ class Job(Protocol):
 
 
 class Background(Protocol):
-    """Runs functions elsewhere and hands their results back to the caller's own thread, in order."""
+    """Runs functions elsewhere and hands their results back to the caller's own thread, in
+    order."""
 
     def submit(self, function: Callable[..., Result], *arguments: object, done: Done[Result],
                urgency: Urgency = Urgency.SHADOW) -> Job:
@@ -85,7 +90,8 @@ class Worker(NamedTuple):
 
 
 def forked_worker() -> Worker:
-    """A worker that has everything loaded and shares this process's memory; only while no other thread runs.
+    """A worker that has everything loaded and shares this process's memory; only while no other
+    thread runs.
 
     It costs nothing, where one that is spawned loads for two seconds of processor time.
     """
@@ -102,14 +108,18 @@ def forked_worker() -> Worker:
 
 
 class ProcessBackground:
-    """One process, there from the start, warm when it is needed, and replaced should it die or stand still.
+    """One process, there from the start, warm when it is needed, and replaced should it die or
+    stand still.
 
-    It is given one job at a time: when it dies, just the job that it worked on is to blame, and is tried once more.
+    It is given one job at a time: when it dies, just the job that it worked on is to blame, and is
+    tried once more.
 
     :param schedule: see :data:`Scheduler`; in that thread all of this runs but the jobs themselves.
-    :param on_progress: called there with what a job tells of its progress, see :func:`report_progress`.
+    :param on_progress: called there with what a job tells of its progress, see
+        :func:`report_progress`.
     :param still_s: see :data:`STILL_S`.
-    :param first: the first process; spawned if left out, as later ones are, which come while threads run.
+    :param first: the first process; spawned if left out, as later ones are, which come while
+        threads run.
     """
 
     def __init__(self, schedule: Scheduler, on_progress: Callable[[Any], None] = lambda news: None,
@@ -274,7 +284,8 @@ class _ProcessJob:
 
 
 def _activity(process: BaseProcess) -> tuple[str, int]:
-    """The state of its first thread, where jobs run (R: it has a processor or waits for one), and the ticks it used."""
+    """The state of its first thread, where jobs run (R: it has a processor or waits for one), and
+    the ticks it used."""
     fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
     return fields[0], int(fields[11]) + int(fields[12])
 
@@ -289,7 +300,8 @@ class JobResult(NamedTuple):
 
 
 def report_progress(news: object) -> None:
-    """Tell of a job's progress, from within the job; nobody hears it where no background runs the job."""
+    """Tell of a job's progress, from within the job; nobody hears it where no background runs the
+    job."""
     global _working
     if _line is not None:
         _working = False  # one that is given up half-way through could send nothing more
@@ -303,7 +315,8 @@ _line: Connection | None = None
 
 
 def _work(line: Connection, other_end: Connection | None = None) -> None:
-    """The process: leave Ctrl-C to the node, yield to it, work on one job after the other, and end when it ends."""
+    """The process: leave Ctrl-C to the node, yield to it, work on one job after the other, and end
+    when it ends."""
     global _line
     _line = line
     if other_end is not None:  # one that was forked has it too, and would never see the line end
