@@ -214,9 +214,8 @@ def _follow(residual: Vector, std: Vector, wandering: Matrix, calibration: Matri
     calibrate(innovation, std, calibration)
 
 
-@direct
 @compiled
-def _learn_and_follow(
+def learn_and_follow(
         root: Root, regression: Regression, prior: Prior, outputs: Vector, wandering: Matrix,
         calibration: Matrix, rows: Matrix, start: int, filled: int, decay: Vector, theta: Vector,
         errors: Matrix, eps: Matrix) -> int:
@@ -229,3 +228,6 @@ def _learn_and_follow(
     parts = wandering[2 * paces:3 * paces]
     advance(rows, start, filled, decay, prior, outputs, update, parts, errors, eps)
     return placed
+
+
+_learn_and_follow = direct(learn_and_follow)
