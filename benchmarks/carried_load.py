@@ -31,9 +31,9 @@ from mujoco_arms import SETTINGS, Setting
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.experiments.evaluation import AtOnce
+from semiparam_ros.online.diagnosis_jobs import name_change
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.learner import Learner
-from semiparam_ros.online.worker import name_change
 from semiparam_ros.settings import Settings
 from support.mujoco_arm import STEP_S
 from tracking import ARMS, Arm, size
@@ -75,7 +75,7 @@ class Silent:
     def __init__(self) -> None:
         self.records: dict[int, Any] = {}
 
-    def change_told(self, record: Any) -> None:
+    def change_reported(self, record: Any) -> None:
         """Keep the latest of each change."""
         self.records[record.change.number] = record
 

@@ -155,7 +155,7 @@ def feedforward(learner: OfflineLearner, pair: Pair) -> dict[str, Any] | None:
 
     None where all are cut.
     """
-    from semiparam_ros.core.robot.feedforward import desired
+    from semiparam_ros.online.desired_state import desired
 
     second = pair.second[moving(pair.second)]
     second = second[::max(1, len(second) // FEEDFORWARD_STATES)]

@@ -267,12 +267,12 @@ def run(robot: Robot, samples: Samples) -> tuple[list[ChangeRecord], Array, Arra
         list[ChangeRecord](),
         list[bool](),
     )
-    learner.look_for_changes(told.append)
+    learner.on_change = told.append
     learner.begin(samples.origin)
     predicted = []
     for sample in samples:
         predicted.append(learner.step(sample, learning=True).mean)
-        unusual.append(learner.changes is not None and learner.changes.state in STATES[3:5])
+        unusual.append(learner.learner.changes.state in STATES[3:5])
     spread = robot.samples.outputs.std(axis=0)
     left = (np.array(predicted) - samples.outputs) / spread
     return told, np.array(unusual), np.mean(left**2, axis=1)

@@ -28,11 +28,11 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import numpy as np
 
 from contact_gate import Recording, recorded, simulated
-from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.online.learner import Answer
 
 TOUCH_S, RISE_S, NOTICED_S = 0.5, 0.01, 0.05
 BESIDE_M = 0.04
@@ -66,18 +66,17 @@ def run(recording: Recording, samples: list[Sample]) -> Run:
     external = ExternalWrench(learner.estimator.body)
     rows: list[tuple[Array, Array, Array]] = []
 
-    def told(prediction: Prediction, widening: Array) -> None:
-        residual = prediction.sample.outputs - prediction.mean
-        found = external.of(prediction, residual, widening)
-        rows.append((found.wrench, found.std, residual))
+    def keep(answer: Answer, widening: Array) -> None:
+        found = external.of(answer.prediction, answer.residual, widening)
+        rows.append((found.wrench, found.std, answer.residual))
 
-    learner.answered, closed, link = told, [], []
+    learner.on_answer, closed, link = keep, [], []
     for sample in samples:
         learner.step(sample, True)
-        closed.append(learner.gate.closed)
-        places, _ = learner.gate.places()
-        assert learner.gate.place is not None
-        link.append(learner.gate.place.links[int(places.argmax())] if places.any() else '')
+        closed.append(learner.learner.gate.closed)
+        places, _ = learner.learner.gate.places()
+        assert learner.learner.gate.place is not None
+        link.append(learner.learner.gate.place.links[int(places.argmax())] if places.any() else '')
     wrench, std, residual = (np.array(column) for column in zip(*rows, strict=True))
     return Run(1e-9 * np.array([sample.stamp - samples[0].stamp for sample in samples]), wrench, std, residual,
                np.array(closed), link)
@@ -128,7 +127,7 @@ def figures(recording: Recording, noise: Array | None, every_s: float, seed: int
     """Of one seed."""
     free = run(recording, recording.samples)
     quiet = (free.times > SETTLED_S) & ~free.closed
-    links = OfflineLearner(recording.settings, [], lambda: None).gate.place
+    links = OfflineLearner(recording.settings, [], lambda: None).learner.gate.place
     assert links is not None
     pushed, touches = touched(recording, recording.samples, free, links.links, every_s, np.random.default_rng(seed))
     found = run(recording, pushed)

@@ -27,11 +27,11 @@ from rich.table import Table
 
 from mujoco_arms import ENCODER, MOTIONS, SETTINGS, Setting, _as_it_is
 from semiparam_ros.core.estimator import Estimator
-from semiparam_ros.core.robot.feedforward import desired
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.types import Array
+from semiparam_ros.online.desired_state import desired
 from semiparam_ros.online.feedforward import is_doubtful
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import model_options

@@ -48,8 +48,9 @@ from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.model_jobs import absorb
 from semiparam_ros.online.renewal import RecentWindow
-from semiparam_ros.online.worker import Done, Job, Result, absorb
+from semiparam_ros.online.worker import Done, Job, Result
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
 from semiparam_ros.settings.robot_description import moving_joints
@@ -279,7 +280,7 @@ class Listener:
     def model_switched(self, success: bool, sentence: str) -> None:
         self.announce(sentence)
 
-    def change_told(self, record: ChangeRecord) -> None:
+    def change_reported(self, record: ChangeRecord) -> None:
         """Nothing is asked of it here."""
 
     def settings_reverted(self, settings: Settings) -> None:

@@ -268,7 +268,7 @@ def workspace(request, tmp_path_factory) -> Path:
 def environment() -> dict[str, str]:
     """What a user has after activating the environment. Each new copy would be compiled anew, a quarter of a minute."""
     return {**os.environ, 'PATH': f'{Path(sys.executable).parent}:{os.environ["PATH"]}', 'PYTHONPATH': '',
-            'SEMIPARAM_COMPILED': '0'}
+            'NUMBA_DISABLE_JIT': '1'}
 
 
 @pytest.mark.slow

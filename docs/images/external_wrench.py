@@ -37,19 +37,16 @@ def main(picture: Path) -> None:
         true[rows] = force
         outputs[rows] += arm.load_of_force(arm.pose(link, found.position[rows]), true[rows], found.position[rows])
     learner = OfflineLearner(settings, [], lambda: None)
-    external, told = ExternalWrench(learner.estimator.body), []
-
-    def answered(each, widening):
-        told.append(external.of(each, each.sample.outputs - each.mean, widening))
-
-    learner.answered = answered
+    external, wrenches, gate = ExternalWrench(learner.estimator.body), [], learner.learner.gate
+    learner.on_answer = lambda answer, widening: wrenches.append(
+        external.of(answer.prediction, answer.residual, widening))
     places = []
     for row in zip(found.stamps, found.position, found.velocity, found.acceleration, outputs, strict=True):
         learner.step(Sample(int(row[0]), *row[1:]), True)
-        likely, _ = learner.gate.places()
-        places.append(learner.gate.place.links[int(likely.argmax())] if likely.any() else '')
+        likely, _ = gate.places()
+        places.append(gate.place.links[int(likely.argmax())] if likely.any() else '')
     force, std = (np.array([part[:3] for part in parts]) for parts in
-                  zip(*((each.wrench, each.std) for each in told), strict=True))
+                  zip(*((each.wrench, each.std) for each in wrenches), strict=True))
     sensor = arm.pose(found.frame_id, found.position).rotation
     acting = np.einsum('nij,ni->nj', sensor, true)
     draw(picture, time, force, std, acting, places)

@@ -116,8 +116,17 @@ class SampleStream:
     'wrong_length', 'not_finite', 'out_of_range', 'duplicate_stamp', 'backward_stamp', 'wrong_frame'; 'unmatched' counts
     wrenches without a joint state (or acceleration) near enough, 'overflow' messages given up because another topic
     stays silent.
-    A message that names joints, but none of ours (a gripper's own), is ignored: ``strangers`` counts these, and
-    ``last_stranger`` says what the last one named.
+    A message that names joints, but none of ours (a gripper's own), is ignored: ``ignored`` counts these, and
+    ``last_ignored`` says what the last one named.
+
+    :param joints: names in the order of the samples' columns; messages may order theirs in any way.
+    :param outputs: 'wrench' or 'effort'. :param sensor_frame: frame_id that wrenches must have; '' takes any.
+    :param tolerance_s: largest distance [s] from a wrench to the nearer of the joint states it lies between.
+    :param differentiator: gives the accelerations, unless ``measured_accelerations`` come on their own topic.
+    :param capacity: messages of a topic kept while another is silent; None keeps all.
+    :param velocity_filter: gives the velocities of joint states that leave them empty; None refuses such.
+    :param output_joints: those of the joints whose efforts are the outputs; all of them unless given.
+    :param temperatures: joints whose temperatures are measured; with a wrench, its sensor's frame_id.
     """
 
     def __init__(self, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str = '',
@@ -125,32 +134,15 @@ class SampleStream:
                  measured_accelerations: bool = False, capacity: int | None = CAPACITY,
                  velocity_filter: CausalDifferentiator | None = None, output_joints: Collection[str] = (),
                  temperatures: Collection[str] = ()) -> None:
-        """Make a stream without messages.
-
-        :param joints: names in the order of the samples' columns; messages may order theirs in any
-            way.
-        :param outputs: 'wrench' or 'effort'.
-        :param sensor_frame: frame_id that wrenches must have; '' takes any.
-        :param tolerance_s: largest distance [s] from a wrench to the nearer of the joint states it
-            lies between.
-        :param differentiator: gives the accelerations, unless ``measured_accelerations`` come on
-            their own topic.
-        :param capacity: messages of a topic kept while another is silent; None keeps all.
-        :param velocity_filter: gives the velocities of joint states that leave them empty; None
-            refuses such.
-        :param output_joints: those of the joints whose efforts are the outputs; all of them unless
-            given.
-        :param temperatures: joints whose temperatures are measured; with a wrench, its sensor's
-            frame_id.
-        """
+        """Make a stream without messages; SemiparamError where nothing gives accelerations."""
         if outputs not in ('wrench', 'effort'):
             raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
         if differentiator is None and not measured_accelerations:
             raise SemiparamError('accelerations are neither measured nor is there a filter that estimates them.')
         self.joints = tuple(joints)
         self.faults: Counter[str] = Counter()
-        self.last_fault = self.last_stranger = ''
-        self.strangers = 0
+        self.last_fault = self.last_ignored = ''
+        self.ignored = 0
         self._effort = outputs == 'effort'
         self._outputs = [index for index, name in enumerate(joints) if name in (output_joints or joints)]
         self._frame = sensor_frame.lstrip('/')
@@ -250,8 +242,8 @@ class SampleStream:
         """A sensor_msgs/Temperature [deg C]: ``frame_id`` names whose. No sample waits for one."""
         source = frame_id.lstrip('/')
         if source not in self._temperatures:
-            self.strangers += 1
-            self.last_stranger = (f'temperature at {in_seconds(stamp)} s is of {frame_id!r}; expected '
+            self.ignored += 1
+            self.last_ignored = (f'temperature at {in_seconds(stamp)} s is of {frame_id!r}; expected '
                                   f'{listed(tuple(self._temperatures))}.')
         elif self._acceptable(f'temperature of {source}', stamp, (value,)):
             self._temperatures[source].append(stamp, value)
@@ -263,8 +255,8 @@ class SampleStream:
         if known is not None and known[0] == names:
             return known[1]
         if names and not set(self.joints).intersection(names):
-            self.strangers += 1
-            self.last_stranger = (f'{what} at {in_seconds(stamp)} s names {listed(names)}; expected '
+            self.ignored += 1
+            self.last_ignored = (f'{what} at {in_seconds(stamp)} s names {listed(names)}; expected '
                                   f'{listed(self.joints)}.')
             return None
         missing = [joint for joint in self.joints if list(names).count(joint) != 1]

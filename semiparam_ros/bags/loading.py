@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 from semiparam_ros.bags import readings
@@ -75,24 +75,13 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
         joints = _joints(settings, description, bag)
         stream = sample_stream(settings, joints, measured, capacity=None)
         outputs = topics.wrench if settings.outputs == 'wrench' else topics.joint_states
-        frame_id, lengths, read_until = '', list[int](), bag.start_ns
-        samples: list[Sample] = []
-        for window in _windows(bag, bag.topics[outputs].count, most):
-            if window is not None:
-                stream.reset()
-                if topics.temperature in needed:  # it holds from before the stretch on
-                    _read(bag, stream, topics, [topics.temperature], read_until, window[0])
-                read_until = window[1]
-            frame, stretch = _read(bag, stream, topics, needed, *(window or (None, None)))
-            if window is not None and window[0] + WARM_UP_NS > bag.start_ns and stretch:
-                counts = stretch[0].stamp + WARM_UP_NS
-                stretch = [sample for sample in stretch if sample.stamp >= counts]
-            frame_id, samples = frame_id or frame, samples + stretch
-            lengths.append(len(stretch))
+        windows = _windows(bag, bag.topics[outputs].count, most)
+        frame_id, stretches = _read_windows(bag, stream, topics, needed, windows)
+        samples = [sample for stretch in stretches for sample in stretch]
         if not samples:
             raise SemiparamError(_nothing_matched(bag, stream, needed, bool(settings.joints)))
         return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, stream.last_fault,
-                         bag.losses, tuple(lengths))
+                         bag.losses, tuple(map(len, stretches)))
 
 
 def measured_accelerations(settings: Table, published: bool) -> bool:
@@ -161,6 +150,25 @@ def _windows(bag: BagReader, count: int, most: Callable[[float], int] | None) ->
     return [(start - WARM_UP_NS, start + length) for start in starts]
 
 
+def _read_windows(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collection[str],
+                  windows: Iterable[tuple[int, int] | None]) -> tuple[str, list[list[Sample]]]:
+    """Read (frame of the wrenches, samples of each window), without those that filters had first."""
+    frame_id, stretches, read_until = '', list[list[Sample]](), bag.start_ns
+    for window in windows:
+        if window is not None:
+            stream.reset()
+            if topics.temperature in needed:  # it holds from before the stretch on
+                _read(bag, stream, topics, [topics.temperature], read_until, window[0])
+            read_until = window[1]
+        frame, stretch = _read(bag, stream, topics, needed, *(window or (None, None)))
+        if window is not None and window[0] + WARM_UP_NS > bag.start_ns and stretch:
+            counts = stretch[0].stamp + WARM_UP_NS
+            stretch = [sample for sample in stretch if sample.stamp >= counts]
+        frame_id = frame_id or frame
+        stretches.append(stretch)
+    return frame_id, stretches
+
+
 def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collection[str], start: int | None = None,
           end: int | None = None) -> tuple[str, list[Sample]]:
     """Read (frame of the wrenches, samples) from the messages of some topics in the order recorded,
@@ -181,8 +189,8 @@ def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collecti
 def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str], joints_given: bool) -> str:
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
     waiting = f'{stream.pending} outputs have no joint state at or after their stamps.'
-    reason = stream.last_fault or stream.last_stranger or waiting
-    renamed = stream.faults['missing_joint'] or stream.strangers
+    reason = stream.last_fault or stream.last_ignored or waiting
+    renamed = stream.faults['missing_joint'] or stream.ignored
     remedy = ' semiparam convert --joint NAME=NEW renames joints.' if renamed else ''
     if renamed and not joints_given:  # those of the description count, all of them
         remedy = ' The parameter joints is not given, so every moving joint of the robot description is expected; ' \

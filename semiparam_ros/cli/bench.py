@@ -86,11 +86,8 @@ def run(args: argparse.Namespace) -> int:
 
 def timing(args: argparse.Namespace) -> int:
     """Time every contender for every D."""
-    from semiparam_ros.core.compiled import AVAILABLE
     from semiparam_ros.experiments.benchmark import arm
 
-    if not AVAILABLE:
-        options.console.print('numba is not installed: SPK runs on numpy alone.')
     body = arm(args.urdf or ARM, args.frame)
     with options.progress_bar() as progress:
         counts = args.features or [200, 500, 1000]
@@ -99,7 +96,7 @@ def timing(args: argparse.Namespace) -> int:
     show(sizes)
     if args.json:
         options.write_json(args.json, {
-            'command': 'bench', 'threads': 1, 'compiled': AVAILABLE, 'outputs': body.n_outputs,
+            'command': 'bench', 'threads': 1, 'outputs': body.n_outputs,
             'inputs': 3 * body.n_joints, 'meaning': MEANING, 'sizes': sizes})
     return 0
 

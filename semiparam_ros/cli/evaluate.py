@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from semiparam_ros.bags.loading import LoadedBag
-    from semiparam_ros.core.prediction import Prediction
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
     from semiparam_ros.core.types import Array
     from semiparam_ros.experiments.evaluation import VariantScores
     from semiparam_ros.online.change_watch import ChangeRecord
+    from semiparam_ros.online.learner import Answer
     from semiparam_ros.settings import Settings
 
 HEADINGS = {'eps_force': 'eps^F', 'eps_torque': 'eps^T', 'eps_effort': 'eps'}
@@ -195,18 +195,18 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
 
     total = sum(len(bag.samples) for bag in [*training, *bags])
     task = progress.add_task(settings.variant, total=total)
-    learner = OfflineLearner(settings, [*bags, *training], lambda: progress.advance(task), takeovers)
+    offline = OfflineLearner(settings, [*bags, *training], lambda: progress.advance(task), takeovers)
     if changes is not None:
-        learner.look_for_changes(lambda record: changes.update({record.change.number: record}))
+        offline.on_change = lambda record: changes.update({record.change.number: record})
     for bag in training:
-        learner.take(bag, VariantScores(settings.outputs), learning=True)
-    learner.finish(training, frozen)
+        offline.take(bag, VariantScores(settings.outputs), learning=True)
+    offline.finish(training, frozen)
     scores = VariantScores(settings.outputs)
     if wrenches is not None:
-        learner.answered = _told_to(wrenches, ExternalWrench(learner.estimator.body, settings.external_wrench_frame))
+        offline.on_answer = _writer_of(wrenches, ExternalWrench(offline.estimator.body, settings.external_wrench_frame))
     for bag in bags:
-        learner.take(bag, scores, settings.learning and not frozen)
-    for reason in learner.failed_windows:
+        offline.take(bag, scores, settings.learning and not frozen)
+    for reason in offline.learner.failed_windows:
         options.console.print(f'{settings.variant}: an initial window gives no hyperparameters '
                               f'({reason}); another one is gathered.')
     if not len(scores):
@@ -215,13 +215,13 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     return scores
 
 
-def _told_to(rows: list[str], external: ExternalWrench) -> Callable[[Prediction, Array], None]:
-    """Return a function that appends a line for each prediction of the variant's own."""
-    def append(prediction: Prediction, widening: Array) -> None:
-        if prediction.ready:
-            found = external.of(prediction, prediction.sample.outputs - prediction.mean, widening)
+def _writer_of(rows: list[str], external: ExternalWrench) -> Callable[[Answer, Array], None]:
+    """Return a function that appends a line for each answer of the variant's own."""
+    def append(answer: Answer, widening: Array) -> None:
+        if answer.prediction.ready:
+            found = external.of(answer.prediction, answer.residual, widening)
             numbers = [*found.wrench.tolist(), *found.std.tolist()]
-            rows.append(','.join([str(prediction.sample.stamp), *map(repr, numbers)]))
+            rows.append(','.join([str(answer.prediction.sample.stamp), *map(repr, numbers)]))
     return append
 
 

@@ -128,13 +128,13 @@ def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str 
     from semiparam_ros.export.report import remark
     from semiparam_ros.export.urdf import identified_urdf
 
-    told = remark(found)
+    heading = remark(found)
     texts: dict[str, Callable[[], str]] = {
-        'urdf': lambda: identified_urdf(urdf, found, told),
-        'mjcf': lambda: identified_mjcf(identified_urdf(urdf, found, told), found, told),
-        'ur-payload': lambda: controllers.ur_script(controllers.load_at(body, found, flange), told),
+        'urdf': lambda: identified_urdf(urdf, found, heading),
+        'mjcf': lambda: identified_mjcf(identified_urdf(urdf, found, heading), found, heading),
+        'ur-payload': lambda: controllers.ur_script(controllers.load_at(body, found, flange), heading),
         'franka-desk': lambda: controllers.franka_desk(controllers.load_at(body, found, flange)),
-        'libfranka': lambda: controllers.libfranka(controllers.load_at(body, found, flange), told),
-        'gravity-filter': lambda: controllers.gravity_filter(body, found, told),
-        'crisp-friction': lambda: controllers.crisp_friction(found, told)}
+        'libfranka': lambda: controllers.libfranka(controllers.load_at(body, found, flange), heading),
+        'gravity-filter': lambda: controllers.gravity_filter(body, found, heading),
+        'crisp-friction': lambda: controllers.crisp_friction(found, heading)}
     return texts[form]()

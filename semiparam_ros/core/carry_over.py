@@ -1,4 +1,4 @@
-"""How well a model that learns no more predicts the motion that follows: what to expect of it elsewhere.
+"""Errors of a model that learns no more on the motion that follows: what to expect of it elsewhere.
 
 Errors of a model that goes on learning say little of other motion, for it follows each sample. So a copy of the
 coefficients is kept for a block of some seconds and predicts them without learning, without the wandering offset (a
@@ -33,7 +33,7 @@ LEAST_SQUARE, LARGEST_ERROR = 1e-24, 1e100
 
 
 class Coefficients(NamedTuple):
-    """Of one model: mean = C theta + alpha phi, with the columns C that it covers."""
+    """Coefficients of one model: mean = C theta + alpha phi, with the columns C that it covers."""
 
     theta: Array  # (p,)
     alpha: Array  # (n, D)
@@ -60,7 +60,7 @@ class CarryOver:
         return self._passed % CHARGED_EVERY == 0
 
     def wants_coefficients(self, stamp: int) -> bool:
-        """Whether a block ends with the sample of ``stamp`` [ns], and another one begins."""
+        """Tell whether a block ends with the sample of ``stamp`` [ns], and another one begins."""
         return not self._frozen or stamp - self._since >= BLOCK_NS
 
     def begin_block(self, stamp: int, coefficients: Sequence[Coefficients]) -> None:

@@ -1,10 +1,11 @@
-"""The coupled columns C = [psi | friction | offset | effects]: everything of the output that is linear in theta."""
+"""The coupled columns C = [psi | friction | offset | effects]: everything of the output that is
+linear in theta."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -23,17 +24,19 @@ from semiparam_ros.errors import SemiparamError
 
 OFFSET_PRIOR_SCALE = 100.0
 Memory: TypeAlias = object
-"""What an effect remembers of earlier samples: None, numbers, texts, arrays, or tuples, lists and dicts of them, never
-changed in place; a saved state holds it."""
+"""What an effect remembers of earlier samples: None, numbers, texts, arrays, or tuples, lists and
+dicts of them, never changed in place; a saved state holds it."""
 Memories: TypeAlias = Sequence[tuple[Memory, Memory]] | None
-"""Of all effects: what each remembers for its corrections, and for its columns. None at the start."""
+"""Of all effects: what each remembers for its corrections, and for its columns. None at the
+start."""
 
 APPROACH_NS = 100_000_000
-"""How long a desired state has moved on at its own velocity, for what remembers the way travelled."""
+"""How long a desired state has moved on at its own velocity, for what remembers the way
+travelled."""
 
 
 class JointColumns(NamedTuple):
-    """Of J blocks alike: each acts on one joint's effort, by that joint's motion alone."""
+    """Columns of J blocks alike: each acts on one joint's effort, by that joint's motion alone."""
 
     joints: Indices  # (J,)
     outputs: Indices  # (J,) which outputs their efforts are
@@ -41,62 +44,82 @@ class JointColumns(NamedTuple):
     """(J, c) columns of positions, velocities and accelerations (J,)."""
 
 
-class ColumnBlock(Protocol):
-    """A physical cause with its nonlinear parameters set: it may move the inputs, shape psi, and add columns.
+class ColumnBlock:
+    """A physical cause with its nonlinear parameters set: it may move the inputs, shape psi, and
+    add columns. One of this class does none of these.
 
-    Each method takes what the effect remembered of earlier samples (None at the start) where it needs a past.
+    Each method takes what the effect remembered of earlier samples (None at the start) where it
+    needs a past.
     """
 
-    @property
-    def of_sensor(self) -> bool:
-        """Whether it changes only what the sensor shows, not what the arm needs."""
+    kind: ClassVar[str] = ''
+    where: str | None = None
+    of_sensor: ClassVar[bool] = False
+    """Mark of a cause that changes only what the sensor shows, not what the arm needs."""
+    is_load: ClassVar[bool] = False
+    """Mark of a carried body: its coefficients are ten inertial parameters in the link's frame, and
+    what shapes psi shapes its columns too."""
 
     def check(self, body: RigidBody) -> None:
         """Raise SemiparamError when the effect cannot be declared on this robot."""
 
     @property
-    def is_load(self) -> bool:
-        """Whether it is a body that a link carries: what shapes psi shapes its columns too."""
-
-    @property
     def only_adds(self) -> bool:
-        """Whether :meth:`correct` and :meth:`transform` change nothing."""
+        """Tell whether the effect leaves inputs and regressors as they are."""
+        own = type(self)
+        return own.correct is ColumnBlock.correct and own.transform is ColumnBlock.transform
 
     def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> JointColumns | None:
-        """What :meth:`columns` of ``blocks``, itself among them, give of one sample; None where
-        that is not to be had at once."""
+        """Columns that :meth:`columns` of ``blocks``, itself among them, give of one sample; None
+        where that is not to be had at once."""
+        return None
+
+    def coefficients(self, body: RigidBody) -> Sequence[tuple[str, str]]:
+        """Names and units of the columns' coefficients, in order."""
+        return ()
 
     def prior_scale(self, body: RigidBody) -> Array:
-        """(c,) prior standard deviation of each coefficient over gamma, in its unit; as many as there are columns."""
+        """(c,) prior standard deviation of each coefficient over gamma, in its unit; as many as
+        there are columns."""
+        return np.zeros(0)
 
     def prior_mean(self, body: RigidBody) -> Array:
         """(c,) prior mean of each coefficient, in its unit; zero for what is not known."""
+        return np.zeros(len(self.prior_scale(body)))
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
-        """The body and the inputs as they really are (a joint's zero, the direction of gravity, a delay)."""
+        """The body and the inputs as they really are (a joint's zero, the direction of gravity, a
+        delay)."""
+        return body, samples, None
 
     def transform(self, body: RigidBody, regressors: Array) -> Array:
         """The regressors (N, n, p) as the sensor reports them (a gain, a rotation)."""
+        return regressors
 
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """(N, n, c) further columns."""
+        return np.zeros((len(samples), body.n_outputs, len(self.prior_scale(body)))), None
+
+    def acts(self, stamp: int, origin: int) -> bool:
+        """Tell whether it acts at a stamp [ns], by its start and its end; ``origin`` [ns] is where
+        its time starts."""
+        return True
 
     def desired(self) -> ColumnBlock:
-        """The effect as it acts on a desired state, which is exact and belongs to no known time."""
+        """The effect as it acts on a desired state; as on any other, unless a kind says otherwise.
+
+        Such a state is exact, has no past, and is taken as of now: a start or an end that was
+        reached counts, and a drift stands where it stands. A kind that concerns the time of a
+        measurement, or a phase that nobody knows beforehand, is :class:`Absent`.
+        """
+        return self
 
 
-class Absent:
+class Absent(ColumnBlock):
     """Stands for an effect that does not act, with as many columns."""
-
-    of_sensor = False
-    is_load = False
-    only_adds = True
 
     def __init__(self, effect: ColumnBlock) -> None:
         self._effect = effect
-
-    def check(self, body: RigidBody) -> None:
-        """It can be absent anywhere."""
 
     def prior_scale(self, body: RigidBody) -> Array:
         """(c,) that of the effect."""
@@ -106,32 +129,14 @@ class Absent:
         """(c,) that of the effect."""
         return self._effect.prior_mean(body)
 
-    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
-        """Nothing moves."""
-        return body, samples, None
-
-    def transform(self, body: RigidBody, regressors: Array) -> Array:
-        """Nothing changes."""
-        return regressors
-
-    def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        """(N, n, c) zeros."""
-        return np.zeros((len(samples), body.n_outputs, len(self.prior_scale(body)))), None
-
-    def joint_columns(self, body: RigidBody, blocks: Sequence[ColumnBlock]) -> None:
-        """They are all zero, and not those of another kind."""
-
-    def desired(self) -> ColumnBlock:
-        """Absent too."""
-        return self
-
 
 class CoupledColumns:
     """Assembles C for a rigid body and its declared effects; a wrench always has a constant offset.
 
-    :param joint_friction: with joint efforts, friction and offset of every output (``robot.joint_friction``).
-    :param physical: the prior of theta is as wide as the robot is large, about its description; False: gamma^2 I about
-        zero, as in the paper.
+    :param joint_friction: with joint efforts, friction and offset of every output
+        (``robot.joint_friction``).
+    :param physical: the prior of theta is as wide as the robot is large, about its description;
+        False: gamma^2 I about zero, as in the paper.
     """
 
     def __init__(self, body: RigidBody, effects: Sequence[ColumnBlock] = (), joint_friction: bool = False,
@@ -174,7 +179,8 @@ class CoupledColumns:
 
     @property
     def blocks(self) -> dict[str, slice]:
-        """Where the rigid body, friction and the offset stand in theta, each effect under its place in the list."""
+        """Places of the rigid body, friction and the offset in theta, each effect under its place
+        in the list."""
         sizes = {'rigid_body': self.body.n_parameters, 'friction': self._n_friction,
                  'offset': self._offset.shape[1]}
         sizes |= {str(index): len(scale) for index, scale in enumerate(self._effect_scales)}
@@ -183,8 +189,9 @@ class CoupledColumns:
 
     @property
     def prior_scale(self) -> Array:
-        """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless ``physical``, wide for
-        the offset of a wrench, of the joint's size for friction and offset of an effort."""
+        """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless
+        ``physical``, wide for the offset of a wrench, of the joint's size for friction and offset
+        of an effort."""
         rigid = base_scale(self.body) if self.physical else np.ones(self.body.n_parameters)
         joints = [np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE)]
         if self.has_friction:
@@ -193,7 +200,8 @@ class CoupledColumns:
 
     @property
     def prior_mean(self) -> Array:
-        """(p,) the inertias of the robot description, no offset, and of the effects what was declared."""
+        """(p,) the inertias of the robot description, no offset, and of the effects what was
+        declared."""
         mean = np.zeros(self.n_columns)
         mean[:self.body.n_parameters] = self.body.base_parameters
         mean[self.n_own:] = self.known
@@ -206,14 +214,15 @@ class CoupledColumns:
 
     @property
     def expected(self) -> Array:
-        """(p,) prior mean of the model after the initial window: of the effects as declared, and of inertial parameters
-        those of the robot description where the prior is physical."""
+        """(p,) prior mean of the model after the initial window: of the effects as declared, and of
+        inertial parameters those of the robot description where the prior is physical."""
         mean = self.prior_mean
         mean[:self.n_own] *= self.physical
         return mean
 
     def one(self, sample: Sample, origin: int, memory: Memories = None) -> tuple[Array, Memories]:
-        """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]: where time starts."""
+        """(n, p) columns of one sample and what the effects remember after it. ``origin`` [ns]:
+        where time starts."""
         columns, past = self._constant.copy(), memory or self._no_memories
         if self.only_add:
             self.body.regressor(sample.position, sample.velocity, sample.acceleration, out=columns)
@@ -237,7 +246,8 @@ class CoupledColumns:
 
     def _fill_others(self, body: RigidBody, rows: Samples, past: Sequence[tuple[Memory, Memory]],
                      columns: Array) -> list[tuple[Memory, Memory]]:
-        """Those of all other effects, from one corrected sample; what is remembered of it."""
+        """Fill in the columns of all other effects, from one corrected sample; return what is
+        remembered of it."""
         after = list(past)
         for index, block in self._by_themselves:
             found, remembered = self._of_effect(index, body, rows, past[index][1])
@@ -246,7 +256,8 @@ class CoupledColumns:
 
     @cached_property
     def only_add(self) -> bool:
-        """Whether no effect moves the inputs or shapes other columns, which then stand first."""
+        """Tell whether no effect moves the inputs or shapes other columns, which then stand
+        first."""
         return all(effect.only_adds for effect in self.effects)
 
     @cached_property
@@ -263,7 +274,7 @@ class CoupledColumns:
 
     @cached_property
     def _at_once(self) -> list[tuple[JointColumns, Indices]]:
-        """Of each group its columns, and where (J, c) these stand in all of a sample by rows."""
+        """Columns of each group, and where (J, c) these stand in all of a sample by rows."""
         found = []
         for members in self._groups:
             joint_columns = self._joint_columns(members)
@@ -291,7 +302,8 @@ class CoupledColumns:
         return found
 
     def batch(self, samples: Samples, memory: Memories = None) -> tuple[Array, Memories]:
-        """(N, n, p) columns of consecutive samples and what the effects remember after the last one."""
+        """(N, n, p) columns of consecutive samples and what the effects remember after the last
+        one."""
         past = memory or [(None, None)] * len(self.effects)
         body, inputs, corrected = self.corrected(samples, [entry[0] for entry in past])
         columns, added = self.of_corrected(body, inputs, [entry[1] for entry in past])
@@ -299,7 +311,8 @@ class CoupledColumns:
 
     def of_corrected(self, body: RigidBody, inputs: Samples,
                      past: Sequence[Memory] = ()) -> tuple[Array, list[Memory]]:
-        """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of them."""
+        """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of
+        them."""
         parts, added = [self.rigid(body, inputs), self.friction(inputs), self.offset(len(inputs))], []
         for index, memory in enumerate(past or [None] * len(self.effects)):
             columns, remembered = self._of_effect(index, body, inputs, memory)
@@ -308,7 +321,8 @@ class CoupledColumns:
         return np.concatenate(parts, axis=2), added
 
     def rigid(self, body: RigidBody, inputs: Samples) -> Array:
-        """(N, n, n_parameters) those of the rigid body, as the effects shape them; to read alone."""
+        """(N, n, n_parameters) those of the rigid body, as the effects shape them; to read
+        alone."""
         return self._shaped(body, body.regressors(inputs))
 
     def friction(self, inputs: Samples) -> Array:
@@ -318,7 +332,8 @@ class CoupledColumns:
         return np.zeros((len(inputs), self.body.n_outputs, 0))
 
     def offset(self, count: int) -> Array:
-        """(count, n, n) those of the offset, (count, n, 0) of efforts without joint friction; to read alone."""
+        """(count, n, n) those of the offset, (count, n, 0) of efforts without joint friction; to
+        read alone."""
         return np.broadcast_to(self._offset, (count, *self._offset.shape))
 
     def of_effect(self, index: int, body: RigidBody, inputs: Samples) -> Array:
@@ -329,26 +344,28 @@ class CoupledColumns:
         effect, count = self.effects[index], len(self._effect_scales[index])
         columns, remembered = effect.columns(body, inputs, memory)
         if columns.shape[1:] != (body.n_outputs, count):
-            raise SemiparamError(f"effect '{getattr(effect, 'kind', effect)}' gives columns of shape "
+            raise SemiparamError(f"effect '{effect.kind}' gives columns of shape "
                                  f'{columns.shape[1:]}; expected {(body.n_outputs, count)}, one for each of '
                                  'its coefficients.')
         return self._shaped(body, columns) if effect.is_load else columns, remembered
 
     def _shaped(self, body: RigidBody, columns: Array) -> Array:
-        """Columns (N, n, c) of bodies as the effects shape them: a gain of the efforts multiplies all of these."""
+        """Columns (N, n, c) of bodies as the effects shape them: a gain of the efforts multiplies
+        all of these."""
         for effect in self.effects:
             columns = effect.transform(body, columns)
         return columns
 
     def desired(self, position: Array, velocity: Array, acceleration: Array, now: int, origin: int,
                 temperature: Array = NO_TEMPERATURE) -> tuple[Array, Array]:
-        """(n, p) columns of a desired state (n_joints,) as of ``now`` [ns]: as the sensor shows it, and of that what
-        the arm needs, without the sensor's offset and effects.
+        """(n, p) columns of a desired state (n_joints,) as of ``now`` [ns]: as the sensor shows it,
+        and of that what the arm needs, without the sensor's offset and effects.
 
         :param temperature: that of a :class:`Sample` as of now.
 
-        The state has no past. What remembers the way travelled (hysteresis, play, presliding) starts at rest and
-        follows a straight way at the state's own velocity, so nothing measured mixes with it and it stays bounded.
+        The state has no past. What remembers the way travelled (hysteresis, play, presliding)
+        starts at rest and follows a straight way at the state's own velocity, so nothing measured
+        mixes with it and it stays bounded.
         """
         unknown = np.full(self.body.n_outputs, np.nan)
         state = Sample(now, position, velocity, acceleration, unknown, temperature)

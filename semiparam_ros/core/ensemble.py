@@ -1,9 +1,10 @@
 """Several models of one robot that learn side by side, averaged by their running evidence.
 
-Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members by itself: w_mk follows the
-log density that member m gave to what was measured, forgotten slowly, with Student's t for the densities, so that a
-spike decides nothing. The answers meet in a logarithmic pool (see ``opinion_pool``). Each member has its own wandering
-offset and bands; those that have the same effects share their columns. One model alone is an ensemble of one.
+Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members by
+itself: w_mk follows the log density that member m gave to what was measured, forgotten slowly, with
+Student's t for the densities, so that a spike decides nothing. The answers meet in a logarithmic
+pool (see ``opinion_pool``). Each member has its own wandering offset and bands; those that have the
+same effects share their columns. One model alone is an ensemble of one.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import numpy as np
 
 from semiparam_ros.core.carry_over import CarryOver
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, compiled
+from semiparam_ros.core.compiled import Matrix, compiled
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonErrors
 from semiparam_ros.core.initial_window import InitialWindow
+from semiparam_ros.core.mixture import student, weigh
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.online_model import ModelState, OnlineModel
 from semiparam_ros.core.opinion_pool import pool_both, pool_together, pool_weights
@@ -26,68 +28,34 @@ from semiparam_ros.errors import SemiparamError
 
 EVIDENCE_MEMORY = 500.0
 """[samples]"""
-_KEEP = 1.0 - 1.0 / EVIDENCE_MEMORY
-DEGREES = 5.0
 LEAST_LOG_WEIGHT = -6.0
-"""The best has 0: who was poor for long still weighs enough to take over within a few samples of a change."""
+"""The best has 0: who was poor for long still weighs enough to take over within a few samples of a
+change."""
 
 OFF_SHARE = 0.1
 """Where nothing moves and all outputs are below this share of what is predicted, the motors are
 off behind brakes."""
 
 ELSEWHERE = 2.0
-"""Errors on another motion are up to so many times those on a block of the same motion that was left out: on thirteen
-pairs of recordings of measured and simulated arms then at most 1 % are beyond three standard deviations."""
-
-
-class MemberWeights:
-    """Log weights (K, n) of K members for n outputs; equal at the start."""
-
-    def __init__(self, n_members: int, n_outputs: int) -> None:
-        self._log_weights = np.zeros((n_members, n_outputs))
-        self.weights: Array = np.full((n_members, n_outputs), 1.0 / n_members)
-        """(K, n), which sum to one over the members."""
-
-    def learn(self, errors: Array, std: Array) -> None:
-        """Take in the errors (K, n) of a sample, and the standard deviations (K, n) that were given to it."""
-        if AVAILABLE:
-            self.weights = np.empty_like(self.weights)
-            _weigh(errors, std, self._log_weights, self.weights)
-        else:
-            self._learn(errors, std)
-
-    def _learn(self, errors: Array, std: Array) -> None:
-        ratio = errors / std
-        log_weights = _KEEP * self._log_weights - np.log(std)
-        log_weights -= 0.5 * (DEGREES + 1.0) * np.log1p(ratio * ratio / DEGREES)
-        self._log_weights = np.maximum(log_weights - log_weights.max(axis=0), LEAST_LOG_WEIGHT)
-        weights = np.exp(self._log_weights)
-        self.weights = weights / weights.sum(axis=0)
-
-    def state(self) -> dict[str, Array]:
-        """Copies; :meth:`restore` takes them back bit for bit."""
-        return {'log_weights': self._log_weights.copy(), 'shares': self.weights.copy()}
-
-    def restore(self, state: Mapping[str, Array | Stamps]) -> None:
-        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, for another size."""
-        found = [np.array(state.get(name, np.nan), dtype=float) for name in self.state()]
-        if any(values.shape != self.weights.shape or not np.isfinite(values).all() for values in found):
-            raise SemiparamError(f'the saved weights of the models have shape {found[0].shape}; expected finite '
-                                 f'values of shape {self.weights.shape}.')
-        self._log_weights, self.weights = found
+"""Errors on another motion are up to so many times those on a block of the same motion that was
+left out: on thirteen pairs of recordings of measured and simulated arms then at most 1 % are beyond
+three standard deviations."""
 
 
 class Ensemble:
     """The models, their weights, and what follows all of them together.
 
-    :param columns: of the first model, which has the declared effects; the others have them or none.
+    :param columns: of the first model, which has the declared effects; the others have them or
+        none.
     """
 
     def __init__(self, models: Sequence[OnlineModel], columns: CoupledColumns, options: ModelOptions) -> None:
         self.models, self._columns = tuple(models), columns
         self._without_effects = next((each.columns for each in models if not each.columns.effects), columns)
         n_models, n_outputs = len(self.models), columns.body.n_outputs
-        self.weights = MemberWeights(n_models, n_outputs)
+        self._log_weights = np.zeros((n_models, n_outputs))
+        self.weights: Array = np.full((n_models, n_outputs), 1.0 / n_models)
+        """(K, n) of the models, one in sum."""
         self.carried = CarryOver(n_models, n_outputs)
         self._horizons = AveragedHorizons(options.horizon, n_outputs, n_models)
 
@@ -107,7 +75,7 @@ class Ensemble:
             model_std = prior.std
         else:
             pooled = pool_both(
-                self.weights.weights, np.array([each.mean for each in members]),
+                self.weights, np.array([each.mean for each in members]),
                 np.array([each.std for each in members]), np.array([each.prior.mean for each in members]),
                 np.array([each.prior.covariance for each in members]))
             model_std = np.sqrt(pooled[3].diagonal())
@@ -143,8 +111,12 @@ class Ensemble:
             model.take_in(sample, its, learn, is_news, errors, follow)
         std = np.array([its.std for its in members])
         if is_news and counts:
-            self.weights.learn(outputs - np.array([its.mean for its in members]), std)
-        return self._horizons.advance_average(sample.stamp, charged, outputs, self.weights.weights, std)
+            self._weigh(outputs - np.array([its.mean for its in members]), std)
+        return self._horizons.advance(sample.stamp, charged, outputs, self.weights, std)
+
+    def _weigh(self, errors: Array, std: Array) -> None:
+        """Weigh the models by the errors (K, n) and the standard deviations (K, n) of a sample."""
+        self.weights = weigh_models(self._log_weights, errors, std)
 
     def learn_windows(self, windows: Sequence[InitialWindow]) -> None:
         """Let each model learn the samples of an initial window, which holds its own columns."""
@@ -152,7 +124,7 @@ class Ensemble:
             found = [model.learn_again(its) for model, its in zip(self.models, remembered, strict=True)]
             if len(found) > 1:
                 mean, std = map(np.array, zip(*found, strict=True))
-                self.weights.learn(remembered[0].outputs - mean, std)
+                self._weigh(remembered[0].outputs - mean, std)
 
     def charge_left_out(self, prediction: Prediction) -> None:
         """Charge a sample that is learnt to the coefficients of a while ago."""
@@ -161,13 +133,13 @@ class Ensemble:
             self.carried.charge(
                 prediction.sample.outputs,
                 [its.columns[:, each.model.covered] for each, its in zip(self.models, members, strict=True)],
-                [its.prior.features[0] for its in members])
+                [its.prior.phi for its in members])
         if self.carried.wants_coefficients(stamp):
             self.carried.begin_block(stamp, [each.coefficients() for each in self.models])
 
     def compare(self, prediction: Prediction) -> int:
-        """Let each model return to what was known before the last change of the robot, if that predicts better; how
-        many did."""
+        """Let each model return to what was known before the last change of the robot, if that
+        predicts better; how many did."""
         if not prediction.motion.is_news:
             return 0
         returns = sum([model.compare(prediction.sample, its)
@@ -177,7 +149,8 @@ class Ensemble:
         return returns
 
     def follow_change(self) -> None:
-        """The robot has changed: see :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
+        """The robot has changed: see
+        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
         self.carried.interrupt()
         for each in self.models:
             each.model.recursion.follow_change()
@@ -196,10 +169,11 @@ class Ensemble:
                 each.wandering.forget()
 
     def predict_desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
-        """Outputs at x (m,): each model with the errors to expect of it on motion that it has not learnt, and weighed
-        by them.
+        """Outputs at x (m,): each model with the errors to expect of it on motion that it has not
+        learnt, and weighed by them.
 
-        :param shown: (n, p) columns of the first model, of what the sensor shows. :param needed: by the arm.
+        :param shown: (n, p) columns of the first model, of what the sensor shows. :param needed: by
+            the arm.
         """
         plain = shown, needed
         if self._without_effects is not self._columns:
@@ -219,18 +193,22 @@ class Ensemble:
                               float(shares.mean(axis=1) @ [each.variance_ratio for each in found]))
 
     def _weights_elsewhere(self) -> Array:
-        """(K, n) by the errors on blocks that were left out. Before the first of these, features are not taken to know
-        anything elsewhere: the models without any weigh by their evidence, where there are such."""
+        """(K, n) by the errors on blocks that were left out. Before the first of these, features
+        are not taken to know anything elsewhere: the models without any weigh by their evidence,
+        where there are such."""
         if len(self.carried.squares):
             return self.carried.weights
         without = np.array([each.model.features is None for each in self.models])
-        weights = self.weights.weights * (without | ~without.any())[:, None]
+        weights = self.weights * (without | ~without.any())[:, None]
         return np.asarray(weights / weights.sum(axis=0))
 
     def state(self) -> tuple[tuple[ModelState, ...], dict[str, Array | Stamps], dict[str, Array | Stamps]]:
-        """Copies of what each model has learnt, of the errors of left-out blocks, and of the average; the last is empty
-        for one model."""
-        average = {**self.weights.state(), **self._horizons.state()} if len(self.models) > 1 else {}
+        """Copies of what each model has learnt, of the errors of left-out blocks, and of the
+        average; the last is empty for one model."""
+        average: dict[str, Array | Stamps] = {}
+        if len(self.models) > 1:
+            average = {'log_weights': self._log_weights.copy(), 'shares': self.weights.copy(),
+                       **self._horizons.state()}
         return tuple(each.state() for each in self.models), self.carried.state(), average
 
     def restore(self, models: Sequence[ModelState], carried: Mapping[str, Array | Stamps],
@@ -242,27 +220,27 @@ class Ensemble:
         for each, saved in zip(self.models, models, strict=True):
             each.restore(saved)
         if len(self.models) > 1:
-            self.weights.restore(average)
+            self._restore_weights(average)
             self._horizons.restore(average)
         self.carried.restore(carried, [(len(each.model.theta), each.model.recursion.n_features)
                                        for each in self.models])
 
+    def _restore_weights(self, average: Mapping[str, Array | Stamps]) -> None:
+        shape = self.weights.shape
+        found = [np.array(average.get(name, np.nan), dtype=float)
+                 for name in ('log_weights', 'shares')]
+        if any(each.shape != shape or not np.isfinite(each).all() for each in found):
+            raise SemiparamError(f'the saved weights of the models have shape {found[0].shape}; '
+                                 f'expected finite values of shape {shape}.')
+        self._log_weights, self.weights = found
 
-@compiled(MATRIX, MATRIX, MATRIX, MATRIX)
-def _weigh(errors: Array, std: Array, log_weights: Array, weights: Array) -> None:
-    """See :meth:`MemberWeights.learn`."""
-    members, n = errors.shape
-    for k in range(n):
-        best = -np.inf
-        for m in range(members):
-            ratio = errors[m, k] / std[m, k]
-            log_weights[m, k] = (_KEEP * log_weights[m, k] - np.log(std[m, k])
-                                 - 0.5 * (DEGREES + 1.0) * np.log1p(ratio * ratio / DEGREES))
-            best = max(best, log_weights[m, k])
-        total = 0.0
-        for m in range(members):
-            log_weights[m, k] = max(log_weights[m, k] - best, LEAST_LOG_WEIGHT)
-            weights[m, k] = np.exp(log_weights[m, k])
-            total += weights[m, k]
-        for m in range(members):
-            weights[m, k] /= total
+
+@compiled
+def weigh_models(log_weights: Matrix, errors: Matrix, std: Matrix) -> Matrix:
+    """(K, n) weights after the errors (K, n) of a sample, and the standard deviations (K, n) that
+    were given to it."""
+    evidence = np.empty(errors.shape)
+    for m in range(len(errors)):
+        for k in range(errors.shape[1]):
+            evidence[m, k] = student(errors[m, k] / std[m, k]) - np.log(std[m, k])
+    return weigh(log_weights, evidence, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT)

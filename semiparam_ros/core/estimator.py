@@ -58,7 +58,8 @@ class Member(NamedTuple):
 
 
 def members_of(options: ModelOptions, effects: bool, ready: bool) -> tuple[Member, ...]:
-    """What is averaged, the first one first; before the initial window is over, rigid bodies alone.
+    """Models that are averaged, the first one first; before the initial window is over, rigid
+    bodies alone.
 
     :param effects: whether any are declared. :param ready: whether the initial window is over.
     """
@@ -73,7 +74,7 @@ def members_of(options: ModelOptions, effects: bool, ready: bool) -> tuple[Membe
 
 
 class EstimatorState(NamedTuple):
-    """What an estimator has learnt and what it remembers, beside its options."""
+    """State of an estimator: what it has learnt and what it remembers, beside its options."""
 
     models: tuple[ModelState, ...]
     window: Mapping[str, Array | Stamps]
@@ -161,10 +162,9 @@ class Estimator:
         return Observed(sample, x, columns, memory, motion, outside)
 
     def holds(self, effect: ColumnBlock) -> bool:
-        """Whether an effect acts at the newest sample, by its start and its end."""
-        span = getattr(effect, 'span', None)
+        """Tell whether an effect acts at the newest sample, by its start and its end."""
         now = self.origin if self._newest is None else self._newest
-        return span is None or now is None or bool(span.holds(now, self.origin or 0))
+        return now is None or effect.acts(now, self.origin or 0)
 
     def predict_desired(self, position: Array, velocity: Array, acceleration: Array) -> DesiredOutputs:
         """Outputs of a desired state (n_joints,) as of the newest sample; nothing changes.
@@ -235,7 +235,8 @@ class Estimator:
 
     @property
     def window_full(self) -> bool:
-        """Whether the initial window holds enough, and :meth:`finish_window` has not been called yet."""
+        """Tell whether the initial window holds enough, and :meth:`finish_window` has not been
+        called yet."""
         return not self.ready and self.window.full
 
     def new_window(self) -> InitialWindow:
@@ -340,7 +341,7 @@ class Estimator:
 
     @property
     def members(self) -> tuple[Member, ...]:
-        """What is averaged."""
+        """Models that are averaged."""
         return members_of(self.options, bool(self.columns.effects), self.ready)
 
     @property
@@ -355,7 +356,7 @@ class Estimator:
 
     @property
     def others(self) -> tuple[Hyperparameters, ...]:
-        """Those of the models averaged with the first one."""
+        """Hyperparameters of the models averaged with the first one."""
         return tuple(each.model.hyperparameters for each in self.ensemble.models[1:])
 
     @property
@@ -363,29 +364,29 @@ class Estimator:
         """(n,) weights of each output, of the models that the answers are an average of; empty for a single one."""
         if len(self.members) == 1:
             return {}
-        return {member.name: each for member, each in zip(self.members, self.ensemble.weights.weights, strict=True)}
+        return {member.name: each for member, each in zip(self.members, self.ensemble.weights, strict=True)}
 
     @property
     def effects_probability(self) -> Array | None:
         """(n,) how likely the declared effects are, by what each output shows; None where that is not asked."""
         if self.members[-1].has_effects:
             return None
-        *having, without = self.ensemble.weights.weights
+        *having, without = self.ensemble.weights
         best = np.max(having, axis=0)
         return np.asarray(best / (best + without))
 
     @property
     def rigid_body_model(self) -> Model:
-        """That of the rigid body alone, with the declared effects, where one is averaged; else the first one's: what
-        features explain beside it is not in the coefficients of the first."""
+        """Model of the rigid body alone, with the declared effects, where one is averaged; else the
+        first one's: what features explain beside it is not in the coefficients of the first."""
         return self.ensemble.models[self._rigid_body_index()].model
 
     def _rigid_body_index(self) -> int:
         return self.members.index(Member('P')) if Member('P') in self.members else 0
 
     def rigid_body_part(self, prediction: Prediction) -> tuple[Prediction, Model] | None:
-        """What the rigid body alone, with the declared effects, says of a sample, and its model; None
-        where every model has features, or coefficients that are fixed."""
+        """Prediction of a sample by the rigid body alone, with the declared effects, and its model;
+        None where every model has features, or coefficients that are fixed."""
         index = self._rigid_body_index()
         model = self.ensemble.models[index].model
         if model.features is not None or model.pi is not None or model.learnt.start:
@@ -398,7 +399,7 @@ class Estimator:
         return self.model.recursion.n_features
 
     def hyperparameters(self) -> Hyperparameters:
-        """Those in use, with pi as it stands."""
+        """Hyperparameters in use, with pi as it stands."""
         pi = tuple(self.model.part(slice(0, self.columns.n_own)).tolist())
         return replace(self.model.hyperparameters, pi=pi or None)
 
@@ -406,7 +407,7 @@ class Estimator:
         return self._newest is not None and not 0 <= stamp - self._newest <= LONGEST_PAUSE_NS
 
     def _origin_at(self, stamp: int) -> int:
-        """Where time counts from at a stamp: the origin, moved by what the clock jumped."""
+        """Origin of time at a stamp, moved by what the clock jumped."""
         if self.origin is None:
             return stamp
         since = stamp - (self.origin if self._newest is None else self._newest)
@@ -437,5 +438,6 @@ class Estimator:
         """Given hyperparameters of the others; those of the first unless given."""
         if self.options.others:
             return self.options.others
-        bare = self.options.physical and self.variant.features
-        return [without_features(first) if bare and member.variant == 'P' else first for member in self.members[1:]]
+        rigid_alone = self.options.physical and self.variant.features
+        return [without_features(first) if rigid_alone and member.variant == 'P' else first
+                for member in self.members[1:]]

@@ -1,4 +1,4 @@
-"""What a few filters of every output, mixed by their evidence, hold."""
+"""State of a few filters of every output, mixed by their evidence."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from semiparam_ros.errors import SemiparamError
 
 
 class FilterBank:
-    """K filters for each of n outputs, in one table (r, n): their values (K, n), their log weights (K, n), then what
-    follows from both; the mixture (n,) stands last.
+    """K filters for each of n outputs, in one table (r, n): their values (K, n), their log weights
+    (K, n), then what follows from both; the mixture (n,) stands last.
 
-    :param name: to speak of it. :param share: probability of the first filter before anything is seen; the others share
-        the rest.
+    :param name: to speak of it. :param share: probability of the first filter before anything is
+        seen; the others share the rest.
     """
 
     def __init__(self, name: str, count: int, table: Array, share: float) -> None:
@@ -43,7 +43,8 @@ class FilterBank:
         return {'table': self.table.copy()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
-        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it cannot be one."""
+        """Return to a saved :meth:`state`. Raises SemiparamError, with nothing changed, when it
+        cannot be one."""
         saved = np.array(state.get('table', np.zeros(0)), dtype=float)
         if saved.shape != self.table.shape or not self._possible(saved):
             raise SemiparamError(f'the saved values of {self._name} have shape {saved.shape}; expected finite ones of '

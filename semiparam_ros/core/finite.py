@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.compiled import VECTOR, compiled
+from semiparam_ros.core.compiled import Vector, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -15,7 +15,8 @@ def require_finite(what: str, values: Array) -> None:
         raise SemiparamError(f'the {what} of a sample are {values.tolist()}; expected finite values.')
 
 
-@compiled(VECTOR, returns='boolean')
-def are_finite(values: Array) -> bool:
-    """Whether none of the values (k,) is NaN or infinite; a dozen of them in a quarter of numpy's time."""
+@compiled
+def are_finite(values: Vector) -> bool:
+    """Tell whether none of the values (k,) is NaN or infinite; a dozen of them in a quarter of
+    numpy's time."""
     return bool(np.isfinite(values).all())

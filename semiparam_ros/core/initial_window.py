@@ -37,7 +37,7 @@ class InitialWindow:
 
     @property
     def full(self) -> bool:
-        """Whether there are as many as wanted."""
+        """Tell whether there are as many as wanted."""
         return self._count >= self.wanted
 
     def append(self, sample: Sample, columns: Array) -> None:
@@ -90,7 +90,7 @@ class InitialWindow:
 
 
 class Gathered(NamedTuple):
-    """What an initial window takes of a recording."""
+    """Part of a recording that an initial window takes."""
 
     indices: Stamps  # of the samples that it holds
     end: int  # samples of the recording until it is full, or all of them

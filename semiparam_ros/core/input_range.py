@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, STRIDED, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Strided, Vector, compiled
 from semiparam_ros.core.random_features import LEAST_SHARE
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
@@ -16,8 +16,6 @@ def widened(known: Array, x: Array) -> Array:
     """The range with one input (m,) more."""
     if not len(known):
         return np.array([x, x])
-    if not AVAILABLE:
-        return np.array([np.minimum(known[0], x), np.maximum(known[1], x)])
     found = known.copy()
     widen(found, x)
     return found
@@ -29,33 +27,20 @@ def beyond(known: Array, sample: Sample) -> tuple[Array, float]:
 
     A range counts as at least a fifth of the largest of its kind.
     """
-    if not AVAILABLE:
-        return sample.inputs, _beyond_readable(known, sample.inputs, len(sample.position))
     x = np.empty(3 * len(sample.position))
     return x, _beyond(known, sample.position, sample.velocity, sample.acceleration, x)
 
 
-def _beyond_readable(known: Array, x: Array, n_joints: int) -> float:
-    if not np.isfinite(x).all():
-        return np.nan
-    if not len(known):
-        return 0.0
-    outside = np.maximum(known[0] - x, x - known[1])
-    ranges = (known[1] - known[0]).reshape(-1, n_joints)
-    ranges = np.maximum(ranges, LEAST_SHARE * ranges.max(axis=1, keepdims=True)).ravel()
-    return float((outside / np.maximum(ranges, LEAST_RANGE)).max(initial=0.0))
-
-
-@compiled(MATRIX, VECTOR)
-def widen(known: Array, x: Array) -> None:
+@compiled
+def widen(known: Matrix, x: Vector) -> None:
     """The same in place, of a range (2, m)."""
     for i in range(len(x)):
         known[0, i] = min(known[0, i], x[i])
         known[1, i] = max(known[1, i], x[i])
 
 
-@compiled(MATRIX, STRIDED, STRIDED, STRIDED, VECTOR, returns=NUMBER)
-def _beyond(known: Array, position: Array, velocity: Array, acceleration: Array, x: Array) -> float:
+@compiled
+def _beyond(known: Matrix, position: Strided, velocity: Strided, acceleration: Strided, x: Vector) -> float:
     n_joints = len(position)
     if not len(velocity) == len(acceleration) == n_joints or (len(known) and known.shape[1] != len(x)):
         x[:] = 0.0  # nothing is read beyond an end; the regressor tells what does not fit the robot

@@ -1,4 +1,4 @@
-"""Which inputs x = [q, dq, ddq] a model has learnt, taken together: how unlike them a state is.
+"""Inputs x = [q, dq, ddq] that a model has learnt, taken together: how unlike them a state is.
 
 Each joint within its range does not make a posture that was met: joints that moved together say little of how the
 robot is when they do not. So the distance of a state from the mean, in the covariance of what was learnt (Mahalanobis

@@ -90,25 +90,26 @@ class Model:
         return self.recursion.sigma * self.recursion.scale
 
     def predict(self, x: Array, columns: Array) -> Prior:
-        """What the recursion says at x (m,), of which the columns (n, p) are all of C."""
+        """Prior of the recursion at x (m,), of which the columns (n, p) are all of C."""
         return self.predict_by(self.recursion, self.features(x) if self.features else self._no_features, columns)
 
     def predict_by(self, recursion: SemiParametricRecursion, phi: Array, columns: Array) -> Prior:
-        """What a recursion of this variant says with features phi (D,)."""
+        """Prior of a recursion of this variant with features phi (D,)."""
         known = None if self.pi is None else columns[:, :len(self.pi)] @ self.pi
         learnt = columns[:, self.learnt] if self.learnt.start else columns
         return recursion.predict(phi, learnt, known)
 
 
 def information_gain(prior: Prior, noise_std: Array) -> float:
-    """What learning a sample can tell of the model at most [nat]: the log of predictive over noise deviation (n,),
-    summed over the outputs, whose correlation is left out."""
+    """Bound on what learning a sample can tell of the model [nat]: the log of predictive over noise
+    deviation (n,), summed over the outputs, whose correlation is left out."""
     return sum(map(log, (prior.std / noise_std).tolist()))
 
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """What a user chooses of the model; see docs/parameters.md. ``hyperparameters`` None: from the initial window."""
+    """Choices of a user; see docs/parameters.md. ``hyperparameters`` None: from the initial
+    window."""
 
     variant: str = 'SPK-ML'
     features_count: int | str = 200
@@ -136,7 +137,7 @@ class ModelOptions:
 
     @property
     def physical(self) -> bool:
-        """Whether the priors are."""
+        """Tell whether the priors are."""
         return self.priors == 'physical'
 
     @property

@@ -1,4 +1,5 @@
-"""Whether the robot moves. At rest it repeats one sample, which says nothing new, whatever its noise."""
+"""Motion and rest of the robot. At rest it repeats one sample, which says nothing new, whatever its
+noise."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.compiled import INTEGER, VECTOR, compiled
+from semiparam_ros.core.compiled import Vector, compiled
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array, Mask
@@ -26,7 +27,7 @@ STILL_SAMPLES = 5
 
 
 class Motion(NamedTuple):
-    """Where the joints are, and since when.
+    """Place of the joints, and since when they are there.
 
     A step is made when any joint is ``STEP`` away from where it was at the step before. The start counts as one, so
     that a recording of a moving robot counts from its first sample on.
@@ -65,7 +66,7 @@ class Motion(NamedTuple):
 
 
 def at_start(stamp: int, position: Array, outputs: Array) -> Motion:
-    """Of the first sample, and of a step."""
+    """Motion of the first sample, and of a step."""
     return Motion(position, stamp, stamp, position, 1, outputs, True)
 
 
@@ -78,8 +79,8 @@ def moving(samples: Samples) -> Mask:
     return np.array(found)
 
 
-@compiled(VECTOR, VECTOR, VECTOR, returns=INTEGER)
-def compared(position: Array, place: Array, nearby: Array) -> int:
+@compiled
+def compared(position: Vector, place: Vector, nearby: Vector) -> int:
     """``STEPPED`` when a joint has left the place (n_joints,) of the last step, else whether one is not nearby."""
     moved = 0
     for joint in range(len(position)):

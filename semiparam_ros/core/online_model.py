@@ -1,4 +1,5 @@
-"""A model that is learnt sample by sample, with what follows its errors: offset, bands, and index over the horizon."""
+"""A model that is learnt sample by sample, with what follows its errors: offset, bands, and index
+over the horizon."""
 
 from __future__ import annotations
 
@@ -10,24 +11,26 @@ import numpy as np
 from semiparam_ros.core.band_calibration import BandCalibration, calibrate
 from semiparam_ros.core.carry_over import Coefficients
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
-from semiparam_ros.core.horizon_error import HorizonErrors, HorizonIndex, advance
+from semiparam_ros.core.compiled import Matrix, Vector, compiled, direct
+from semiparam_ros.core.horizon_error import NO_OFFSETS, HorizonErrors, HorizonIndex, advance
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import Remembered
 from semiparam_ros.core.model import AUTO, Model, ModelOptions, information_gain
 from semiparam_ros.core.prediction import DesiredOutputs, MemberPrediction, Observed
-from semiparam_ros.core.recursion import Prior, learn
+from semiparam_ros.core.recursion import Prior, Regression, Update, learn
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.square_root_filter import Root
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
 
 COMPARED_EVERY_NS, LONGEST_COMPARED_NS = NANOSECONDS // 100, NANOSECONDS // 10
-"""A model is compared with the one from before the last change no more often, and a pause counts for no more."""
+"""A model is compared with the one from before the last change no more often, and a pause counts
+for no more."""
 
 
 class ModelState(NamedTuple):
-    """What a model has learnt, with its hyperparameters."""
+    """State of a model: what it has learnt, with its hyperparameters."""
 
     hyperparameters: Hyperparameters
     recursion: Mapping[str, Array | Indices]
@@ -39,9 +42,11 @@ class ModelState(NamedTuple):
 
 
 class OnlineModel:
-    """A model, the offset that wanders beside it, the width of its bands, and its index over the horizon.
+    """A model, the offset that wanders beside it, the width of its bands, and its index over the
+    horizon.
 
-    :param columns: of C that it has. :param ready: whether its hyperparameters are those of an initial window.
+    :param columns: of C that it has. :param ready: whether its hyperparameters are those of an
+        initial window.
     :param window: how many samples of that window come again first.
     """
 
@@ -52,11 +57,13 @@ class OnlineModel:
         self.calibration = BandCalibration(recursion.n_outputs)
         self.wandering = WanderingOffset(recursion.n_outputs) if options.forgetting == AUTO else None
         self.horizon = HorizonIndex(options.horizon, recursion.n_outputs, recursion.n_features, recursion.n_columns,
-                                    None if self.wandering is None else DECAY)
+                                    NO_OFFSETS if self.wandering is None else DECAY)
+        self._nothing = np.zeros((0, recursion.n_outputs))
         self.window_left = window
         self._since_learnt = 0
         self.passed_over = 0
-        """Samples that were to be learnt but were not, by ``learn_every`` and ``learn_least_gain``."""
+        """Samples that were to be learnt but were not, by ``learn_every`` and
+        ``learn_least_gain``."""
 
     def predict(self, observed: Observed, columns: Array) -> MemberPrediction:
         """Predict a sample, whose columns (n, p) are those of this model; nothing changes."""
@@ -68,7 +75,8 @@ class OnlineModel:
         return prior.mean if self.wandering is None else prior.mean + self.wandering.offset
 
     def predict_desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
-        """Outputs at x (m,), from the columns (n, p) of what the sensor shows and of what the arm needs.
+        """Outputs at x (m,), from the columns (n, p) of what the sensor shows and of what the arm
+        needs.
 
         Without the wandering offset, which is that of the last moments' motion.
         """
@@ -86,34 +94,42 @@ class OnlineModel:
 
     def take_in(self, sample: Sample, prediction: MemberPrediction, learn: bool, is_news: bool,
                 errors: Array | None = None, follow: bool = False) -> HorizonErrors | None:
-        """Charge a predicted sample to the horizon index, and learn it where it is due; the horizon it completed.
+        """Charge a predicted sample to the horizon index, and learn it where it is due; the horizon
+        it completed.
 
         :param is_news: let bands follow it, and the wandering offset where it is learnt.
-        :param errors: see :meth:`HorizonIndex.advance`. :param follow: let the wandering offset follow it all the same.
+        :param errors: see :meth:`HorizonIndex.advance`. :param follow: let the wandering offset
+            follow it all the same.
         """
         prior, recursion = prediction.prior, self.model.recursion
+        errors = self._nothing if errors is None else errors
         outputs = np.ascontiguousarray(sample.outputs, dtype=float)
         due = learn and self._is_due(prior)
-        if AVAILABLE and due and is_news and self.wandering is not None:
+        if due and is_news and self.wandering is not None:
             self.window_left -= min(self.window_left, 1)
-            self.horizon.make_room()
-            eps = np.empty((2, len(outputs)))
-            recursion.has_learnt(_learn_and_follow(
-                *recursion.learning(prior), *self.horizon.advancing, outputs, prior.mean, prior.std,
-                self.wandering.table, self.calibration.table, self.horizon.nothing if errors is None else errors, eps))
-            return self.horizon.moved_on(sample.stamp, eps)
-        innovations = recursion.learn(prior, outputs) if due else None
-        if not due:
+            horizon = self.horizon
+            theta, eps = np.empty(len(recursion.theta)), np.empty((2, len(outputs)))
+            horizon.make_room()
+            placed = _learn_and_follow(
+                *recursion.arrays, prior, outputs, self.wandering.table, self.calibration.table,
+                horizon.rows, horizon.start, horizon.filled, horizon.decay, theta, errors, eps)
+            recursion.take_over(theta, placed)
+            return horizon.moved_on(sample.stamp, eps)
+        if due:
+            update = recursion.learn(prior, outputs)
+        else:
             recursion.revise()  # what effects remember has changed, and so have the pending horizons
+            update = Update(recursion.theta, self._nothing, recursion.theta[:0])
         # At rest nothing tells how wide the bands of motion are; the window held what was learnt.
         if is_news and (learn or not self.window_left):
             self.window_left -= min(self.window_left, learn)
             self._follow(outputs, prior, learn or follow)
-        parts = None if self.wandering is None else self.wandering.parts
-        return self.horizon.advance(sample.stamp, prior, outputs, recursion.theta, innovations, parts, errors)
+        parts = self._nothing if self.wandering is None else self.wandering.parts
+        return self.horizon.advance(sample.stamp, prior, outputs, update, parts, errors)
 
     def _is_due(self, prior: Prior) -> bool:
-        """Whether a sample that is to be learnt is the next of so many, and tells enough; the initial window is whole.
+        """Tell whether a sample that is to be learnt is the next of so many, and tells enough; the
+        initial window is whole.
 
         Never by its outputs: to learn the surprising ones alone would bias the model.
         """
@@ -130,21 +146,21 @@ class OnlineModel:
         return True
 
     def _follow(self, outputs: Array, prior: Prior, follow: bool) -> None:
-        """Let bands, and the wandering offset where it is to follow, follow what ``prior`` left of a sample (n,), in N
-        and N m."""
-        if AVAILABLE and follow and self.wandering is not None:
-            _follow(outputs, prior.mean, prior.std, self.wandering.table, self.calibration.table)
-            return
+        """Let bands, and the wandering offset where it is to follow, follow what ``prior`` left of
+        a sample (n,), in N and N m."""
         residual = outputs - prior.mean
-        innovation = residual if self.wandering is None else residual - self.wandering.offset
-        if self.wandering is not None and follow:
-            self.wandering.learn(residual, self.calibration.factor * prior.std)
-        elif self.wandering is not None:
+        if self.wandering is None:
+            self.calibration.learn(residual, prior.std)
+        elif follow:
+            _follow(residual, prior.std, self.wandering.table, self.calibration.table)
+        else:
+            innovation = residual - self.wandering.offset
             self.wandering.rest()
-        self.calibration.learn(innovation, prior.std)
+            self.calibration.learn(innovation, prior.std)
 
     def learn_again(self, remembered: Remembered) -> tuple[Array, Array]:
-        """Learn a sample of the window; mean and standard deviation (n,) that were predicted for it, in N and N m."""
+        """Learn a sample of the window; mean and standard deviation (n,) that were predicted for
+        it, in N and N m."""
         inputs, outputs, columns = remembered
         prior = self.model.predict(inputs, columns)
         mean, std = self._mean(prior), self.calibration.factor * prior.std
@@ -154,8 +170,8 @@ class OnlineModel:
         return mean, std
 
     def compare(self, sample: Sample, prediction: MemberPrediction) -> bool:
-        """Go on from what was known before the last change of the robot, if that predicts the last seconds better;
-        whether it does."""
+        """Go on from what was known before the last change of the robot, if that predicts the last
+        seconds better; whether it does."""
         recursion = self.model.recursion
         if recursion.before is None:
             return False
@@ -164,12 +180,13 @@ class OnlineModel:
             return False
         recursion.compared_at = sample.stamp
         prior = prediction.prior
-        then = self.model.predict_by(recursion.before, prior.features[0], prediction.columns).mean
+        then = self.model.predict_by(recursion.before, prior.phi, prediction.columns).mean
         seconds = min(max(since, 0), LONGEST_COMPARED_NS) / NANOSECONDS
         return recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then)
 
     def state(self) -> ModelState:
-        """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""
+        """Copies of everything that samples have changed; :meth:`restore` takes them back bit for
+        bit."""
         wandering = {} if self.wandering is None else self.wandering.state()
         return ModelState(self.model.hyperparameters, self.model.recursion.state(), self.horizon.state(),
                           self.calibration.state(), wandering, self.window_left,
@@ -189,31 +206,28 @@ class OnlineModel:
         self._since_learnt, self.passed_over = state.passed_over
 
 
-@compiled(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, calls=(follow, calibrate))
-def _follow(outputs: Array, mean: Array, std: Array, wandering: Array, calibration: Array) -> None:
+@compiled
+def _follow(residual: Vector, std: Vector, wandering: Matrix, calibration: Matrix) -> None:
     """See :meth:`OnlineModel._follow`, of a sample that is learnt."""
-    residual, width, innovation = np.empty_like(mean), np.empty_like(mean), np.empty_like(mean)
-    for k in range(len(mean)):
-        residual[k], width[k] = outputs[k] - mean[k], calibration[-1, k] * std[k]
-        innovation[k] = residual[k] - wandering[-1, k]
+    width, innovation = calibration[-1] * std, residual - wandering[-1]
     follow(residual, width, wandering)
     calibrate(innovation, std, calibration)
 
 
-@compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
-          INTEGER, MATRIX, INTEGER, INTEGER, MATRIX, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX,
-          returns=INTEGER, calls=(learn, follow, calibrate, advance))
-def _learn_and_follow(
-        features: Array, s: float, columns: Array, regressed: Array, scale: Array, sigma: float, information: Array,
-        theta: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
-        placed: int, rows: Array, start: int, filled: int, decay: Array, outputs: Array, mean: Array, std: Array,
-        wandering: Array, calibration: Array, errors: Array, eps: Array) -> int:
-    """See :meth:`OnlineModel.take_in`, of a sample that is learnt and followed; what :func:`learn` gives."""
-    innovations = np.empty_like(regressed)
-    placed = learn(features, s, columns, regressed, scale, sigma, information, theta, left_changes, right_changes,
-                   waiting, inflation, places, placed, outputs, innovations)
-    _follow(outputs, mean, std, wandering, calibration)
+@compiled
+def learn_and_follow(
+        root: Root, regression: Regression, prior: Prior, outputs: Vector, wandering: Matrix,
+        calibration: Matrix, rows: Matrix, start: int, filled: int, decay: Vector, theta: Vector,
+        errors: Matrix, eps: Matrix) -> int:
+    """See :meth:`OnlineModel.take_in`, of a sample that is learnt and followed; what :func:`learn`
+    gives."""
+    update = Update(theta, np.empty((len(outputs), len(theta) + 1)), np.empty(len(prior.phi)))
+    placed = learn(root, regression, prior, outputs, update)
+    _follow(outputs - prior.mean, prior.std, wandering, calibration)
     paces = len(decay)
-    advance(rows, start, filled, decay, features, s, columns, regressed, outputs, theta, innovations,
-            wandering[2 * paces:3 * paces], errors, eps)
+    parts = wandering[2 * paces:3 * paces]
+    advance(rows, start, filled, decay, prior, outputs, update, parts, errors, eps)
     return placed
+
+
+_learn_and_follow = direct(learn_and_follow)

@@ -1,38 +1,36 @@
-"""What several models say of one sample, made one answer: a logarithmic opinion pool (Genest and Zidek 1986).
+"""Answers of several models to one sample, made one: a logarithmic opinion pool (Genest and Zidek
+1986).
 
-The pool of Gaussian answers with weights w_m is the product of their densities, each to the power w_m; of each output:
+The pool of Gaussian answers with weights w_m is the product of their densities, each to the power
+w_m; of each output:
 
     v_m ~ w_m / std_m^2,      mean = sum_m v_m mean_m,      var = sum_m v_m (std_m^2 + (mean_m - mean)^2)
 
-The first part of the variance is that product's, 1 / sum_m (w_m / std_m^2); what the models disagree is added. A model
-that is less sure of this sample than the others counts less for it.
+The first part of the variance is that product's, 1 / sum_m (w_m / std_m^2); what the models
+disagree is added. A model that is less sure of this sample than the others counts less for it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, STACK, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Stack, Vector, compiled
 from semiparam_ros.core.types import Array
 
 
 def pool_weights(weights: Array, std: Array) -> Array:
-    """(..., K, n) v, one in sum over the K models; w is (..., K, n) and the standard deviations are (K, n)."""
+    """(..., K, n) v, one in sum over the K models; w is (..., K, n) and the standard deviations are
+    (K, n)."""
     shares = weights * (std.min(axis=0) / std) ** 2
     return np.asarray(shares / shares.sum(axis=-2, keepdims=True))
 
 
-def pool(weights: Array, means: Array, std: Array) -> tuple[Array, Array]:
-    """(n,) mean and standard deviation of the pool; all (K, n)."""
-    shares = pool_weights(weights, std)
-    mean = (shares * means).sum(axis=0)
-    return mean, np.sqrt((shares * (std * std + (means - mean) ** 2)).sum(axis=0))
-
-
 def pool_together(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """(n,) mean and (n, n) covariance of the pool, from (K, n), (K, n) and (K, n, n); its diagonal has the variances.
+    """(n,) mean and (n, n) covariance of the pool, from (K, n), (K, n) and (K, n, n); its diagonal
+    has the variances.
 
-    Between outputs that weigh differently the geometric mean weighs, which keeps the matrix positive definite.
+    Between outputs that weigh differently the geometric mean weighs, which keeps the matrix
+    positive definite.
     """
     shares = pool_weights(weights, np.sqrt(covariances.diagonal(axis1=1, axis2=2)))
     roots, mean = np.sqrt(shares), (shares * means).sum(axis=0)
@@ -40,19 +38,18 @@ def pool_together(weights: Array, means: Array, covariances: Array) -> tuple[Arr
     return mean, np.einsum('mk,mkj,mj->kj', roots, covariances, roots) + apart.T @ apart
 
 
-def pool_both(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array,
-              ) -> tuple[Array, Array, Array, Array]:
-    """:func:`pool` of what is published, and :func:`pool_together` of the models alone."""
-    if not AVAILABLE:
-        return (*pool(weights, means, std), *pool_together(weights, model_means, covariances))
+def pool_both(weights: Array, means: Array, std: Array, model_means: Array,
+              covariances: Array) -> tuple[Array, Array, Array, Array]:
+    """(n,) mean and standard deviation of what is published, and :func:`pool_together` of the
+    models alone."""
     mean, spread, model_mean, covariance = *np.empty((3, means.shape[1])), np.empty(covariances.shape[1:])
     _pool_both(weights, means, std, model_means, covariances, mean, spread, model_mean, covariance)
     return mean, spread, model_mean, covariance
 
 
-@compiled(MATRIX, MATRIX, MATRIX, MATRIX, STACK, VECTOR, VECTOR, VECTOR, MATRIX)
-def _pool_both(weights: Array, means: Array, std: Array, model_means: Array, covariances: Array, mean: Array,
-               spread: Array, model_mean: Array, covariance: Array) -> None:
+@compiled
+def _pool_both(weights: Matrix, means: Matrix, std: Matrix, model_means: Matrix, covariances: Stack,
+               mean: Vector, spread: Vector, model_mean: Vector, covariance: Matrix) -> None:
     """See :func:`pool_both`."""
     members, n = means.shape
     roots = np.empty((members, n))

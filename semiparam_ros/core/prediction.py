@@ -81,7 +81,7 @@ class Prediction(NamedTuple):
 
 
 class DesiredOutputs(NamedTuple):
-    """What a desired motion brings about, (n,) each, in N and N m."""
+    """Outputs of a desired motion, (n,) each, in N and N m."""
 
     shown: Array  # by the sensor
     needed: Array  # by the arm: without the sensor's offset and effects

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Vector, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -45,11 +45,9 @@ class RandomFeatures:
 
     def __call__(self, x: Array) -> Array:
         """(D,) features of one input (m,)."""
-        if AVAILABLE:
-            phi = np.empty(self.count)
-            _features(self._omega, self._phase, self._norm, x, phi)
-            return phi
-        return np.asarray(self.batch(x[None])[0])
+        phi = np.empty(self.count)
+        _features(self._omega, self._phase, self._norm, x, phi)
+        return phi
 
     def batch(self, x: Array) -> Array:
         """(N, D) features of inputs (N, m)."""
@@ -67,8 +65,8 @@ class RandomFeatures:
             raise SemiparamError(f'the input mean of the features is {self.input_mean.tolist()}; expected numbers.')
 
 
-@compiled(MATRIX, VECTOR, NUMBER, VECTOR, VECTOR)
-def _features(omega: Array, phase: Array, norm: float, x: Array, phi: Array) -> None:
+@compiled
+def _features(omega: Matrix, phase: Vector, norm: float, x: Vector, phi: Vector) -> None:
     """phi of one input, from omega (m, d)."""
     inputs, half = omega.shape
     for i in range(half):

@@ -1,8 +1,9 @@
-"""Recursive regularised least squares for y = C theta + (phi' (x) I_n) alpha + e, exact and with square roots.
+"""Recursive regularised least squares for y = C theta + (phi' (x) I_n) alpha + e, exact and with
+square roots.
 
-Every output shares the features, so the estimate needs one D x D root and one p x p root, not a (p + D n)^2 one. The
-features regress the outputs and the coupled columns together; what they cannot explain of the columns carries theta
-(docs/mathematics.md derives it):
+Every output shares the features, so the estimate needs one D x D root and one p x p root, not a (p
++ D n)^2 one. The features regress the outputs and the coupled columns together; what they cannot
+explain of the columns carries theta (docs/mathematics.md derives it):
 
     Theta : D x n (p + 1)     coefficients of [C | y] on phi, output by output
     S     : D x D             P = S S', covariance of the feature weights given theta
@@ -11,11 +12,11 @@ features regress the outputs and the coupled columns together; what they cannot 
     R     : (p + 1) square    R'R = prior + sum E' N^-2 E / s   (triangular; updated by QR; the last column of C first)
     theta = R_CC^-1 R_Cy,     alpha = Theta_y - Theta_C theta
 
-with N = diag(scale): outputs whose noise differs share S too, when sigma and rho are told in units of each output's
-own. A part of y that is known beforehand counts as one that phi' Theta says.
+with N = diag(scale): outputs whose noise differs share S too, when sigma and rho are told in units
+of each output's own. A part of y that is known beforehand counts as one that phi' Theta says.
 
-R has the columns of C in reverse. Those of friction and offset stand last in C and each acts on one output alone: taken
-first, a row has zeros for all but its own, which cost nothing.
+R has the columns of C in reverse. Those of friction and offset stand last in C and each acts on one
+output alone: taken first, a row has zeros for all but its own, which cost nothing.
 """
 
 from __future__ import annotations
@@ -28,53 +29,82 @@ from math import ceil, exp, log
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtpqrt, dtrtrs
+from scipy.linalg.lapack import dtrtrs
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled
-from semiparam_ros.core.square_root_filter import Projection, SquareRootFilter, project, wait
+from semiparam_ros.core.compiled import Integers, Matrix, Vector, compiled, direct
+from semiparam_ros.core.square_root_filter import (
+    Projection,
+    Root,
+    SquareRootFilter,
+    project,
+    variance,
+    wait,
+)
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 BACK, COMPARED_S = 0.5, 2.0
-"""The model from before the last change returns where its squared error over the last seconds is so small a share of
-that of the model in force."""
+"""The model from before the last change returns where its squared error over the last seconds is so
+small a share of that of the model in force."""
 LEAST_COMPARED_S = 1.0
 """Of those seconds so many must have been seen."""
 
-QR_BLOCK = 8
 TOGETHER = 3
 """Rows that a reflection takes in at a time."""
 
 DISCOUNT, KEPT = 0.99, 1000.0
-"""A change of the robot: the past is forgotten at this factor until it counts as so many samples. Over the samples
-after that, one for each feature, the prior is renewed."""
+"""A change of the robot: the past is forgotten at this factor until it counts as so many samples.
+Over the samples after that, one for each feature, the prior is renewed."""
 
 REVISIONS = count(secrets.randbits(60))
-"""Numbers the states of all models. It starts at random, so that no two processes give the same number."""
+"""Numbers the states of all models. It starts at random, so that no two processes give the same
+number."""
 
 LARGEST_LOSS = log(1e4)
-"""Of the information of a weight that is not excited, what may be forgotten before its prior is renewed [nat]."""
+"""Of the information of a weight that is not excited, what may be forgotten before its prior is
+renewed [nat]."""
 
-_LEARNT = ('theta', '_weights', '_information', '_renewed', '_discounts', '_memory')
+_LEARNT = ('theta', '_weights', '_regression', '_renewed', '_discounts', '_memory')
 """What changes places with that of :attr:`SemiParametricRecursion.before`."""
 
 
 class Prior(NamedTuple):
-    """What the model says of one sample before seeing its output, with the parts that learning reuses."""
+    """Prediction of one sample before its output is seen, with the parts that learning reuses."""
 
-    mean: Array  # (n,) predicted outputs
-    covariance: Array  # (n, n) of the outputs, noise included
-    std: Array  # (n,) of each output, noise included
-    features: Array  # (3, D) phi, f = S' phi, and S f
-    s: float  # sigma^2 + f'f
-    columns: Array  # (n, p) the coupled columns
-    regressed: Array  # (n, p + 1) phi' Theta, y last with what is known of it
+    mean: Vector  # (n,) predicted outputs
+    covariance: Matrix  # (n, n) of the outputs, noise included
+    std: Vector  # (n,) of each output, noise included
+    phi: Vector  # (D,) features
+    projection: Projection  # with phi' Theta (n, p + 1), of y with what is known of it, row by row
+    columns: Matrix  # (n, p) the coupled columns
     revision: int  # of the model that it was computed from
+
+    @property
+    def regressed(self) -> Array:
+        """(n, p + 1) phi' Theta, y last with what is known of it."""
+        return self.projection.regressed.reshape(len(self.mean), -1)
 
     @property
     def columns_left(self) -> Array:
         """(n, p) E_C, what the features leave of the coupled columns."""
         return np.asarray(self.columns - self.regressed[:, :-1])
+
+
+class Regression(NamedTuple):
+    """Regression of what the features leave of the outputs on what they leave of the columns; R is
+    changed in place."""
+
+    information: Matrix  # (p + 1, p + 1) R
+    scale: Vector  # (n,) of each output
+    sigma: float
+
+
+class Update(NamedTuple):
+    """Change by one sample."""
+
+    theta: Vector  # (p,)
+    innovations: Matrix  # (n, p + 1) E, y last
+    gain: Vector  # (D,) g
 
 
 class SemiParametricRecursion:
@@ -87,7 +117,8 @@ class SemiParametricRecursion:
     :param prior_mean: (p,) mean of theta, zero unless given.
     :param forgetting: weight of the past after each sample, in (0, 1]; 1 never forgets.
     :param scale: (n,) scale of each output, in its unit; 1 unless given.
-    :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting outside (0, 1].
+    :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting
+        outside (0, 1].
     """
 
     def __init__(self, n_outputs: int, n_features: int, prior_std: Array, rho: float, sigma: float,
@@ -107,10 +138,11 @@ class SemiParametricRecursion:
         """[ns] Stamp of the last sample at which the two were compared."""
         self._compared: Array = np.zeros(3)
         """Squared errors of this model and of :attr:`before`, and seconds, over the last few."""
-        self._information = np.zeros((self.n_columns + 1, self.n_columns + 1))
+        information = np.zeros((self.n_columns + 1, self.n_columns + 1))
         diagonal = np.arange(self.n_columns)
-        self._information[diagonal, diagonal] = 1.0 / self._prior_std[::-1]
-        self._information[:-1, -1] = (self.theta / self._prior_std)[::-1]
+        information[diagonal, diagonal] = 1.0 / self._prior_std[::-1]
+        information[:-1, -1] = (self.theta / self._prior_std)[::-1]
+        self._regression = Regression(information, self.scale, self.sigma)
         self._nothing_known = np.zeros(n_outputs)
         self.revise()
 
@@ -119,63 +151,36 @@ class SemiParametricRecursion:
 
         :param known: (n,) part of the outputs that the model does not have to learn.
         """
-        n = self.n_outputs
-        known = self._nothing_known if known is None else known
-        columns = np.ascontiguousarray(columns)
-        if not AVAILABLE:
-            return self._predict(phi, columns, known)
-        features, regressed = np.empty((3, self.n_features)), np.empty((n, self.n_columns + 1))
-        mean, covariance, std = np.empty(n), np.empty((n, n)), np.empty(n)
-        s = _predict(*self._weights.arrays, phi, columns, known, self.scale, self.sigma, self._information, self.theta,
-                     features, regressed, mean, covariance, std)
-        return Prior(mean, covariance, std, features, s, columns, regressed, self.revision)
+        n, known = self.n_outputs, self._nothing_known if known is None else known
+        size, n_estimates = self.n_features, n * (self.n_columns + 1)
+        projection = Projection(np.empty(size), np.empty(size), np.empty(n_estimates))
+        prior = Prior(np.empty(n), np.empty((n, n)), np.empty(n), np.ascontiguousarray(phi),
+                      projection, np.ascontiguousarray(columns), self.revision)
+        _predict(self._weights.root, self._regression, self.theta, known, prior)
+        return prior
 
-    def _predict(self, phi: Array, columns: Array, known: Array) -> Prior:
-        f, reach, said = np.zeros(0), np.zeros(0), np.zeros(self.n_outputs * (self.n_columns + 1))
-        if self.n_features:
-            f, reach, said = self._weights.project(phi)
-        regressed = said.reshape(self.n_outputs, self.n_columns + 1)
-        regressed[:, -1] += known
-        s = self.sigma**2 + float(f @ f)
-        left = columns - regressed[:, :-1]
-        mean = regressed[:, -1] + left @ self.theta
-        covariance = np.diag(s * self.scale**2)
-        if self.n_columns:
-            half, _ = dtrtrs(self._information[:-1, :-1], left.T[::-1], trans=1)
-            covariance += half.T @ half
-        features = np.array([phi, f, reach])
-        return Prior(mean, covariance, np.sqrt(covariance.diagonal()), features, s, columns, regressed, self.revision)
-
-    def learn(self, prior: Prior, outputs: Array) -> Array:
-        """Learn the outputs (n,) of the sample that ``prior`` was computed for; the innovations E (n, p + 1), y last.
+    def learn(self, prior: Prior, outputs: Array) -> Update:
+        """Learn the outputs (n,) of the sample that ``prior`` was computed for; what it changed.
 
         Raises SemiparamError, with nothing changed, when the model has changed since.
         """
         self.require_current(prior)
-        innovations = np.empty((self.n_outputs, self.n_columns + 1))
-        if AVAILABLE:
-            self.has_learnt(learn(*self.learning(prior), outputs, innovations))
-            return innovations
-        self.revise()
-        innovations[:, :-1] = prior.columns_left
-        innovations[:, -1] = outputs - prior.regressed[:, -1]
-        self._learn_columns(innovations / (np.sqrt(prior.s) * self.scale[:, None]))
-        if self.n_features:
-            _, f, reach = prior.features
-            self._weights.learn(Projection(f, reach, prior.regressed), self.sigma, innovations.ravel())
-        self._perhaps_forget()
-        return innovations
+        update = Update(np.empty(self.n_columns), np.empty((self.n_outputs, self.n_columns + 1)),
+                        np.empty(self.n_features))
+        self.take_over(update.theta, learn(*self.arrays, prior, outputs, update))
+        return update
 
     def follow_change(self) -> None:
-        """The robot has changed: let the past count less from the next samples on, and keep what was known
-        :attr:`before`. No estimate moves by that."""
+        """The robot has changed: let the past count less from the next samples on, and keep what
+        was known :attr:`before`. No estimate moves by that."""
         self.before, self._compared = None, np.zeros(3)
         self.before = deepcopy(self)
         if self._memory > KEPT:
             self._discounts = ceil(log(KEPT / self._memory) / log(DISCOUNT)) + self._round
 
     def compare(self, seconds: float, now: Array, then: Array) -> bool:
-        """Charge what this model and the one :attr:`before` left of a sample (n,), so long after the last one.
+        """Charge what this model and the one :attr:`before` left of a sample (n,), so long after
+        the last one.
 
         True where the robot is as it was before (a load was put down): the two have changed places.
         """
@@ -192,16 +197,15 @@ class SemiParametricRecursion:
         self.revise()
         return True
 
-    def learning(self, prior: Prior) -> tuple[Array, float, Array, Array, Array, float, Array, Array, Array, Array,
-                                              int, float, Indices, int]:
-        """What :func:`learn` needs beside a sample's outputs; :meth:`has_learnt` follows it."""
-        self.revise()
-        self.theta = np.empty(self.n_columns)
-        return (prior.features, prior.s, prior.columns, prior.regressed, self.scale, self.sigma, self._information,
-                self.theta, *self._weights.changes)
+    @property
+    def arrays(self) -> tuple[Root, Regression]:
+        """Arrays that :func:`learn` changes in place; :meth:`take_over` follows it."""
+        return self._weights.root, self._regression
 
-    def has_learnt(self, placed: int) -> None:
-        """:func:`learn` has run; so many estimates have a place now."""
+    def take_over(self, theta: Array, placed: int) -> None:
+        """Go on with what :func:`learn` has found."""
+        self.revise()
+        self.theta = theta
         if self.n_features:
             self._weights.has_changed(placed)
         self._perhaps_forget()
@@ -223,19 +227,19 @@ class SemiParametricRecursion:
 
     def theta_covariance(self) -> Array:
         """(p, p) covariance of theta given the features' prior and all samples learnt."""
-        inverse, _ = dtrtrs(self._information[:-1, :-1], np.eye(self.n_columns))
+        inverse, _ = dtrtrs(self._regression.information[:-1, :-1], np.eye(self.n_columns))
         return np.asarray((inverse @ inverse.T)[::-1, ::-1])
 
     def theta_root(self) -> Array:
         """(p, p) R of the information R'R, which is the inverse of :meth:`theta_covariance`."""
-        return np.asarray(self._information[:-1, :-1][:, ::-1])
+        return np.asarray(self._regression.information[:-1, :-1][:, ::-1])
 
     def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
         before = {} if self.before is None else self.before.state()
         return {**self._weights.state(), 'renewed': np.array([self._renewed, self._discounts, self.compared_at]),
                 'memory': np.array(self._memory), 'compared': self._compared.copy(),
-                'information': self._information.copy(), 'theta': self.theta.copy(),
+                'information': self._regression.information.copy(), 'theta': self.theta.copy(),
                 **{f'before.{name}': values for name, values in before.items()}}
 
     def restore(self, state: Mapping[str, Array | Indices]) -> None:
@@ -256,7 +260,8 @@ class SemiParametricRecursion:
         self._weights.restore(state)
         self._renewed, self._discounts, self.compared_at = np.asarray(state['renewed']).tolist()
         self._memory, self._compared = float(state['memory']), np.array(state['compared'], dtype=float)
-        self._information = np.array(state['information'], dtype=float, order='C')
+        self._regression = self._regression._replace(
+            information=np.array(state['information'], dtype=float, order='C'))
         self.theta = np.array(state['theta'], dtype=float)
         self.before = None
         if then:
@@ -273,26 +278,13 @@ class SemiParametricRecursion:
         if not 0.0 < self.forgetting <= 1.0:
             raise SemiparamError(f'forgetting is {self.forgetting}; expected a value above 0 and at most 1.')
 
-    def _learn_columns(self, rows: Array) -> None:
-        """R and theta with further rows (n, p + 1)."""
-        if self.n_columns:
-            self._update_information(rows)
-            found, _ = dtrtrs(self._information[:-1, :-1], self._information[:-1, -1])
-            self.theta = np.ascontiguousarray(found[::-1])
-
-    def _update_information(self, rows: Array) -> None:
-        """R with further rows (k, p + 1) below it, triangular again."""
-        block = min(self.n_columns + 1, QR_BLOCK)
-        rows = np.asfortranarray(np.hstack([rows[:, -2::-1], rows[:, -1:]]))
-        self._information = np.ascontiguousarray(dtpqrt(0, block, self._information, rows)[0])
-
     @property
     def _round(self) -> int:
         """Samples within which every feature weight and coefficient is renewed once."""
         return max(self.n_features, self.n_columns)
 
     def _perhaps_forget(self) -> None:
-        """What follows each sample that is learnt."""
+        """Forget or renew what is due after each sample that is learnt."""
         factor = self.forgetting
         if self._discounts:
             self._discounts -= 1
@@ -306,19 +298,20 @@ class SemiParametricRecursion:
 
     def _forget(self, factor: float) -> None:
         """Weigh the past less, and renew what of the prior is forgotten so."""
-        self._information *= np.sqrt(factor)
+        self._regression.information[:] *= np.sqrt(factor)
         if self.n_features:
             self._weights.inflate(1.0 / np.sqrt(factor))
         self._renew(factor)
 
     def _renew(self, factor: float) -> None:
-        """Renew the prior of one feature weight and one coefficient in turn, of which each round forgets by ``factor``
-        for each sample; 0: all of it.
+        """Renew the prior of one feature weight and one coefficient in turn, of which each round
+        forgets by ``factor`` for each sample; 0: all of it.
 
-        What the motion no longer excites would otherwise lose all information, the prior's included: its variance
-        would grow without bound while the robot stands still, and the model would burst when it moves again. Each
-        renewal says, with the prior's standard deviation, that a weight stays what it is; no estimate moves. Where
-        much is forgotten within a round, several are renewed for each sample: what waits for its turn keeps its digits.
+        What the motion no longer excites would otherwise lose all information, the prior's
+        included: its variance would grow without bound while the robot stands still, and the model
+        would burst when it moves again. Each renewal says, with the prior's standard deviation,
+        that a weight stays what it is; no estimate moves. Where much is forgotten within a round,
+        several are renewed for each sample: what waits for its turn keeps its digits.
         """
         for size, renew in ((self.n_features, self._renew_weight), (self.n_columns, self._renew_coefficient)):
             times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS)) if factor else 1
@@ -332,26 +325,21 @@ class SemiParametricRecursion:
         self._weights.learn(self._weights.project(unit), self.rho / np.sqrt(1.0 - kept))
 
     def _renew_coefficient(self, index: int, kept: float) -> None:
-        row = np.zeros((1, self.n_columns + 1), order='F')
+        row = np.zeros((1, self.n_columns + 1))
         weight = np.sqrt(1.0 - kept) / self._prior_std[index]
-        row[0, index], row[0, -1] = weight, weight * self.theta[index]
-        self._update_information(row)
+        row[0, self.n_columns - 1 - index], row[0, -1] = weight, weight * self.theta[index]
+        triangular(self._regression.information, row, 1)
 
 
-@compiled(MATRIX, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS, VECTOR, MATRIX, VECTOR, VECTOR, NUMBER, MATRIX, VECTOR,
-          MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, returns=NUMBER, calls=(project,))
-def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
-             phi: Array, columns: Array, known: Array, scale: Array, sigma: float, information: Array, theta: Array,
-             features: Array, regressed: Array, mean: Array, covariance: Array, std: Array) -> float:
-    """s; and all else of a :class:`Prior`, from R as ``information``."""
+@compiled
+def predict(root: Root, regression: Regression, theta: Vector, known: Vector, prior: Prior) -> None:
+    """Fill the arrays of a prior, but for features and columns."""
+    columns, mean, covariance, std = prior.columns, prior.mean, prior.covariance, prior.std
+    information, scale = regression.information, regression.scale
     n, p = columns.shape
-    f = features[1]
-    features[0] = phi
-    project(array, left_changes, right_changes, waiting, inflation, places, phi, f, features[2],
-            regressed.reshape(n * (p + 1)))
-    s = sigma * sigma
-    for i in range(len(f)):
-        s += f[i] * f[i]
+    regressed = prior.projection.regressed.reshape((n, p + 1))
+    project(root, prior.phi, prior.projection)
+    s = variance(prior.projection.f, regression.sigma)
     half = np.empty((n, p))  # E_C R^-1
     for k in range(n):
         regressed[k, p] += known[k]
@@ -378,14 +366,42 @@ def _predict(array: Array, left_changes: Array, right_changes: Array, waiting: i
             covariance[k, j] = covariance[j, k] = value
         covariance[k, k] += s * scale[k] * scale[k]
         std[k] = np.sqrt(covariance[k, k])
-    return s
 
 
-@compiled(MATRIX, MATRIX, INTEGER)
-def _triangular(information: Array, rows: Array, n: int) -> None:
-    """R as ``information`` with ``n`` further rows, after which ``TOGETHER - 1`` of zeros stand.
+_predict = direct(predict)
 
-    A reflection takes only the rows that are not zero in its column, so many at a time.
+
+@compiled
+def reflect(pivot: Vector, rows: Matrix, used: Integers, count: int, c: int, share: float,
+            unit: float, along: Vector) -> None:
+    """One reflection of a row of R and the ``used`` rows, ``TOGETHER`` of them at a time, beyond
+    column ``c``."""
+    size = len(pivot)
+    for j in range(c + 1, size):
+        along[j] = pivot[j]
+    for g in range(0, count, TOGETHER):
+        one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
+        first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
+        for j in range(c + 1, size):
+            along[j] += first * one[j] + second * two[j] + third * three[j]
+    for j in range(c + 1, size):
+        along[j] *= share
+        pivot[j] -= along[j]
+    for g in range(0, count, TOGETHER):
+        one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
+        first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
+        for j in range(c + 1, size):
+            one[j] -= first * along[j]
+            two[j] -= second * along[j]
+            three[j] -= third * along[j]
+
+
+@compiled
+def triangular(information: Matrix, rows: Matrix, n: int) -> None:
+    """R as ``information`` with ``n`` further rows: one, or several after which ``TOGETHER - 1`` of
+    zeros stand.
+
+    A reflection takes only the rows that are not zero in its column.
     """
     size = len(information)
     along, used = np.empty(size), np.empty(len(rows), dtype=np.int64)
@@ -410,50 +426,36 @@ def _triangular(information: Array, rows: Array, n: int) -> None:
                 step = (pivot[j] + factor * row[j]) * share
                 pivot[j] -= step
                 row[j] -= factor * step
-            continue
-        used[count], used[count + 1] = n, n + 1
-        for j in range(c + 1, size):
-            along[j] = pivot[j]
-        for g in range(0, count, TOGETHER):
-            one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
-            first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
-            for j in range(c + 1, size):
-                along[j] += first * one[j] + second * two[j] + third * three[j]
-        for j in range(c + 1, size):
-            along[j] *= share
-            pivot[j] -= along[j]
-        for g in range(0, count, TOGETHER):
-            one, two, three = rows[used[g]], rows[used[g + 1]], rows[used[g + 2]]
-            first, second, third = one[c] * unit, two[c] * unit, three[c] * unit
-            for j in range(c + 1, size):
-                one[j] -= first * along[j]
-                two[j] -= second * along[j]
-                three[j] -= third * along[j]
+        else:
+            used[count], used[count + 1] = n, n + 1
+            reflect(pivot, rows, used, count, c, share, unit, along)
 
 
-@compiled(MATRIX, NUMBER, MATRIX, MATRIX, VECTOR, NUMBER, MATRIX, VECTOR, MATRIX, MATRIX, INTEGER, NUMBER, INTEGERS,
-          INTEGER, VECTOR, MATRIX, returns=INTEGER, calls=(wait,))
-def learn(features: Array, s: float, columns: Array, regressed: Array, scale: Array, sigma: float, information: Array,
-          theta: Array, left_changes: Array, right_changes: Array, waiting: int, inflation: float, places: Indices,
-          placed: int, outputs: Array, innovations: Array) -> int:
-    """E, theta and the change of [S | Theta], and R as ``information`` with further rows: reflections make it
-    triangular again (Householder). How many estimates have a place now."""
+@compiled
+def learn(root: Root, regression: Regression, prior: Prior, outputs: Vector, update: Update) -> int:
+    """Fill an update, and take it in: [S | Theta] changes, and R gets further rows, after which
+    reflections make it triangular again (Householder). How many estimates have a place now."""
+    columns, information = prior.columns, regression.information
+    theta, innovations, gain = update
     n, size = innovations.shape
+    regressed = prior.projection.regressed.reshape((n, size))
+    s = variance(prior.projection.f, regression.sigma)
+    for i in range(len(gain)):
+        gain[i] = prior.projection.reach[i] / s
     for k in range(n):
         for c in range(size - 1):
             innovations[k, c] = columns[k, c] - regressed[k, c]
         innovations[k, size - 1] = outputs[k] - regressed[k, size - 1]
-    placed = wait(left_changes, right_changes, waiting, features[1], features[2], innovations.reshape(n * size), sigma,
-                  s, inflation, places, placed)
+    placed = wait(root, prior.projection, innovations.reshape(n * size), regression.sigma)
     if size == 1:
         return placed
     rows = np.zeros((n + TOGETHER - 1, size))  # those beyond n stay zero
     for k in range(n):
-        weight = 1.0 / (np.sqrt(s) * scale[k])
+        weight = 1.0 / (np.sqrt(s) * regression.scale[k])
         for c in range(size - 1):
             rows[k, size - 2 - c] = weight * innovations[k, c]
         rows[k, size - 1] = weight * innovations[k, size - 1]
-    _triangular(information, rows, n)
+    triangular(information, rows, n)
     backward = np.empty(size - 1)
     for c in range(size - 2, -1, -1):
         value = information[c, size - 1]

@@ -8,7 +8,7 @@ from semiparam_ros.errors import SemiparamError
 
 
 class Variant(NamedTuple):
-    """Which terms a model has and how its hyperparameters are chosen.
+    """Terms of a model, and how its hyperparameters are chosen.
 
     ``pi``, the coefficients of the rigid body and the offset: ``learnt`` online with a Gaussian prior, ``fixed`` after
     the initial window, or ``absent``. Those of effects are learnt online in every variant.
@@ -43,7 +43,7 @@ def single(name: str) -> str:
 
 
 def has_both(name: str) -> bool:
-    """Whether it has a rigid body and features."""
+    """Tell whether it has a rigid body and features."""
     variant = VARIANTS[single(name)]
     return variant.features and variant.pi != 'absent'
 

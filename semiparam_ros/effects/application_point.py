@@ -9,10 +9,10 @@ import numpy as np
 
 from semiparam_ros.core.robot.frames import (
     FrameMotion,
-    felt_links,
     frame_motion,
     links_beside,
     loaded_links,
+    observed_links,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import reach_of
@@ -34,7 +34,7 @@ class AtPoint(Effect):
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
-        return felt_links(body)
+        return observed_links(body)
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
         """Tell whether it may be so, the point no farther from the link than the arm is long."""

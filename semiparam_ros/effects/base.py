@@ -14,8 +14,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from semiparam_ros.core.columns import ColumnBlock as Acting
-from semiparam_ros.core.columns import JointColumns, Memory
+from semiparam_ros.core.columns import ColumnBlock, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_of
 from semiparam_ros.core.samples import Samples
@@ -120,7 +119,7 @@ class Coefficient(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Effect:
+class Effect(ColumnBlock):
     """Base of every kind.
 
     :param where: joint, axis or link that it acts on; None when it has no place.
@@ -136,7 +135,6 @@ class Effect:
     span: Span = ALWAYS
     reference: tuple[float, ...] = ()
 
-    kind: ClassVar[str] = ''
     outputs: ClassVar[tuple[str, ...]] = ('wrench', 'effort')
     sentence: ClassVar[str] = ''
     mistaken_for: ClassVar[tuple[str, ...]] = ()
@@ -148,12 +146,9 @@ class Effect:
     of_one_recording: ClassVar[bool] = False
     own_in_each_recording: ClassVar[bool] = False
     """Mark of a cause that each recording has for itself in every model: a sensor's offset."""
-    of_sensor: ClassVar[bool] = False
     from_outside: ClassVar[bool] = False
     """Mark of what others do to the robot, as a push: told, but no part of the robot."""
     refine_link: ClassVar[bool] = False
-    is_load: ClassVar[bool] = False
-    """Mark of a carried body: its coefficients are ten inertial parameters in the link's frame."""
     bounded_by_weight: ClassVar[bool] = False
     """Mark of a load that the arm must bear: much more than its own weight is no finding."""
     needs_reference: ClassVar[bool] = False
@@ -357,24 +352,6 @@ class Effect:
         """The same effect, there from the beginning to the end."""
         return replace(self, span=ALWAYS)
 
-    @property
-    def only_adds(self) -> bool:
-        """Tell whether the effect leaves inputs and regressors as they are."""
-        kind = type(self)
-        return kind.correct is Effect.correct and kind.transform is Effect.transform
-
-    def joint_columns(self, body: RigidBody, blocks: Sequence[Acting]) -> JointColumns | None:
-        """Return one block for such effects together; None: each is computed by itself."""
-        return None
-
-    def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
-        """Inputs are left as they are unless a kind says otherwise."""
-        return body, samples, None
-
-    def transform(self, body: RigidBody, regressors: Array) -> Array:
-        """Regressors are left as they are unless a kind says otherwise."""
-        return regressors
-
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """Columns (N, n, c), zero outside the span, and the memory after them."""
         columns, memory = self.basis(body, samples, memory)
@@ -382,14 +359,8 @@ class Effect:
             columns = columns * self.span.holds(samples.stamps, samples.origin)[:, None, None]
         return columns, memory
 
-    def desired(self) -> Acting:
-        """The effect as it acts on a desired state; as on any other, unless a kind says otherwise.
-
-        Such a state is exact, has no past, and is taken as of now: a start or an end that was reached counts, and a
-        drift stands where it stands. A kind that concerns the time of a measurement, or a phase that nobody knows
-        beforehand, is :class:`~semiparam_ros.core.columns.Absent`.
-        """
-        return self
+    def acts(self, stamp: int, origin: int) -> bool:
+        return bool(self.span.holds(stamp, origin))
 
     def with_values(self: Self, **values: float) -> Self:
         """The same effect with some values changed, by the names of the text form."""

@@ -133,8 +133,8 @@ class GearCoupling(Effect):
 
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
-        felt = body.output_names
-        return [name for before, name in pairwise(body.joints) if before not in felt or name in felt]
+        outputs = body.output_names
+        return [name for before, name in pairwise(body.joints) if before not in outputs or name in outputs]
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         joint = joint_index(body, self.where)

@@ -8,22 +8,13 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.compiled import (
-    AVAILABLE,
-    INTEGER,
-    INTEGERS,
-    MATRIX,
-    NUMBER,
-    VECTOR,
-    compiled,
-)
+from semiparam_ros.core.compiled import Integers, Matrix, Vector, compiled
 from semiparam_ros.core.types import Array, Stamps
 
 MOST_APART = 0.1
 """Largest difference of a travel from its two speeds' mean, over their sum, that is believed."""
 PARTS = 8
 """Parts of a step between two samples that are followed one by one; half of them lie before the joint turns back."""
-_HALF = np.linspace(0.0, 1.0, PARTS // 2 + 1)
 
 
 def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memory]:
@@ -44,8 +35,7 @@ def bouc_wen_state(travel: Array, slip: float, unloading: float, memory: Memory)
     unloading) z, which is Dahl's too where the two are equal. Each step is followed exactly.
     """
     place, state = cast('tuple[float, float]', memory) if memory is not None else (float(travel[0]), 0.0)
-    states = np.empty(len(travel))
-    _follow_bouc_wen(np.diff(travel, prepend=place) / slip, slip / unloading, float(state), states)
+    states = _follow_bouc_wen(np.diff(travel, prepend=place) / slip, slip / unloading, float(state))
     return states, (float(travel[-1]), float(states[-1]))
 
 
@@ -84,13 +74,7 @@ def play_place(way: Way, gap: float, memory: Memory) -> tuple[Array, Memory]:
     """Places (N,) in [-1, 1] between the flanks of a gap along a way, and the memory after."""
     place, past = cast('tuple[float, Memory]', memory) if memory is not None else (0.0, None)
     travel, _, past = way.followed(past)
-    steps, places = 2.0 / gap * travel, np.empty(len(travel))
-    if AVAILABLE:
-        _play_all(steps, float(place), places)
-    else:
-        for index, step in enumerate(steps.tolist()):
-            place = min(max(place + step, -1.0), 1.0)
-            places[index] = place
+    places = _follow_play(2.0 / gap * travel, float(place))
     return places[PARTS - 1::PARTS].copy(), (float(places[-1]), past)
 
 
@@ -110,50 +94,19 @@ class Way(NamedTuple):
         Where positions and velocities disagree, the travel is even.
         """
         begin = cast('tuple[int, float, float]', past) if past is not None else self._sample(0)
-        if AVAILABLE:
-            travel, speeds = np.empty((2, len(self.stamps) * PARTS))
-            _follow_way(*map(np.array, self), *begin, _HALF, travel, speeds)
-            return travel, speeds, self._sample(-1)
-        return (*self._followed(*begin), self._sample(-1))
+        stamps, position, velocity = np.array(self.stamps), np.array(self.position), np.array(self.velocity)
+        return *_followed(stamps, position, velocity, *begin), self._sample(-1)
 
     def _sample(self, index: int) -> tuple[int, float, float]:
         return int(self.stamps[index]), float(self.position[index]), float(self.velocity[index])
 
-    def _followed(self, stamp: int, place: float, speed: float) -> tuple[Array, Array]:
-        step = np.diff(self.stamps, prepend=stamp) * 1e-9
-        net, after = np.diff(self.position, prepend=place), self.velocity * step
-        before = np.append(speed, self.velocity[:-1]) * step
-        apart = ~(np.abs(net - 0.5 * (before + after)) < MOST_APART * (np.abs(before) + np.abs(after)))
-        before, after = np.where(apart, net, before), np.where(apart, net, after)
-        parts = _parts_of_steps(before, 6.0 * net - 4.0 * before - 2.0 * after, 3.0 * (before + after) - 6.0 * net)
-        travel, lengths = np.diff(parts.travel, axis=1), np.diff(parts.time, axis=1) * step[:, None]
-        speeds = np.divide(travel, lengths, out=np.zeros_like(travel), where=lengths > 0.0)
-        return travel.ravel(), speeds.ravel()
 
-
-class _Parts(NamedTuple):
-    """Ends of the parts of N steps: ``time`` (N, PARTS + 1) from 0 to 1, and the ``travel`` until then."""
-
-    time: Array
-    travel: Array
-
-
-def _parts_of_steps(start: Array, rise: Array, bend: Array) -> _Parts:
-    """Parts of steps in which the velocity is start + rise u + bend u^2 (N,), with the middle one at its zero."""
-    root = -0.5 * (rise + np.copysign(np.sqrt(np.maximum(rise**2 - 4.0 * bend * start, 0.0)), rise))
-    turns = start * (start + rise + bend) < 0.0
-    middle = np.divide(start, root, out=np.full_like(start, 0.5), where=turns & (root != 0.0))
-    outside = (middle < 0.0) | (middle > 1.0)  # the other zero
-    middle = np.where(outside, np.divide(root, bend, out=np.full_like(start, 0.5), where=outside), middle)[:, None]
-    time = np.hstack([middle * _HALF, middle + (1.0 - middle) * _HALF[1:]])
-    return _Parts(time, time * (start[:, None] + time * (rise[:, None] / 2.0 + time * bend[:, None] / 3.0)))
-
-
-@compiled(INTEGERS, VECTOR, VECTOR, INTEGER, NUMBER, NUMBER, VECTOR, VECTOR, VECTOR)
-def _follow_way(stamps: Stamps, position: Array, velocity: Array, stamp: int, place: float,
-                speed: float, shares: Array, travel: Array, speeds: Array) -> None:
-    """Write travels and speeds (N PARTS,) as :meth:`Way.followed`; ``shares`` is _HALF."""
-    halves = len(shares) - 1
+@compiled
+def _followed(stamps: Integers, position: Vector, velocity: Vector, stamp: int, place: float,
+              speed: float) -> tuple[Vector, Vector]:
+    """Travels and speeds (N PARTS,) as :meth:`Way.followed`."""
+    halves = PARTS // 2
+    travel, speeds = np.empty(len(stamps) * PARTS), np.empty(len(stamps) * PARTS)
     for i in range(len(stamps)):
         step = (stamps[i] - stamp) * 1e-9
         net, start, end = position[i] - place, speed * step, velocity[i] * step
@@ -170,7 +123,7 @@ def _follow_way(stamps: Stamps, position: Array, velocity: Array, stamp: int, pl
         before = gone = 0.0
         for part in range(2 * halves):
             late = part >= halves
-            share = shares[part + 1 - halves * late]
+            share = (part + 1 - halves * late) / halves
             time = middle + (1.0 - middle) * share if late else middle * share
             there = time * (start + time * (rise / 2.0 + time * bend / 3.0))
             length, index = (time - before) * step, 2 * halves * i + part
@@ -178,6 +131,7 @@ def _follow_way(stamps: Stamps, position: Array, velocity: Array, stamp: int, pl
             speeds[index] = travel[index] / length if length > 0.0 else 0.0
             before, gone = time, there
         stamp, place, speed = stamps[i], position[i], velocity[i]
+    return travel, speeds
 
 
 def _dahl(steps: Array, slip: float, state: Array) -> Array:
@@ -189,33 +143,22 @@ def _dahl(steps: Array, slip: float, state: Array) -> Array:
 
 def _towards(aims: Array, keep: Array, state: Array) -> Array:
     """States (M, k), each of which keeps a share (M,) of its difference to an aim (M, k)."""
+    return _follow_all(keep, np.ascontiguousarray(aims), np.array(state, dtype=float))
+
+
+@compiled
+def _follow_all(keep: Vector, aims: Matrix, state: Vector) -> Matrix:
     states = np.empty(aims.shape)
-    if AVAILABLE:
-        _follow_all(keep, np.ascontiguousarray(aims), np.array(state, dtype=float), states)
-    else:
-        for column, aim in enumerate(aims.T.tolist()):
-            states[:, column] = _follow(float(state[column]), keep.tolist(), aim)
-    return states
-
-
-@compiled(VECTOR, MATRIX, VECTOR, MATRIX)
-def _follow_all(keep: Array, aims: Array, state: Array, states: Array) -> None:
     for row in range(len(keep)):
         for column in range(len(state)):
             state[column] = aims[row, column] + (state[column] - aims[row, column]) * keep[row]
             states[row, column] = state[column]
-
-
-def _follow(state: float, keep: list[float], aims: list[float]) -> list[float]:
-    states = []
-    for kept, aim in zip(keep, aims, strict=True):
-        state = aim + (state - aim) * kept
-        states.append(state)
     return states
 
 
-@compiled(VECTOR, NUMBER, NUMBER, VECTOR)
-def _follow_bouc_wen(steps: Array, share: float, state: float, states: Array) -> None:
+@compiled
+def _follow_bouc_wen(steps: Vector, share: float, state: float) -> Vector:
+    states = np.empty(len(steps))
     for index in range(len(steps)):
         way = abs(steps[index])
         sign = 1.0 if steps[index] > 0.0 else -1.0
@@ -226,10 +169,13 @@ def _follow_bouc_wen(steps: Array, share: float, state: float, states: Array) ->
             way -= back
         state = sign * (1.0 + (along - 1.0) * np.exp(-way))
         states[index] = state
+    return states
 
 
-@compiled(VECTOR, NUMBER, VECTOR)
-def _play_all(steps: Array, place: float, places: Array) -> None:
+@compiled
+def _follow_play(steps: Vector, place: float) -> Vector:
+    places = np.empty(len(steps))
     for index in range(len(steps)):
         place = min(max(place + steps[index], -1.0), 1.0)
         places[index] = place
+    return places

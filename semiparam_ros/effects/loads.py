@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.robot.frames import felt_links, load_regressor, loaded_links, nearest_link
+from semiparam_ros.core.robot.frames import load_regressor, loaded_links, nearest_link, observed_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.samples import Samples
@@ -43,7 +43,7 @@ class Payload(Effect):
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
-        return felt_links(body)
+        return observed_links(body)
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return INERTIAL

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Absent, Memory
-from semiparam_ros.core.robot.frames import felt_links, frame_motion, loaded_links
+from semiparam_ros.core.robot.frames import frame_motion, loaded_links, observed_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -38,7 +38,7 @@ class PeriodicDisturbance(Effect):
 
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
-        return (*_own_axes(body), *felt_links(body))
+        return (*_own_axes(body), *observed_links(body))
 
     def desired(self) -> Absent:
         """Return its mean over all phases, zero: the phase at that time is not known."""

@@ -21,7 +21,7 @@ from semiparam_ros.core.variants import AVERAGED, VARIANTS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.initial_window import Estimation, fitted_settings
 from semiparam_ros.experiments.parallel import run_all
-from semiparam_ros.online.worker import known_of
+from semiparam_ros.online.model_jobs import known_of
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, hyperparameter_values, model_options
 

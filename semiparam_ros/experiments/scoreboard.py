@@ -146,8 +146,8 @@ def start_off(found: Diagnosis, truth: Sequence[dict[str, Any]], plan: Plan) -> 
     starts = [true for true in truth if true['start_s'] is not None]
     if not starts or not found.findings or found.findings[0].effect.kind != starts[0]['kind']:
         return None
-    told = found.findings[0].effect.start_s
-    return float(plan.samples) if told is None else abs(told - float(starts[0]['start_s'])) * plan.rate_hz
+    start_s = found.findings[0].effect.start_s
+    return float(plan.samples) if start_s is None else abs(start_s - float(starts[0]['start_s'])) * plan.rate_hz
 
 
 def deviations_off(found: Diagnosis, true: dict[str, Any]) -> list[float]:
@@ -156,9 +156,9 @@ def deviations_off(found: Diagnosis, true: dict[str, Any]) -> list[float]:
                 and (finding.effect.where == true['where'] or true['kind'] == 'sensor_gain')]
     if not at_place:
         return []
-    told = at_place[0].parameters
-    return [(told[name].value - value) / deviation for name, value in true_values(true).items()
-            if name in told and (deviation := told[name].std)]
+    parameters = at_place[0].parameters
+    return [(parameters[name].value - value) / deviation for name, value in true_values(true).items()
+            if name in parameters and (deviation := parameters[name].std)]
 
 
 def true_values(true: dict[str, Any]) -> dict[str, float]:

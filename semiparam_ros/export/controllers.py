@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from scipy.optimize import curve_fit
 
-from semiparam_ros.core.robot.frames import felt_links, load_transform
+from semiparam_ros.core.robot.frames import load_transform, observed_links
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -90,7 +90,7 @@ def gravity_filter(body: RigidBody, found: Identified, remark: str) -> str:
                              f'other ({", ".join(body.bodies)}); the filter takes the weight '
                              'of one.')
     links = [CarriedBody(name, values, 0.0) for name, values in found.links.items()
-             if name in felt_links(body)]
+             if name in observed_links(body)]
     frame = _sensor_link(body)
     tool = _as_one(body, [*links, *found.loads], frame)
     parameters = {'world_frame': WORLD, 'sensor_frame': frame, 'tool': {
@@ -106,7 +106,7 @@ def _sensor_link(body: RigidBody) -> str:
     """The link that has the sensor's frame."""
     assert body.distal is not None
     return next(frame.name for frame in body.distal.frames if frame.parentJoint == 1
-                and frame.placement.isIdentity(1e-9) and frame.name in felt_links(body))
+                and frame.placement.isIdentity(1e-9) and frame.name in observed_links(body))
 
 
 def crisp_friction(found: Identified, remark: str) -> str:

@@ -215,8 +215,7 @@ def _with_starts(table: SampleTable, time: Array) -> SampleTable:
     """Set the columns of loads that have no start to zero before the samples show them."""
     block: Indices = np.arange(len(time)) * BLOCKS // len(time)
     for index, effect in enumerate(table.model.effects):
-        span = getattr(effect, 'span', None)
-        if not effect.is_load or span is None or span.values:
+        if not (effect.is_load and isinstance(effect, Effect)) or effect.span.values:
             continue
         best = _best_start(table, table.model.blocks[str(index)], block)
         if best == 0:
@@ -225,7 +224,7 @@ def _with_starts(table: SampleTable, time: Array) -> SampleTable:
         columns[block < best, :, table.model.blocks[str(index)]] = 0.0
         table = replace(table, columns=columns)
         if best < BLOCKS:
-            known = float(time[block == best][0]), str(getattr(effect, 'where', ''))
+            known = float(time[block == best][0]), str(effect.where)
             around = np.abs(block - best + 0.5) < 1.0
             table = replace(table, starts=(*table.starts, known), used=table.used & ~around)
     return table.weighed()

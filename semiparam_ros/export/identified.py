@@ -24,11 +24,12 @@ from semiparam_ros.core.robot.consistency import (
     is_consistent,
     made_consistent,
 )
-from semiparam_ros.core.robot.frames import felt_links, load_transform
+from semiparam_ros.core.robot.frames import load_transform, observed_links
 from semiparam_ros.core.robot.joint_friction import NAMES
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import LEAST_LENGTH_SHARE, SHARE, reach_of, size_of
 from semiparam_ros.core.types import Array
+from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import Estimate
 
@@ -173,21 +174,21 @@ class _Solution:
     def __init__(self, estimate: Estimate, described: Mapping[str, Array],
                  covariance: Array) -> None:
         columns, body = estimate.columns, estimate.columns.body
-        felt = [name for name in felt_links(body)
+        observed = [name for name in observed_links(body)
                 if name in described and described[name][0] > 0.0]
-        if not felt:
+        if not observed:
             raise SemiparamError('the robot description gives no mass to a link that the outputs '
                                  'feel; expected inertials, which an export starts from.')
         size, count = size_of(body), columns.n_columns
         self.described = {name: values for name, values in described.items()
-                          if values[0] > 0.0 and (name in felt or not is_consistent(values))}
+                          if values[0] > 0.0 and (name in observed or not is_consistent(values))}
         self.mended = [name for name, values in self.described.items() if not is_consistent(values)]
         self._others = {name: made_consistent(values, size.length)
-                        for name, values in self.described.items() if name not in felt}
-        self._links, self._identifiable = felt, body.n_parameters
+                        for name, values in self.described.items() if name not in observed}
+        self._links, self._identifiable = observed, body.n_parameters
         self._held = np.zeros(len(self._links), dtype=bool)
         self._bodies = []
-        for name in felt:
+        for name in observed:
             index, transform = load_transform(body, name)
             into = np.zeros((count, 10))
             into[:body.n_parameters] = body.basis[10 * index:10 * index + 10].T @ transform
@@ -197,8 +198,8 @@ class _Solution:
         self._rigid, self._absent = np.zeros((2, count), dtype=bool)
         self._rigid[columns.blocks['rigid_body']] = True
         for index, effect in enumerate(columns.effects):
-            if effect.is_load and not getattr(effect, 'ends', False):
-                self._add_load(str(getattr(effect, 'where', '')), columns.blocks[str(index)],
+            if effect.is_load and not (isinstance(effect, Effect) and effect.ends):
+                self._add_load(str(effect.where), columns.blocks[str(index)],
                                estimate.mean, covariance)
         length = max(size.length, reach_of(body))
         usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * length)
@@ -328,8 +329,8 @@ def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
                 add(joint, 'damping' if name == 'viscous' else 'friction',
                     start + kind * body.n_outputs + number, 1.0)
     for index, effect in enumerate(columns.effects):
-        roles = DYNAMICS.get(getattr(effect, 'kind', ''), {})
-        block, joint = columns.blocks[str(index)], str(getattr(effect, 'where', ''))
+        roles = DYNAMICS.get(effect.kind, {})
+        block, joint = columns.blocks[str(index)], str(effect.where)
         for place, name in enumerate(_coefficients(columns, index)):
             if name in roles:
                 add(joint, roles[name][0], block.start + place, roles[name][1])
@@ -338,22 +339,22 @@ def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
 
 def _coefficients(columns: CoupledColumns, index: int) -> list[str]:
     effect = columns.effects[index]
-    return [each.name for each in effect.coefficients(columns.body)]  # type: ignore[attr-defined]
+    return [name for name, _ in effect.coefficients(columns.body)]
 
 
 def _left_out(columns: CoupledColumns, theta: Array) -> dict[str, float]:
     """Values of effects that are neither loads nor friction, and their calibrations."""
     found: dict[str, float] = {}
     for index, effect in enumerate(columns.effects):
-        kind, where = getattr(effect, 'kind', 'effect'), getattr(effect, 'where', None)
-        head, block = f'{kind}@{where}' if where else kind, columns.blocks[str(index)]
+        kind, block = effect.kind, columns.blocks[str(index)]
+        head = f'{kind}@{effect.where}' if effect.where else kind
         if effect.is_load:
             continue
         for name, value in zip(_coefficients(columns, index), theta[block].tolist(), strict=True):
             if name not in DYNAMICS.get(kind, {}):
                 found[f'{head}.{name}'] = value
-        for name, _ in getattr(effect, 'calibrations', ()):
-            found[f'{head}.{name}'] = float(effect.value(name))  # type: ignore[attr-defined]
+        if isinstance(effect, Effect):
+            found |= {f'{head}.{name}': effect.value(name) for name, _ in effect.calibrations}
     return found
 
 

@@ -16,8 +16,8 @@ MARK = 'Identified by semiparam_ros'
 
 def remark(found: Identified) -> str:
     """Remark for a file on how it was made and how well it predicts."""
-    told = f'{MARK} {__version__} from {found.how}.'
-    return f'{told} {price(found)}' if found.price else told
+    heading = f'{MARK} {__version__} from {found.how}.'
+    return f'{heading} {price(found)}' if found.price else heading
 
 
 def price(found: Identified) -> str:
@@ -57,29 +57,29 @@ def _body(parameters: Array) -> dict[str, Any]:
 
 def lines(found: Identified) -> list[str]:
     """Lines for each quantity that is not as described, and what to mind."""
-    told = [f'{name}: {found.described[name][0]:.4g} kg to {found.links[name][0]:.4g} kg, centre '
+    lines = [f'{name}: {found.described[name][0]:.4g} kg to {found.links[name][0]:.4g} kg, centre '
             f'({_row(_body(found.links[name])["centre"])}) m.'
             for name in changed_links(found) if name not in found.mended]
     joints: dict[str, list[str]] = {}
     for each in found.joints:
         joints.setdefault(each.joint, []).append(
             f'{each.name} {each.value:.4g} +- {each.std:.2g} {UNITS[each.name]}')
-    told += [f'{joint}: {", ".join(values)}.' for joint, values in joints.items()]
+    lines += [f'{joint}: {", ".join(values)}.' for joint, values in joints.items()]
     for load in found.loads:
         since = '' if load.start_s is None else f', since {load.start_s:.1f} s'
-        told.append(f'load at {load.link}: {load.mass:.4g} +- {load.mass_std:.2g} kg, centre '
+        lines.append(f'load at {load.link}: {load.mass:.4g} +- {load.mass_std:.2g} kg, centre '
                     f'({_row(load.centre)}) m{since}.')
-    told += [f'The samples show no load at {link}: none is written.' for link in found.not_shown]
+    lines += [f'The samples show no load at {link}: none is written.' for link in found.not_shown]
     still = [name for name in found.links if name not in changed_links(found)]
     if still:
-        told.append(f'As described: {", ".join(still)}.')
+        lines.append(f'As described: {", ".join(still)}.')
     if found.mended:
-        told.append(f'No body has the described inertia of {", ".join(found.mended)}: it is '
+        lines.append(f'No body has the described inertia of {", ".join(found.mended)}: it is '
                     'mended.')
     if found.left_out:
         values = ', '.join(f'{name} {value:.3g}' for name, value in found.left_out.items())
-        told.append(f'Of this the JSON file alone tells: {values}.')
-    return told
+        lines.append(f'Of this the JSON file alone tells: {values}.')
+    return lines
 
 
 def _row(values: Sequence[float] | Array) -> str:

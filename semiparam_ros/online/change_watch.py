@@ -28,7 +28,7 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Span, place
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online import worker
+from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.applied_effects import AppliedEffects, KnownEffect
 from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, Change, ChangeDetector, MotionBlock
 from semiparam_ros.online.history import History
@@ -499,7 +499,7 @@ class ChangeWatch:
         self._naming = True
         declared = [effect for effect in effects if isinstance(effect, Effect)]
         self._background.submit(
-            worker.name_change,
+            diagnosis_jobs.name_change,
             self._body,
             batch,
             known(declared, others),

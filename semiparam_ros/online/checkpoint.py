@@ -45,7 +45,7 @@ class Checkpoints:
 
     @property
     def busy(self) -> bool:
-        """Whether one is being written."""
+        """Tell whether one is being written."""
         return self._thread.busy
 
     def save(self, state: SavedState) -> None:

@@ -1,7 +1,7 @@
 """Contact is not dynamics: which samples must not be learnt.
 
-The gate judges the innovations (measured minus predicted) by what they are in free motion, not by the standard
-deviation that the model gives them. For each output:
+The gate judges the innovations (measured minus predicted) by what they are in free motion, not by
+the standard deviation that the model gives them. For each output:
 
 1. *Scale.* Time is cut into blocks of half a second. The usual peak of an output is the median, over the last twenty
    blocks, of the largest innovation in a block. Peaks of blocks contain the colour of the innovations: however long one
@@ -15,11 +15,12 @@ deviation that the model gives them. For each output:
 3. *Plausibility.* A push is a force at a link: three numbers decide what all outputs feel. Friction that the model does
    not know is felt by one joint alone. What no force at any link brings about counts half.
 
-Blocks in which the gate is closed belong to neither, unless it closes again and again: then they belong to both. An arm
-that sets out is held by friction that the model does not know well. So at rest the scale is at least a fifth of that of
-motion, and for the first second of motion it is at least that of motion at a usual speed. The effort of a joint that
-turns round has a scale of its own, for the same reason; that of one which moves for the first time has none yet, and is
-not judged. Motors that are off behind brakes are not judged.
+Blocks in which the gate is closed belong to neither, unless it closes again and again: then they
+belong to both. An arm that sets out is held by friction that the model does not know well. So at
+rest the scale is at least a fifth of that of motion, and for the first second of motion it is at
+least that of motion at a usual speed. The effort of a joint that turns round has a scale of its
+own, for the same reason; that of one which moves for the first time has none yet, and is not
+judged. Motors that are off behind brakes are not judged.
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from math import exp, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.compiled import NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import Vector, compiled
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.contact_place import ContactPlace
 from semiparam_ros.core.robot.external_wrench import FORCE_N
@@ -45,53 +47,60 @@ BLOCK_S = 0.5
 LONGEST_STEP_S = 0.1
 """What a sample adds to a block at most: a pause is no time under observation."""
 BEYOND, UNSEEN_FACTOR = 0.1, 4.0
-"""A position, velocity or acceleration so far outside of those learnt, as a share of their range, is unseen motion: for
-a time after it, and until hyperparameters follow it, thresholds are so many times as high."""
+"""A position, velocity or acceleration so far outside of those learnt, as a share of their range,
+is unseen motion: for a time after it, and until hyperparameters follow it, thresholds are so many
+times as high."""
 JUST_BEYOND, NEW_FACTOR = 0.03, 1.5
-"""The same at the edge of what was learnt, which widens with each sample: a joint that creeps to where it never was is
-never far outside. So many times as high too at a speed that is new, where they come down with the blocks that are
-known; and again so many times while the model is provisional."""
+"""The same at the edge of what was learnt, which widens with each sample: a joint that creeps to
+where it never was is never far outside. So many times as high too at a speed that is new, where
+they come down with the blocks that are known; and again so many times while the model is
+provisional."""
 UNSEEN_S = 2.0
 """[s] That time."""
 SCALE_BLOCKS, FEWEST_BLOCKS = 20, 4
 TAIL_BLOCKS = 600
 
 SPEEDS = (0.02, 0.2, 0.8, 2.0)
-"""[rad/s, m/s] Between bands; the first band is rest. The fastest joint counts, over about the last second."""
+"""[rad/s, m/s] Between bands; the first band is rest. The fastest joint counts, over about the last
+second."""
 SPEED_MEMORY_S = 1.0
 FASTER = 2.5
-"""A faster band that was not seen yet has usual peaks at most so many times those of the next slower one."""
+"""A faster band that was not seen yet has usual peaks at most so many times those of the next
+slower one."""
 SLOWER_SHARE = 0.5
-"""Usual peaks in motion are at least this share of those of the next faster band: fast motion slows down at times, and
-still has its accelerations then."""
+"""Usual peaks in motion are at least this share of those of the next faster band: fast motion slows
+down at times, and still has its accelerations then."""
 REST_MEMORY_S = 5.0
 START_S = 1.0
 """So long after rest the friction of a joint may have either sign."""
 TURN_SHARE, TURN_S = 0.3, 0.3
 """A joint turns while it is slower than this share of its speed, and for so long after."""
 OTHERS_SHARE, APART = 0.5, 0.001
-"""A joint that has moved for less than this share of the time of the others has rested; once it is so far [rad, m] from
-where it was, its effort is not judged until it has moved for as long as usual peaks are from."""
+"""A joint that has moved for less than this share of the time of the others has rested; once it is
+so far [rad, m] from where it was, its effort is not judged until it has moved for as long as usual
+peaks are from."""
 REST_SHARE = 0.2
-"""Usual peaks at rest are at least this share of those in motion: efforts change before a joint begins to move."""
+"""Usual peaks at rest are at least this share of those in motion: efforts change before a joint
+begins to move."""
 SMALLEST_SCALE = 0.25
 """Usual peaks count as at least so many predicted standard deviations: silence is not exactness."""
 
 TAIL_SHARE = 0.1
 PRIOR_LEVEL, PRIOR_EXCESS = 1.6, 0.25
-"""Of the 90th percentile of the ratios and the mean excess over it; those of coloured Gaussian noise, and of the free
-motion of three measured arms, are near."""
+"""Of the 90th percentile of the ratios and the mean excess over it; those of coloured Gaussian
+noise, and of the free motion of three measured arms, are near."""
 AGAIN, AGAIN_S = 3, 10.0
 """So many closures within so many seconds are the robot's own."""
 PRIOR_BLOCKS, PRIOR_EXCESSES = 20.0, 8.0
 MOST_EXCESSES = 8.0
-"""However many blocks are known, the tail counts as known by so many: real tails are heavier than exponential ones."""
+"""However many blocks are known, the tail counts as known by so many: real tails are heavier than
+exponential ones."""
 
 PEAK = 2.5
 """[standard deviations] Usual peaks of coloured noise."""
 IMPLAUSIBLE = 0.5
-"""So much counts an innovation that no force at a link's origin or centre of mass brings about, as pushes elsewhere do
-not quite."""
+"""So much counts an innovation that no force at a link's origin or centre of mass brings about, as
+pushes elsewhere do not quite."""
 
 
 class Tail:
@@ -106,12 +115,13 @@ class Tail:
         self._rate: float | None = None
 
     def add(self, ratios: Array) -> None:
-        """Those of one block, (n,)."""
+        """Keep the ratios (n,) of one block."""
         self.ratios = np.vstack([self.ratios, ratios])[-TAIL_BLOCKS:]
         self._rate = None
 
     def thresholds(self, per_hour: float) -> tuple[Array, Array]:
-        """(n,) ratios that chance exceeds ``per_hour`` times an hour over all outputs, and (n,) usual large ones."""
+        """(n,) ratios that chance exceeds ``per_hour`` times an hour over all outputs, and (n,)
+        usual large ones."""
         if self._rate != per_hour:
             self._rate, (self._thresholds, self._levels) = per_hour, self._fitted(per_hour)
         return self._thresholds, self._levels
@@ -136,12 +146,13 @@ class Band:
         self.peaks = np.zeros((0, n_outputs))
         self.usual: Array | None = None
         self.blocks = 0
-        """So many were finished, since the last change that lasted; the peaks of that are those beyond them."""
+        """So many were finished, since the last change that lasted; the peaks of that are those
+        beyond them."""
         self.clear()
 
     @property
     def known(self) -> float:
-        """How well the usual peaks are known, from 0 to 1."""
+        """Share, from 0 to 1, to which the usual peaks are known."""
         return min(max(len(self.peaks), self.blocks) / SCALE_BLOCKS, 1.0)
 
     def clear(self) -> None:
@@ -175,9 +186,9 @@ class Band:
 class TurnPeaks:
     """Usual peaks (n,) of efforts while their own joints turn round or set out, at whatever speed.
 
-    Dry friction is then between its two values. What the model does not know of it comes as a burst, at every turn.
-    Turns count also while the gate is closed: a median does not mind a few contacts, and a burst that closes the gate
-    must not be missing.
+    Dry friction is then between its two values. What the model does not know of it comes as a
+    burst, at every turn. Turns count also while the gate is closed: a median does not mind a few
+    contacts, and a burst that closes the gate must not be missing.
     """
 
     def __init__(self, n_outputs: int) -> None:
@@ -198,8 +209,8 @@ class TurnPeaks:
         self.place: Array = np.zeros(n_outputs)
         """[rad, m] (n,) where each joint was over the last seconds."""
         self.new: Mask = np.zeros(n_outputs, dtype=bool)
-        """(n,) whether a joint moves that rested while others moved: what is usual of it is from when its friction was
-        not felt."""
+        """(n,) whether a joint moves that rested while others moved: what is usual of it is from
+        when its friction was not felt."""
 
     def follow(self, position: Array, velocity: Array, seconds: float) -> Mask:
         """(n,) whether each joint turns at this sample."""
@@ -248,8 +259,8 @@ class TurnPeaks:
             self.usual[joint] = np.median(self.peaks[-self.counts[joint]:, joint])
 
 
-@compiled(VECTOR, VECTOR, VECTOR, NUMBER)
-def _follow_turns(now: Array, speed: Array, left: Array, seconds: float) -> None:
+@compiled
+def _follow_turns(now: Vector, speed: Vector, left: Vector, seconds: float) -> None:
     """Go on by one sample with the speeds ``now``."""
     fall = exp(-seconds / SPEED_MEMORY_S)
     for joint in range(len(now)):
@@ -259,12 +270,22 @@ def _follow_turns(now: Array, speed: Array, left: Array, seconds: float) -> None
         left[joint] = TURN_S if turns else max(left[joint] - seconds, 0.0)
 
 
-class ContactGate:
-    """Closes on an innovation that free motion brings about less often than ``gate.false_alarms_per_hour``.
+class BesideUsual(NamedTuple):
+    """Innovations of one sample beside what is usual of them."""
 
-    It opens when all outputs have been as usual for ``gate.hold`` seconds. A gate closed for longer than
-    ``gate.timeout`` opens too: a robot that is touched is let go again, so the robot itself has changed, the model
-    must follow, and the innovations that were refused are usual from then on.
+    change: Array  # (n,) innovations; at rest without their slow mean
+    scale: Array | None  # (n,) usual peaks; None where none are known
+    ratio: Array  # (n,) of the two, 0 where nothing is known to judge by
+
+
+class ContactGate:
+    """Closes on an innovation that free motion brings about less often than
+    ``gate.false_alarms_per_hour``.
+
+    It opens when all outputs have been as usual for ``gate.hold`` seconds. A gate closed for longer
+    than ``gate.timeout`` opens too: a robot that is touched is let go again, so the robot itself
+    has changed, the model must follow, and the innovations that were refused are usual from then
+    on.
     """
 
     def __init__(self, n_outputs: int, joints: Indices | None = None,
@@ -281,7 +302,8 @@ class ContactGate:
         self.changed = False
         """Whether the last sample judged is the first after a change that lasted."""
         self.level: Array = np.zeros(n_outputs)
-        """(n,) innovations over their thresholds, of the last sample; 0 where nothing is known to judge it by."""
+        """(n,) innovations over their thresholds, of the last sample; 0 where nothing is known to
+        judge it by."""
         self._n_outputs = n_outputs
         self._free = np.ones(n_outputs), np.ones(n_outputs)
         self._calm_since: int | None = None
@@ -328,90 +350,123 @@ class ContactGate:
 
     @property
     def widening(self) -> Array:
-        """(n,) how much wider than the model's own the bands were at the last sample without a contact: those of a
-        contact hold what pushes."""
+        """(n,) how much wider than the model's own the bands were at the last sample without a
+        contact: those of a contact hold what pushes."""
         return self._free[0] / self._free[1]
 
     def _judge(self, prediction: Prediction, settings: Table, unseen: bool) -> bool:
         self.changed = False
-        if not settings.gate_enabled:
-            if self.closed or self._newest is not None:
+        if prediction.off or not settings.gate_enabled:
+            if self._newest is not None:
                 self.reset()
             return False
-        if prediction.off:
-            self.reset()
-            return False
         stamp = prediction.sample.stamp
-        seconds = 0.0 if self._newest is None else min(max(1e-9 * (stamp - self._newest), 0.0), LONGEST_STEP_S)
-        self._newest = stamp
-        moving, speed_band = self._follow_speed(prediction, seconds)
-        at = max(speed_band, self._closed_at)
-        self._awake = 0.0 if speed_band == 0 else self._awake + seconds
+        seconds = self._seconds_to(stamp)
+        moving, at = self._follow_speed(prediction, seconds)
         innovation = prediction.sample.outputs - prediction.model_mean
+        seen = self._beside_usual(prediction, innovation, at, seconds)
+        familiar, caution = self._caution(prediction, unseen, at, seconds)
+        per_hour = settings.gate_false_alarms_per_hour
+        usual_thresholds, usual_large = self._tails[at > 0].thresholds(per_hour)
+        thresholds = usual_thresholds * caution
+        self.level = self._plausible(prediction, seen, thresholds) / thresholds
+        if self.closed:
+            calm = bool((seen.ratio <= np.maximum(0.5 * thresholds, usual_large)).all())
+            self._perhaps_open(stamp, calm, settings)
+        elif self.level.max() > 1.0:
+            self._close(stamp, at)
+        if self.closed:
+            self._refuse(prediction, seen, seconds)
+            return True
+        self._rest(innovation, seconds, moving)
+        self._learn_usual(seen, at, familiar, seconds)
+        return False
+
+    def _seconds_to(self, stamp: int) -> float:
+        """Time under observation since the last sample."""
+        before, self._newest = self._newest, stamp
+        return 0.0 if before is None else min(max(1e-9 * (stamp - before), 0.0), LONGEST_STEP_S)
+
+    def _beside_usual(self, prediction: Prediction, innovation: Array, at: int,
+                      seconds: float) -> BesideUsual:
+        """Innovations (n,) of a sample in a band of speed, beside their usual peaks there."""
         if at == 0 and not self._resting and not self.closed:
             self._mean = innovation  # as where brakes have let go: how the arm is held now is not known from before
         change = innovation - self._mean if at == 0 else innovation
-        size = np.abs(change)
-        usual = self._usual(at)
-        if self._turns is not None:
-            own = self._joints
-            turning = self._turns.follow(prediction.sample.position[own], prediction.sample.velocity[own], seconds)
+        usual, turns = self._usual(at), self._turns
+        if turns is not None:
+            own, sample = self._joints, prediction.sample
+            turning = turns.follow(sample.position[own], sample.velocity[own], seconds)
             if at > 0:
-                self._turns.add(size, turning)
-                usual = None if usual is None else np.maximum(usual, np.where(turning, self._turns.usual, 0.0))
-        tail = self._tails[at > 0]
-        thresholds, levels = tail.thresholds(settings.gate_false_alarms_per_hour)
-        scale = None if usual is None else np.maximum(usual, SMALLEST_SCALE * prediction.model_std)
-        ratio = np.zeros(self._n_outputs) if scale is None else size / scale
-        if self._turns is not None:
-            ratio[self._turns.new] = 0.0
+                turns.add(np.abs(change), turning)
+                if usual is not None:
+                    usual = np.maximum(usual, np.where(turning, turns.usual, 0.0))
+        if usual is None:
+            return BesideUsual(change, None, np.zeros(self._n_outputs))
+        scale = np.maximum(usual, SMALLEST_SCALE * prediction.model_std)
+        ratio = np.abs(change) / scale
+        if turns is not None:
+            ratio[turns.new] = 0.0
+        return BesideUsual(change, scale, ratio)
+
+    def _caution(self, prediction: Prediction, unseen: bool, at: int,
+                 seconds: float) -> tuple[bool, float]:
+        """Tell whether the motion is familiar, and by how much thresholds are higher."""
         unseen = unseen or prediction.beyond > BEYOND
         self._familiar = 0.0 if unseen else min(self._familiar + seconds, UNSEEN_S)
-        self._within = 0.0 if unseen or prediction.beyond > JUST_BEYOND else min(self._within + seconds, UNSEEN_S)
-        familiar = self._familiar >= UNSEEN_S
+        at_edge = unseen or prediction.beyond > JUST_BEYOND
+        self._within = 0.0 if at_edge else min(self._within + seconds, UNSEEN_S)
+        if self._familiar < UNSEEN_S:
+            return False, UNSEEN_FACTOR
         new = 1.0 if self._within < UNSEEN_S else 1.0 - self._bands[at].known
-        caution = (1.0 + (NEW_FACTOR - 1.0) * new) * (1.0 if prediction.ready else NEW_FACTOR)
-        thresholds = thresholds * (caution if familiar else UNSEEN_FACTOR)
-        self.level = ratio / thresholds
-        if scale is not None and self._forces is not None and self.level.max() > 1.0:
-            felt = explained(change / scale, self._forces(prediction.sample.position) / scale[:, None])
-            self.level = np.clip(felt, IMPLAUSIBLE * ratio, ratio) / thresholds
-        if self.closed:
-            self._perhaps_open(stamp, bool((ratio <= np.maximum(0.5 * thresholds, levels)).all()), settings)
-        elif self.level.max() > 1.0:
-            self.closed, self._closed_since, self._closed_at = True, stamp, at
-            self._calm_since = None
-            self.contacts += 1
-            self._bands[at].clear()
-            self._meanwhile, self._closed_ratio = Band(self._n_outputs), np.zeros(self._n_outputs)
-            self._closures = (*self._closures, stamp)[-AGAIN:]
-            if self.place is not None:
-                self.place.forget()
-        if self.closed:
-            self.refused += 1
-            if self.place is not None and scale is not None and self.level.max() > 1.0:
-                self.place.see(prediction.sample.position, change, scale / PEAK, seconds)
-            self._closed_ratio = np.maximum(self._closed_ratio, ratio)
-            self._meanwhile.add(size, ratio, seconds)
-            return True
-        self._rest(innovation, seconds, moving)
-        ratios = self._bands[at].add(size, ratio, seconds)
+        factor = 1.0 + (NEW_FACTOR - 1.0) * new
+        return True, factor if prediction.ready else factor * NEW_FACTOR
+
+    def _plausible(self, prediction: Prediction, seen: BesideUsual, thresholds: Array) -> Array:
+        """(n,) ratios, where one is beyond its threshold as far as a push explains them."""
+        if seen.scale is None or self._forces is None or not (seen.ratio > thresholds).any():
+            return seen.ratio
+        forces = self._forces(prediction.sample.position) / seen.scale[:, None]
+        pushed = explained(seen.change / seen.scale, forces)
+        return np.clip(pushed, IMPLAUSIBLE * seen.ratio, seen.ratio)
+
+    def _close(self, stamp: int, at: int) -> None:
+        self.closed, self._closed_since, self._closed_at = True, stamp, at
+        self._calm_since = None
+        self.contacts += 1
+        self._bands[at].clear()
+        self._meanwhile, self._closed_ratio = Band(self._n_outputs), np.zeros(self._n_outputs)
+        self._closures = (*self._closures, stamp)[-AGAIN:]
+        if self.place is not None:
+            self.place.forget()
+
+    def _refuse(self, prediction: Prediction, seen: BesideUsual, seconds: float) -> None:
+        """Keep what a sample of a contact shows."""
+        self.refused += 1
+        if self.place is not None and seen.scale is not None and self.level.max() > 1.0:
+            self.place.see(prediction.sample.position, seen.change, seen.scale / PEAK, seconds)
+        self._closed_ratio = np.maximum(self._closed_ratio, seen.ratio)
+        self._meanwhile.add(np.abs(seen.change), seen.ratio, seconds)
+
+    def _learn_usual(self, seen: BesideUsual, at: int, familiar: bool, seconds: float) -> None:
+        """Learn what is usual from a sample of free motion."""
+        ratios = self._bands[at].add(np.abs(seen.change), seen.ratio, seconds)
         if at and self._bands[at].blocks == SCALE_BLOCKS:
             self._drop_stale()
         if ratios is not None and familiar:
-            tail.add(ratios)
-        return False
+            self._tails[at > 0].add(ratios)
 
     def places(self) -> tuple[Array, float]:
-        """How likely the present contact is at each of the links of :attr:`place`, (n_links,), and since when [s] it
-        lasts; zeros where there is none."""
+        """Probabilities (n_links,) of the present contact at each of the links of :attr:`place`,
+        and since when [s] it lasts; zeros where there is none."""
         if self.place is None or not self.closed:
             return np.zeros(0 if self.place is None else len(self.place.links)), 0.0
         newest = self._closed_since if self._newest is None else self._newest
         return self.place.probabilities, 1e-9 * (newest - self._closed_since)
 
     def touched(self) -> list[int]:
-        """Outputs that feel the contact now, the strongest first; those of the last sample that felt any."""
+        """Outputs that feel the contact now, the strongest first; those of the last sample that
+        felt any."""
         order = np.argsort(-self.level)
         return [int(index) for index in order if self.level[index] > 1.0]
 
@@ -430,7 +485,8 @@ class ContactGate:
                 'free': self._free}
 
     def restore(self, state: Memory) -> None:
-        """Go on as the gate that was saved; raises LookupError, TypeError or ValueError for what is no state."""
+        """Go on as the gate that was saved; raises LookupError, TypeError or ValueError for what is
+        no state."""
         if not isinstance(state, dict):
             raise TypeError('the state of the gate is no mapping')
         self.forget()
@@ -468,13 +524,17 @@ class ContactGate:
         self._resting = 0
 
     def _follow_speed(self, prediction: Prediction, seconds: float) -> tuple[bool, int]:
-        """Whether the robot moves now, and the band of its speed over the last second."""
+        """Tell whether the robot moves now, and the band of its speed over the last second; while
+        the gate is closed at least that in which it closed."""
         speed = float(np.abs(prediction.sample.velocity).max())
         self._speed = max(speed, self._speed * exp(-seconds / SPEED_MEMORY_S))
-        return speed > SPEEDS[0], sum(self._speed > edge for edge in SPEEDS)
+        band = sum(self._speed > edge for edge in SPEEDS)
+        self._awake = 0.0 if band == 0 else self._awake + seconds
+        return speed > SPEEDS[0], max(band, self._closed_at)
 
     def _usual(self, at: int) -> Array | None:
-        """Usual peaks (n,) in a band; of a neighbour while its own are unknown, but never rest's for motion."""
+        """Usual peaks (n,) in a band; of a neighbour while its own are unknown, but never rest's
+        for motion."""
         own = self._bands[at].usual
         moving = {band: usual for band in range(1, len(self._bands))
                   if (usual := self._bands[band].usual) is not None}
@@ -510,13 +570,14 @@ class ContactGate:
             self.changed = True
 
     def _learn_closure(self) -> None:
-        """What was refused belongs to free motion."""
+        """Count what was refused as free motion."""
         band, tail = self._bands[self._closed_at], self._tails[self._closed_at > 0]
         band.restore(np.vstack([band.peaks, self._meanwhile.peaks, self._meanwhile.peak])[-SCALE_BLOCKS:])
         tail.add(self._closed_ratio)
 
     def _follow_change(self) -> None:
-        """What was refused is usual from now on, at rest or at every speed; nothing becomes smaller by it.
+        """Take what was refused for usual from now on, at rest or at every speed; nothing becomes
+        smaller by it.
 
         A robot that meanwhile stops shows in some outputs nothing but noise.
         """
@@ -526,19 +587,21 @@ class ContactGate:
             band.blocks = 0
 
     def _drop_stale(self) -> None:
-        """At some speed the robot is known again after a change: those at which it was not since follow that."""
+        """At some speed the robot is known again after a change: those at which it was not since
+        follow that."""
         for band in self._bands[1:]:
             if band.blocks < min(len(band.peaks), FEWEST_BLOCKS):
                 band.restore(band.peaks[:0])
 
 
 def explained(ratio: Array, maps: Array) -> Array:
-    """(n,) how much of innovations (n,), in units of their usual peaks, a push explains: a force at one of the links.
+    """(n,) how much of innovations (n,), in units of their usual peaks, a push explains: a force at
+    one of the links.
 
     :param maps: (n_places, n, 3) the same caused by unit forces [1/N].
 
-    It is the posterior mean of what a Gaussian force brings about, beside noise of unit variance, of whichever place
-    explains most of an output.
+    It is the posterior mean of what a Gaussian force brings about, beside noise of unit variance,
+    of whichever place explains most of an output.
     """
     # By the singular values: the covariance may be singular to rounding.
     left, stretch, _ = np.linalg.svd(FORCE_N * maps, full_matrices=False)
@@ -548,18 +611,20 @@ def explained(ratio: Array, maps: Array) -> Array:
 
 
 def standardised_innovation(prediction: Prediction) -> float:
-    """Root mean square over the outputs of (y - mean) / std, both of the model alone; 0 while it is provisional.
+    """Root mean square over the outputs of (y - mean) / std, both of the model alone; 0 while it is
+    provisional.
 
-    Calibrated bands widen, and a wandering offset follows, when the outputs are not as predicted: this must not.
+    Calibrated bands widen, and a wandering offset follows, when the outputs are not as predicted:
+    this must not.
     """
     if not prediction.ready:
         return 0.0
     return _root_mean_square(prediction.sample.outputs, prediction.model_mean, prediction.model_std)
 
 
-@compiled(VECTOR, VECTOR, VECTOR, returns=NUMBER)
-def _root_mean_square(outputs: Array, mean: Array, std: Array) -> float:
-    """Of (outputs - mean) / std, all (n,)."""
+@compiled
+def _root_mean_square(outputs: Vector, mean: Vector, std: Vector) -> float:
+    """Root mean square of (outputs - mean) / std, all (n,)."""
     squares = 0.0
     for k in range(len(mean)):
         squares += ((outputs[k] - mean[k]) / std[k]) ** 2

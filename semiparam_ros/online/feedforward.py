@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from semiparam_ros.core.robot.feedforward import Desired, described, desired
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
+from semiparam_ros.online.desired_state import Desired, described, desired
 from semiparam_ros.online.learner import Learner
 
 LARGEST_DISTANCE = 1.0
@@ -20,7 +20,7 @@ class WithheldError(SemiparamError):
 
 
 class Counts(NamedTuple):
-    """Of desired states; ``withheld`` of trajectories."""
+    """Counts of desired states; ``withheld`` of trajectories."""
 
     answered: int
     described: int
@@ -67,7 +67,7 @@ class Feedforward:
         return found
 
     def sentence(self, before: Counts) -> str:
-        """What to say of the states since some counts; '' for nothing."""
+        """Sentence on the states since some counts; '' for nothing."""
         new = Counts(*(now - then for now, then in zip(self._counts, before, strict=True)))
         parts = [f'{count} {what}' for count, what in (
             (new.described, 'answered by the robot description alone'),
@@ -81,7 +81,8 @@ class Feedforward:
 
 
 def is_doubtful(found: Desired) -> bool:
-    """Whether the model has learnt too little about the state to be followed without a check."""
+    """Tell whether the model has learnt too little about the state to be followed without a
+    check."""
     return found.distance > LARGEST_DISTANCE or found.variance_ratio > LARGEST_VARIANCE_RATIO
 
 

@@ -22,7 +22,7 @@ class FileThread:
 
     @property
     def busy(self) -> bool:
-        """Whether it is doing something."""
+        """Tell whether it is doing something."""
         return self._thread is not None and self._thread.is_alive()
 
     def submit(self, work: Callable[[], Result], done: Callable[[Result | None, Exception | None], object]) -> None:

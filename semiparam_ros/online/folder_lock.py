@@ -69,5 +69,5 @@ class FolderLock:
 
 
 def stem(node_name: str) -> str:
-    """What a node's files are called by."""
+    """Stem of the names of a node's files."""
     return node_name.strip('/').replace('/', '.')

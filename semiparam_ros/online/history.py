@@ -168,7 +168,7 @@ class SampleLog:
             self._add_chunk(chunk.part(slice(0, len(chunk.stamps) - self._free)), 0)
 
     def _let_go(self) -> None:
-        """Of the oldest, a whole chunk at a time."""
+        """Drop the oldest, a whole chunk at a time."""
         if self._most is None or self._count <= self._most:
             return
         self._first += self._count - self._most

@@ -1,12 +1,12 @@
-"""What the model has learnt, as quantities with names, units and standard deviations, and whether the robot has
-moved enough to identify it.
-"""
+"""Parameters that the model has learnt, as quantities with names, units and standard deviations,
+and whether the robot has moved enough to identify them."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
@@ -47,7 +47,7 @@ class Excitation:
 
 
 class Conditioning(NamedTuple):
-    """How much the samples say of theta.
+    """Conditioning of theta by the samples.
 
     ``number``: largest over smallest eigenvalue of theta's covariance in units of its prior; ``undetermined``: how many
     directions of theta are still about as wide as the prior had them; ``columns``: how many there are.
@@ -59,7 +59,8 @@ class Conditioning(NamedTuple):
 
 
 def conditioning(model: Model, prior_scale: Array) -> Conditioning | None:
-    """Of a model whose prior is ``prior_scale`` (p,) times gamma; None when it learns no theta."""
+    """Conditioning of a model whose prior is ``prior_scale`` (p,) times gamma; None when it learns
+    no theta."""
     recursion = model.recursion
     if not recursion.n_columns:
         return None
@@ -78,7 +79,8 @@ class LearntCoefficient(NamedTuple):
 
 
 class CarriedLoad(NamedTuple):
-    """What the arm carries beyond its description, in the frame of ``link``; inertia (3, 3) about its centre.
+    """Load that the arm carries beyond its description, in the frame of ``link``; inertia (3, 3)
+    about its centre.
 
     ``std`` is of the same kind and has the standard deviations. What cannot be told is not a number: the centre and the
     inertia of a mass that is smaller than two standard deviations, and an inertia that no body has.
@@ -122,9 +124,9 @@ def carried_load(estimator: Estimator, before: Array | None = None, picked: Load
     if not estimator.ready:
         return None
     body, model = estimator.body, estimator.model
-    carried = [Load(str(getattr(effect, 'where', '')), *_block(model, estimator.columns.blocks[str(index)]))
+    carried = [Load(str(effect.where), *_block(model, estimator.columns.blocks[str(index)]))
                for index, effect in enumerate(estimator.columns.effects)
-               if getattr(effect, 'is_load', False) and estimator.holds(effect)]
+               if effect.is_load and estimator.holds(effect)]
     if not carried:
         theta, covariance = _block(model, slice(0, body.n_parameters))
         if not len(theta):
@@ -175,11 +177,11 @@ def _added_load(body: RigidBody, link: str, theta: Array, covariance: Array) -> 
 
 
 def is_shown(load: Load) -> bool:
-    """Whether its mass is one for certain."""
+    """Tell whether its mass is one for certain."""
     return bool(load.parameters[0] > max(SMALLEST_MASS, 2.0 * np.sqrt(load.covariance[0, 0])))
 
 
-def told_load(link: str, parameters: Array, covariance: Array) -> CarriedLoad:
+def reported_load(link: str, parameters: Array, covariance: Array) -> CarriedLoad:
     """From mass, first moment and inertia about the link's origin, (10,), and their covariance (10, 10)."""
     mass, mass_std = float(parameters[0]), float(np.sqrt(covariance[0, 0]))
     unknown = CarriedLoad(link, mass, np.full(3, np.nan), np.full((3, 3), np.nan))
@@ -197,16 +199,13 @@ def told_load(link: str, parameters: Array, covariance: Array) -> CarriedLoad:
 
 def _centred(parameters: Array) -> Array:
     """(12,) centre of mass and inertia about it, row by row, from parameters about the origin (10,)."""
-    centre = parameters[1:4] / parameters[0]
-    xx, xy, yy, xz, yz, zz = parameters[4:]
-    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    inertia = about_origin - parameters[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return np.concatenate([centre, inertia.ravel()])
+    body = pin.Inertia.FromDynamicParameters(parameters)
+    return np.concatenate([body.lever, body.inertia.ravel()])
 
 
 def _has_a_body(inertia: Array) -> bool:
-    """Whether some distribution of mass has this inertia about its centre: no principal moment is larger than the sum
-    of the two others."""
+    """Tell whether some distribution of mass has this inertia about its centre: no principal moment
+    is larger than the sum of the two others."""
     moments = np.linalg.eigvalsh(inertia)
     return bool(moments[0] >= 0.0 and moments[0] + moments[1] >= moments[2])
 
@@ -221,12 +220,6 @@ def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:
     if columns.has_offset:
         labels += [(f'offset_{axis}', unit) for axis, unit in zip(body.output_names, body.output_units, strict=True)]
     for effect in columns.effects:
-        labels += _effect_labels(effect, body)
+        head = f'{effect.kind}@{effect.where}' if effect.where else effect.kind
+        labels += [(f'{head}.{name}', unit) for name, unit in effect.coefficients(body)]
     return labels
-
-
-def _effect_labels(effect: object, body: RigidBody) -> list[tuple[str, str]]:
-    kind, where = getattr(effect, 'kind', 'effect'), getattr(effect, 'where', None)
-    head = f'{kind}@{where}' if where else kind
-    return [(f'{head}.{coefficient.name}', coefficient.unit)
-            for coefficient in effect.coefficients(body)]  # type: ignore[attr-defined]

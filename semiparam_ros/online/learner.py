@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,15 +18,15 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.finite import are_finite
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.compensation import Compensation, bodies_and_bias
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online import worker
+from semiparam_ros.online import model_jobs
 from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch
+from semiparam_ros.online.compensation import Compensation, bodies_and_bias
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
 from semiparam_ros.online.learning import Learning, learning_of, observe
@@ -49,7 +49,7 @@ FAILURES_AT_MOST = 3
 
 
 class Answer(NamedTuple):
-    """What is published of one sample."""
+    """Answer to one sample, as it is published."""
 
     prediction: Prediction
     residual: Array  # (n,) outputs minus prediction, in N and N m
@@ -62,12 +62,13 @@ class Answer(NamedTuple):
 
     @property
     def learnt(self) -> bool:
-        """Whether the model is to learn it."""
+        """Tell whether the model is to learn it."""
         return self.learning > 0
 
 
-class LearnerListener(Protocol):
-    """Receives what a learner has to tell; called in the learner's own thread."""
+class LearnerListener:
+    """Receives what a learner has to tell, in the learner's own thread, and makes nothing of it unless a method says
+    otherwise."""
 
     def answered(self, answer: Answer) -> None:
         """The answer to one sample, in the order of the samples."""
@@ -82,12 +83,12 @@ class LearnerListener(Protocol):
         """News for the log."""
 
     def model_switched(self, success: bool, sentence: str) -> None:
-        """Whether a change of the model came about, and a sentence about it."""
+        """Take note of whether a change of the model came about, with a sentence about it."""
 
     def settings_reverted(self, settings: Settings) -> None:
         """The settings that hold from now on, after a change that failed or a model that broke."""
 
-    def change_told(self, record: ChangeRecord) -> None:
+    def change_reported(self, record: ChangeRecord) -> None:
         """The robot has changed, or more is known of a change."""
 
     def failed(self, place: str, error: BaseException) -> None:
@@ -109,11 +110,15 @@ class Learner:
         self.learnt = self.answered = self.lost = 0
         self.passed_over = 0
         """Of the samples answered, by the model then in force (``learn.every``, ``learn.least_gain``)."""
+        self.renewals = 0
+        """How often the model of a whole later window took over."""
+        self.failed_windows: list[str] = []
+        """Of each initial window that gave no hyperparameters the reason."""
         self._background, self._listener, self._checkpoint = background, listener, checkpoint
         self._failures = 0
         self.switcher = ModelSwitcher(body, background, self)
-        self.changes = ChangeWatch(body, background, listener.change_told, listener.failed)
-        self._begin(settings, worker.new_estimator(settings, body))
+        self.changes = ChangeWatch(body, background, listener.change_reported, listener.failed)
+        self._begin(settings, model_jobs.new_estimator(settings, body))
 
     def _begin(self, settings: Settings, estimator: Estimator, past: SampleBatch | None = None,
                renewal: Memory = None) -> None:
@@ -133,7 +138,7 @@ class Learner:
         self._seen = len(self.history)
         self._failures = 0
         self._asked: int | None = None
-        self._later: RecentWindow | None = None
+        self._recent: RecentWindow | None = None
         """That hyperparameters are estimated from; None: the initial window."""
         self._awaits_draft = False
         self.takeovers: list[int] = []
@@ -145,7 +150,7 @@ class Learner:
 
     @property
     def estimating(self) -> bool:
-        """Whether hyperparameters are estimated from the initial window."""
+        """Tell whether hyperparameters are estimated from the initial window."""
         successor = self.switcher.successor
         return self.estimator.window_full and successor is not None and same_model(successor.settings, self.built)
 
@@ -233,7 +238,7 @@ class Learner:
         return prediction
 
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
-        """Whether the active model has taken it in; it is broken where it has not."""
+        """Tell whether the active model has taken it in; it is broken where it has not."""
         returns, passed_over = self.estimator.returns, self.estimator.passed_over
         try:
             errors = observe(self.estimator, prediction, learning, finish=False)
@@ -271,7 +276,7 @@ class Learner:
 
     def _end_window(self) -> None:
         """Let the background estimate hyperparameters, unless the settings want another model than this."""
-        self._asked, self._later = self.answered, None
+        self._asked, self._recent = self.answered, None
         self._awaits_draft = has_draft(self.built.initial_samples)
         if self.switcher.successor is None:
             self._listener.announce(f'the initial window holds {len(self.estimator.window)} samples of motion: the '
@@ -280,7 +285,7 @@ class Learner:
 
     def draft_live(self, estimator: Estimator | None) -> None:
         """It takes over from the provisional model, between two samples; the hyperparameters are estimated yet."""
-        waited, self._awaits_draft = self._waited(), False
+        waited, self._awaits_draft = self.waited, False
         self.takeovers.append(waited)
         if estimator is not None:
             self.estimator = estimator
@@ -296,24 +301,27 @@ class Learner:
                             f'{self._taken_over()} samples after the end of the initial window.')
 
     def _taken_over(self) -> int:
-        """What was asked of a window is there, or cannot be: how many samples were answered since."""
-        waited, self._asked = self._waited(), None
+        """End the wait for what was asked of a window, which is there or cannot be; samples
+        answered since."""
+        waited, self._asked = self.waited, None
         self.takeovers.extend([waited] * (1 + self._awaits_draft))  # it was built without
         self._awaits_draft = False
         return waited
 
-    def _waited(self) -> int:
+    @property
+    def waited(self) -> int:
+        """Samples answered since the end of the window that a model is asked of."""
         return 0 if self._asked is None else self.answered - self._asked
 
     def _renews(self, prediction: Prediction) -> bool:
-        """Whether motion has left what the hyperparameters are from, and no successor is built but one that has none of
-        the motion of a draft that is due: that is given up."""
+        """Tell whether motion has left what the hyperparameters are from, and no successor is built
+        but one that has none of the motion of a draft that is due: that is given up."""
         if not self._renewal.see(self.estimator, prediction):
             return False
         successor = self.switcher.successor
         if successor is None:
             return True
-        outdated = self._renewal.outdates(self._later) and same_model(successor.settings, self.built)
+        outdated = self._renewal.outdates(self._recent) and same_model(successor.settings, self.built)
         if outdated:
             self._taken_over()
             self.switcher.retire_successor()
@@ -321,13 +329,13 @@ class Learner:
 
     def _renew(self) -> None:
         """Estimate the hyperparameters again."""
-        self._later = self._renewal.begin()
-        if self._later.draft or not has_draft(self.built.initial_samples):
+        self._recent = self._renewal.begin()
+        if self._recent.draft or not has_draft(self.built.initial_samples):
             self._listener.announce(f'the hyperparameters of {self.built.variant} are estimated again, from the latest '
-                                f'{self._later.samples} samples, as the robot moves otherwise than in the window that '
+                                f'{self._recent.samples} samples, as the robot moves otherwise than in the window that '
                                 'they are from; it answers on.')
         self._asked = self.answered
-        self.switcher.renew(self.built, self.history, self._later)
+        self.switcher.renew(self.built, self.history, self._recent)
 
     def _renewed(self, estimator: Estimator, later: RecentWindow) -> None:
         """The model with hyperparameters of a later window takes over, between two samples."""
@@ -340,12 +348,14 @@ class Learner:
                 f'samples, the last of which {self._taken_over()} samples ago.')
             return
         self._renewal.clear()
+        self.renewals += 1
         self._listener.announce(
             f'{self.built.variant} has new hyperparameters and takes over after {self._seen} samples, '
             f'{self._taken_over()} of them since the end of the window.')
 
     def _discard_window(self, reason: str) -> None:
         """Gather another initial window; nothing is built from the one that gave no hyperparameters."""
+        self.failed_windows.append(reason)
         self._listener.announce(f'the initial window gives no hyperparameters ({reason}); another one is gathered.')
         self.estimator.discard_window()
         self._taken_over()
@@ -362,7 +372,7 @@ class Learner:
         if same_model(settings, self.built):
             return
         latest = self.history.latest() or self._at_rest()
-        worker.new_estimator(settings, self.body).predict(latest)
+        model_jobs.new_estimator(settings, self.body).predict(latest)
 
     def _at_rest(self) -> Sample:
         zeros = np.zeros(self.body.n_joints)
@@ -394,7 +404,7 @@ class Learner:
         """Forget everything learnt."""
         self.tare = Tare(self.body.n_outputs)
         self.changes.applied.clear()
-        self._begin(self.settings, worker.new_estimator(self.settings, self.body, origin=self.history.origin))
+        self._begin(self.settings, model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin))
 
     def restore(self, saved: SavedState) -> None:
         """Go on with a state that was saved."""
@@ -405,7 +415,7 @@ class Learner:
         self.changes.applied.restore(saved.applied)
 
     def state(self) -> SavedState:
-        """What :meth:`restore` needs."""
+        """State that :meth:`restore` takes back."""
         return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state(),
                           self._renewal.state(), self.changes.applied.state())
 
@@ -417,7 +427,7 @@ class Learner:
             instead = f'{self.built.variant} of the last checkpoint goes on'
         else:
             self.settings = replace(self.settings, variant='P', effects=(), shadow_variants=())
-            estimator = worker.new_estimator(self.settings, self.body, origin=self.history.origin)
+            estimator = model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin)
             self._begin(self.settings, estimator)
             instead = 'P begins anew'
         self._listener.settings_reverted(self.settings)
@@ -436,8 +446,8 @@ class Learner:
         """It takes over, between two samples."""
         self._failures = 0
         if same_model(settings, self.built):
-            if self._later is not None:
-                self._renewed(estimator, self._later)
+            if self._recent is not None:
+                self._renewed(estimator, self._recent)
             else:
                 self._window_live(estimator)
             return
@@ -454,7 +464,7 @@ class Learner:
         if same_model(settings, self.built):
             if self.estimator.ready:
                 self._taken_over()
-                if self._later is None:
+                if self._recent is None:
                     self._renewal.clear()
                 self._listener.announce(f'the window gives no hyperparameters ({sentence}); {settings.variant} goes '
                                     'on with those it has.')

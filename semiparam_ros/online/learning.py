@@ -1,4 +1,4 @@
-"""What becomes of a sample: whether it is news and learnt, and whether the robot changed before it.
+"""Fate of a sample: whether it is news and learnt, and whether the robot changed before it.
 
 Kept with each sample, so that a model built later from the samples kept does what the model in force did.
 """
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Learning(IntEnum):
-    """Of one sample; above zero where it is learnt."""
+    """Fate of one sample; above zero where it is learnt."""
 
     OFFSET = -2
     """The wandering offset alone follows it: the robot may have changed, and what it is will be known soon."""
@@ -33,7 +33,7 @@ class Learning(IntEnum):
 
 
 def learning_of(prediction: Prediction, learn: bool, gate: ContactGate, changes: ChangeWatch | None) -> Learning:
-    """That of a sample which the model in force has predicted and the gate has just judged.
+    """Fate of a sample which the model in force has predicted and the gate has just judged.
 
     :param learn: let it be learnt if it is news. :param changes: keep what may be a change from being learnt.
     """

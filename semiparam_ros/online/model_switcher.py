@@ -21,7 +21,7 @@ from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online import worker
+from semiparam_ros.online import model_jobs
 from semiparam_ros.online.history import History, SampleLog
 from semiparam_ros.online.learning import observe
 from semiparam_ros.online.renewal import RecentWindow, has_draft
@@ -43,7 +43,7 @@ FOR_EACH_ANSWER = 2
 
 
 class State(Enum):
-    """Of a model beside the active one; see the module."""
+    """State of a model beside the active one; see the module."""
 
     BUILDING = 'building'
     CATCHING_UP = 'catching up'
@@ -74,7 +74,7 @@ class SwitcherListener(Protocol):
 
 
 def same_model(one: Settings, other: Settings) -> bool:
-    """Whether both settings describe the same model."""
+    """Tell whether both settings describe the same model."""
     return all(getattr(one, name) == getattr(other, name) for name in MODEL_PARAMETERS)
 
 
@@ -92,13 +92,13 @@ class StandbyModel:
         self._job: Job | None = None
         self._in_background = False
 
-    def start(self, history: History, known: worker.Known | None) -> None:
+    def start(self, history: History, known: model_jobs.Known | None) -> None:
         """Begin to build it."""
-        self._submit(worker.build, self.settings, self.body, history.batch(), known, history.origin)
+        self._submit(model_jobs.build, self.settings, self.body, history.batch(), known, history.origin)
 
     def start_renewed(self, history: History, window: RecentWindow | None = None) -> None:
         """Begin to build it with hyperparameters from a later window."""
-        self._submit(worker.renew, self.settings, self.body, history.batch(), history.origin, window)
+        self._submit(model_jobs.renew, self.settings, self.body, history.batch(), history.origin, window)
 
     def wait_with(self, estimator: Estimator) -> None:
         """Have an estimator whose initial window is full; :meth:`finish_window` then estimates its hyperparameters."""
@@ -108,7 +108,7 @@ class StandbyModel:
         """See :meth:`wait_with`."""
         estimator, self.estimator = self.estimator, None
         assert estimator is not None
-        self._submit(worker.finish_window, estimator, draft)
+        self._submit(model_jobs.finish_window, estimator, draft)
 
     def offer(self, sample: Sample, learnt: int) -> None:
         """Let it see the sample that the active model has just answered."""
@@ -136,7 +136,7 @@ class StandbyModel:
         if self._job is not None:
             self._job.cancel()
 
-    def _submit(self, function: worker.EstimatorJob, *arguments: object) -> None:
+    def _submit(self, function: model_jobs.EstimatorJob, *arguments: object) -> None:
         while self._waiting and (first := self._waiting[0]) is not None:
             self._log.append(*first)
             self._waiting.popleft()
@@ -154,7 +154,7 @@ class StandbyModel:
         self.estimator, self.state = estimator, State.CATCHING_UP
         log, self._log = self._log.batch(), SampleLog()
         if len(log) > BESIDE_AT_MOST:
-            self._submit(worker.absorb, estimator, log)
+            self._submit(model_jobs.absorb, estimator, log)
         else:
             self._waiting.extendleft(reversed(list(log.pairs())))
             self._go_on()
@@ -185,7 +185,7 @@ class StandbyModel:
                 self._switcher.on_horizon(self, errors)
             if estimator.window_full:
                 self.state = State.CATCHING_UP
-                self._submit(worker.finish_window, estimator)
+                self._submit(model_jobs.finish_window, estimator)
                 return
         if not self._waiting and self.state is State.CATCHING_UP:
             self.state = State.LIVE
@@ -201,7 +201,7 @@ class ModelSwitcher:
         """Of the successor whose hyperparameters are estimated from the initial window; it takes over before that."""
         self.shadows: dict[str, StandbyModel] = {}
         self._failed_shadows: set[str] = set()
-        self._known: dict[tuple[object, ...], worker.Known] = {}
+        self._known: dict[tuple[object, ...], model_jobs.Known] = {}
         self.renewed = False
         """Whether hyperparameters are from a later window than the initial one."""
         self._body, self._background, self._listener = body, background, listener
@@ -229,7 +229,7 @@ class ModelSwitcher:
 
     def remember(self, settings: Settings, estimator: Estimator) -> None:
         """Keep hyperparameters for the next time the same model is wanted."""
-        known = worker.known_of(estimator)
+        known = model_jobs.known_of(estimator)
         if known is not None and not settings.hyperparameters_sigma:
             self._known[_key(settings)] = known
 
@@ -356,7 +356,7 @@ class ModelSwitcher:
 
 
 def sentence_of(error: BaseException | None) -> str:
-    """What to tell of a failed job: our own sentences as they are, others by their type."""
+    """Sentence on a failed job: our own sentences as they are, others by their type."""
     if isinstance(error, SemiparamError):
         return str(error).rstrip('.')
     return f'{type(error).__name__}: {error}' if error else 'no result'

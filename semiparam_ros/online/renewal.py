@@ -1,4 +1,4 @@
-"""When the hyperparameters must be estimated again: later motion has left what they were estimated from.
+"""Renewal of the hyperparameters, when later motion has left what they were estimated from.
 
 The features see inputs scaled by the window's spread. A window of slow motion, or one in which a joint stood still,
 scales later motion so large that any two of its samples look unlike, and the model learns each of them anew.
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.compiled import MATRIX, STRIDED, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Strided, Vector, compiled
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.types import Array, Mask
@@ -49,7 +49,7 @@ class RecentWindow(NamedTuple):
 
 
 class Errors:
-    """Of a model over the samples of a window."""
+    """Errors of a model over the samples of a window."""
 
     def __init__(self, n_outputs: int) -> None:
         self.sums: Array = np.zeros((4, n_outputs))
@@ -132,19 +132,20 @@ class Renewal:
 
     @property
     def unsettled(self) -> bool:
-        """Whether motion has left the window, until the model that follows has seen another window's samples."""
+        """Tell whether motion has left the window, until the model that follows has seen another
+        window's samples."""
         gathered = self._draft.gathered if self._waits else max(self._whole.gathered, self._draft.gathered)
         return (gathered >= SURE * self._wanted or (self._attempts > 0 and self._learnt < self._wanted)
                 or (self._drafts > 0 and self._since_draft < self._wanted))
 
     @property
     def _waits(self) -> bool:
-        """Whether it is too early for a whole window."""
+        """Tell whether it is too early for a whole window."""
         return self._attempts > 0 and self._learnt < self._wanted * 2**self._attempts
 
     @property
     def _draft_waits(self) -> bool:
-        """Whether it is too early for a draft."""
+        """Tell whether it is too early for a draft."""
         return not has_draft(self._wanted) or (
             self._drafts > 0 and self._since_draft < self._draft.window * (2**(self._drafts - 1) - 1))
 
@@ -169,11 +170,11 @@ class Renewal:
 
     @property
     def draft_is_next(self) -> bool:
-        """Of what is due."""
+        """Tell whether of what is due a draft comes first."""
         return not self._is_due(self._whole) or (has_draft(self._wanted) and not self._whole_drafted)
 
     def outdates(self, later: RecentWindow | None) -> bool:
-        """Whether a model that is being built has none of the motion of a draft that is due.
+        """Tell whether a model that is being built has none of the motion of a draft that is due.
 
         :param later: the window that it is built from; None for the initial one.
         """
@@ -209,7 +210,7 @@ class Renewal:
 
     @property
     def refines(self) -> bool:
-        """Whether a draft from the initial window is in force."""
+        """Tell whether a draft from the initial window is in force."""
         return self._draft_rules and not self._drafts
 
     def state(self) -> Memory:
@@ -240,7 +241,7 @@ def drafted(wanted: int) -> int:
 
 
 def has_draft(wanted: int) -> bool:
-    """Whether hyperparameters of so many samples are preceded by a draft."""
+    """Tell whether hyperparameters of so many samples are preceded by a draft."""
     return drafted(wanted) >= LEAST_DRAFT
 
 
@@ -250,15 +251,16 @@ def judged(wanted: int) -> int:
 
 
 def later_window(learnt: Mask, wanted: int) -> Mask:
-    """Which of the samples of a life (N,) make up its latest window."""
+    """Mask of the samples of a life (N,) that make up its latest window."""
     chosen = np.zeros(len(learnt), dtype=bool)
     chosen[np.flatnonzero(learnt)[-wanted:]] = True
     return chosen
 
 
-@compiled(STRIDED, STRIDED, STRIDED, VECTOR, VECTOR, returns='boolean')
-def _is_outside(position: Array, velocity: Array, acceleration: Array, mean: Array, scale: Array) -> bool:
-    """Whether an input, of joints (n_joints,), is further than ``SPREADS`` scales from its mean, of inputs (m,)."""
+@compiled
+def _is_outside(position: Strided, velocity: Strided, acceleration: Strided, mean: Vector, scale: Vector) -> bool:
+    """Tell whether an input, of joints (n_joints,), is further than ``SPREADS`` scales from its
+    mean, of inputs (m,)."""
     n_joints = len(position)
     for i in range(n_joints):
         for kind, values in enumerate((position, velocity, acceleration)):
@@ -268,8 +270,8 @@ def _is_outside(position: Array, velocity: Array, acceleration: Array, mean: Arr
     return False
 
 
-@compiled(STRIDED, VECTOR, MATRIX)
-def _charge(outputs: Array, mean: Array, sums: Array) -> None:
+@compiled
+def _charge(outputs: Strided, mean: Vector, sums: Matrix) -> None:
     """Add a sample's outputs (n,) and their predictions to the sums of :class:`Errors`."""
     for k in range(len(mean)):
         sums[0, k] += 1.0

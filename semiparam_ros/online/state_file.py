@@ -1,4 +1,5 @@
-"""What a node has learnt, in a file: numbers and JSON in an .npz archive, so that loading one cannot run code."""
+"""State of a node in a file: numbers and JSON in an .npz archive, so that loading one cannot run
+code."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ from semiparam_ros.online.applied_effects import AppliedEffects
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.learning import Learning, observe
+from semiparam_ros.online.model_jobs import Known, known_of, new_estimator
 from semiparam_ros.online.renewal import Renewal
-from semiparam_ros.online.worker import Known, known_of, new_estimator
 from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.snapshot import Settings
 
@@ -86,14 +87,15 @@ class SavedState(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """What a file will hold: copies of what samples change, and the samples kept, which nobody changes."""
+    """Content of a file to be: copies of what samples change, and the samples kept, which nobody
+    changes."""
 
     learnt: Arrays
     batch: SampleBatch
 
     @property
     def configuration(self) -> Configuration:
-        """What it was learnt with."""
+        """Configuration that it was learnt with."""
         meta = json.loads(str(self.learnt['meta']))
         return Configuration(meta['version'], meta['joints'], meta['settings'], np.asarray(self.learnt['probe']))
 
@@ -103,7 +105,8 @@ class Snapshot(NamedTuple):
 
 
 def folder_of(settings: Settings) -> Path:
-    """Where states lie: ``state_folder``, or else ``semiparam`` in ROS's own folder for what programs keep.
+    """Folder of states: ``state_folder``, or else ``semiparam`` in ROS's own folder for what
+    programs keep.
 
     Raises SemiparamError for the home of a user who does not exist.
     """
@@ -115,7 +118,7 @@ def folder_of(settings: Settings) -> Path:
 
 
 class Configuration(NamedTuple):
-    """What a state was learnt with."""
+    """Configuration that a state was learnt with."""
 
     version: object
     joints: Sequence[str]
@@ -123,7 +126,8 @@ class Configuration(NamedTuple):
     probe: Array
 
     def difference(self, ours: Configuration, names: Sequence[str] = FIXED) -> str:
-        """What a node of another configuration has to say of this one, its file being the subject; '' for the same.
+        """Sentence of a node of another configuration on this one, its file being the subject; ''
+        for the same.
 
         :param names: the settings that are compared.
         """
@@ -216,7 +220,7 @@ def write(path: Path, state: Snapshot, before_it_replaces: Callable[[], None] = 
 
 
 def replaceable(path: Path) -> Configuration | None:
-    """That of the state which has this name, None where no file has it.
+    """Configuration of the state which has this name, None where no file has it.
 
     Raises SemiparamError when a state must not take the place of what has it.
     """
@@ -312,7 +316,7 @@ def _as_saved(settings: Settings) -> dict[str, Any]:
 
 
 def _configuration(path: Path) -> Configuration:
-    """That of a file; raises whatever zipfile, numpy and json do for a foreign one."""
+    """Configuration of a file; raises whatever zipfile, numpy and json do for a foreign one."""
     arrays = _read(path, ('meta', 'probe'))
     meta = json.loads(str(arrays['meta']))
     if meta.get('format') != FORMAT:
@@ -458,7 +462,7 @@ def _counts(values: Sequence[int]) -> tuple[int, int]:
 
 
 def _count(value: object) -> int:
-    """How many samples; raises ValueError for what is no such number."""
+    """Number of samples; raises ValueError for what is no such number."""
     if not (type(value) is int and 0 <= value < 2**62):
         raise ValueError(f'a number of samples is {shown(value)}')
     return value
@@ -481,7 +485,7 @@ def _unstacked(arrays: Mapping[str, Array], body: RigidBody) -> Motion | None:
 
 
 def _as_json(memory: Memory, arrays: dict[str, Array]) -> object:
-    """What effects or the gate remember, as JSON that refers to ``arrays`` by number.
+    """Return what effects or the gate remember, as JSON that refers to ``arrays`` by number.
 
     Raises SemiparamError for other objects.
     """

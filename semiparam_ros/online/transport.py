@@ -24,7 +24,7 @@ def send(line: Connection, value: object) -> None:
 
 
 def receive(line: Connection) -> object:
-    """What the other process sent. Raises EOFError or OSError when that ends."""
+    """Return what the other process sent. Raises EOFError or OSError when that ends."""
     parts = [np.empty(length, np.uint8).data for length in line.recv()]
     for part in parts:
         while len(part):

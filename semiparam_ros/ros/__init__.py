@@ -1,1 +1,1 @@
-"""What this package shares with rclpy: its context, quality of service, messages as bytes, discovery."""
+"""Use of rclpy: its context, quality of service, messages as bytes, discovery."""

@@ -125,14 +125,15 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
     building, inheriting, mounting = robot_generators(scenario)
     arm = varied(arm_of(scenario), building)
     homes = homes_of(scenario, arm)
-    bare = moved(arm, scenario.motion, scenario.samples, scenario.rate_hz, homes, moving)
-    scale = output_scale(bare)
+    plain = moved(arm, scenario.motion, scenario.samples, scenario.rate_hz, homes, moving)
+    scale = output_scale(plain)
     if scenario.temperatures or any(CAUSES[effect.kind].by_temperature for effect in scenario.effects):
-        bare = bare.changed(temperature=warming(arm.n_joints if arm.outputs == 'effort' else 1, bare.duration, heating))
-    world, extra = bare, list[dict[str, Any]]()
+        sources = arm.n_joints if arm.outputs == 'effort' else 1
+        plain = plain.changed(temperature=warming(sources, plain.duration, heating))
+    world, extra = plain, list[dict[str, Any]]()
     if scenario.baseline == 'bundled':
         reference = moved(arm, REFERENCE_MOTION, round(REFERENCE_S * REFERENCE_HZ), REFERENCE_HZ, homes, inheriting)
-        world, extra = with_baseline(bare, reference, scale, inheriting, inside)
+        world, extra = with_baseline(plain, reference, scale, inheriting, inside)
     world, truth = add_effects(world, scenario.effects, scale, causing)
     offset = constant_offset(mounting) if arm.outputs == 'wrench' else np.zeros(arm.n_joints)
     found = measured(scenario, world, offset, scale, measuring, truth, extra)

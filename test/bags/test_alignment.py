@@ -284,8 +284,8 @@ def test_messages_of_other_joints_are_ignored_and_counted_apart():
     gripper = ('joint_state', 2 * MS, ('left_finger', 'right_finger'), (0.0, 0.0), (0.0, 0.0))
     assert same(feed(disturbed, *GOOD[:4], gripper, *GOOD[4:]), expected)
     assert disturbed.faults == {} and disturbed.last_fault == ''
-    assert disturbed.strangers == 1 and clean.strangers == 0
-    assert disturbed.last_stranger == ('joint state at 0.002000000 s names left_finger, right_finger; expected '
+    assert disturbed.ignored == 1 and clean.ignored == 0
+    assert disturbed.last_ignored == ('joint state at 0.002000000 s names left_finger, right_finger; expected '
                                        f'{", ".join(disturbed.joints)}.')
 
 

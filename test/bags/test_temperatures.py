@@ -97,8 +97,8 @@ def test_a_temperature_that_cannot_be_used_is_refused(message, reason):
 def test_temperatures_of_others_are_ignored():
     samples = stream()
     samples.temperature(0, 'gripper', 20.0)
-    assert samples.strangers == 1 and not samples.faults
-    assert samples.last_stranger == "temperature at 0.000000000 s is of 'gripper'; expected a, b."
+    assert samples.ignored == 1 and not samples.faults
+    assert samples.last_ignored == "temperature at 0.000000000 s is of 'gripper'; expected a, b."
 
 
 def test_a_jump_of_the_clock_keeps_the_newest():

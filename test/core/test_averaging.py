@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from semiparam_ros.core.ensemble import DEGREES, ELSEWHERE, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT, MemberWeights
+from semiparam_ros.core.ensemble import ELSEWHERE, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT, weigh_models
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.mixture import DEGREES
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
@@ -56,27 +57,26 @@ def error(predictions):
 def test_weights_are_forgotten_evidence():
     rng = np.random.default_rng(0)
     errors, std = 0.3 * rng.standard_normal((40, 3, 2)), rng.uniform(0.9, 1.1, (40, 3, 2))
-    weights, evidence = MemberWeights(3, 2), np.zeros((3, 2))
-    np.testing.assert_allclose(weights.weights, 1.0 / 3.0)
+    log_weights, evidence = np.zeros((3, 2)), np.zeros((3, 2))
     for index in range(40):
-        weights.learn(errors[index], std[index])
+        weights = weigh_models(log_weights, errors[index], std[index])
         evidence = (1.0 - 1.0 / EVIDENCE_MEMORY) * evidence
         evidence += student.logpdf(errors[index] / std[index], DEGREES) - np.log(std[index])
     assert np.ptp(evidence, axis=0).max() < -LEAST_LOG_WEIGHT, 'the floor is another test'
     expected = np.exp(evidence - evidence.max(axis=0))
-    np.testing.assert_allclose(weights.weights, expected / expected.sum(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(weights, expected / expected.sum(axis=0), rtol=1e-9)
 
 
 @pytest.mark.parametrize('scale', [1e-150, 1.0, 1e150])
 def test_weights_stay_finite_and_the_last_takes_over_within_a_few_samples(scale):
-    weights = MemberWeights(2, 1)
+    log_weights = np.zeros((2, 1))
     good, poor = np.array([[0.5], [8.0]]), np.array([[8.0], [0.5]])
     for _ in range(20000):
-        weights.learn(scale * good, np.full((2, 1), scale))
-    assert weights.weights[0, 0] == pytest.approx(1.0 / (1.0 + np.exp(LEAST_LOG_WEIGHT)))
+        weights = weigh_models(log_weights, scale * good, np.full((2, 1), scale))
+    assert weights[0, 0] == pytest.approx(1.0 / (1.0 + np.exp(LEAST_LOG_WEIGHT)))
     for _ in range(3):
-        weights.learn(scale * poor, np.full((2, 1), scale))
-    assert np.isfinite(weights.weights).all() and weights.weights[1, 0] > 0.9
+        weights = weigh_models(log_weights, scale * poor, np.full((2, 1), scale))
+    assert np.isfinite(weights).all() and weights[1, 0] > 0.9
 
 
 def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_best(averaged):

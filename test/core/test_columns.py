@@ -5,38 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
 
 
-class Nothing:
+class Nothing(ColumnBlock):
     """An effect without effect: what the others here start from."""
 
     scale = np.zeros(0)
-    is_load = False
-    only_adds = False
-
-    def joint_columns(self, body, blocks):
-        return None
-
-    def check(self, body):
-        pass
 
     def prior_scale(self, body):
         return self.scale
-
-    def prior_mean(self, body):
-        return np.zeros(len(self.scale))
-
-    def correct(self, body, samples, memory):
-        return body, samples, memory
-
-    def transform(self, body, regressors):
-        return regressors
-
-    def columns(self, body, samples, memory):
-        return np.zeros((len(samples), body.n_outputs, 0)), memory
 
 
 class Drift(Nothing):

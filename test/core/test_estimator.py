@@ -76,7 +76,7 @@ def trained_copy(trained):
 def hold_weights(model):
     """Of averaged variants, which follow what is measured also where nothing is learnt."""
     if model.weights:
-        model.ensemble.weights.learn = lambda *_: None
+        model.ensemble._weigh = lambda *_: None
 
 
 # ---- every variant

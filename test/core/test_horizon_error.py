@@ -7,7 +7,7 @@ import pytest
 
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonIndex, force_and_torque
 from semiparam_ros.core.opinion_pool import pool_weights
-from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.core.recursion import SemiParametricRecursion, Update
 from semiparam_ros.errors import SemiparamError
 
 N, D, P = 6, 12, 5
@@ -25,13 +25,18 @@ def recursion(d=D, p=P, forgetting=1.0):
     return SemiParametricRecursion(N, d, np.ones(p), 1.0, 0.1, forgetting=forgetting)
 
 
+def advance(index, stamp, prior, outputs, model, learn=True):
+    nothing = np.zeros((0, model.n_outputs))
+    update = model.learn(prior, outputs) if learn else Update(model.theta, nothing, np.zeros(0))
+    return index.advance(stamp, prior, outputs, update, nothing, nothing)
+
+
 def running(length, model, rows, learn=lambda index: True):
     index = HorizonIndex(length, N, model.n_features, model.n_columns)
     found = []
     for t, (phi, columns, fixed, outputs) in enumerate(zip(*rows, strict=True)):
         prior = model.predict(phi, columns, fixed)
-        innovations = model.learn(prior, outputs) if learn(t) else None
-        found.append(index.advance(1000 + t, prior, outputs, model.theta, innovations))
+        found.append(advance(index, 1000 + t, prior, outputs, model, learn(t)))
     return found
 
 
@@ -85,8 +90,7 @@ def test_after_clear_a_horizon_starts_afresh(moment):
         if t == moment:
             index.clear()
         prior = model.predict(phi, columns, fixed)
-        innovations = model.learn(prior, outputs)
-        found.append(index.advance(1000 + t, prior, outputs, model.theta, innovations))
+        found.append(advance(index, 1000 + t, prior, outputs, model))
     expected = brute_force(25, recursion(), rows)
     for t in range(120):
         whole = t >= 25 and not t - 25 < moment <= t
@@ -100,11 +104,11 @@ def test_a_perfect_model_has_no_error_and_a_constant_output_a_finite_one():
     index = HorizonIndex(3, 1, 0, 1)
     for t in range(6):
         prior = model.predict(np.zeros(0), np.ones((1, 1)))
-        errors = index.advance(t, prior, np.array([2.0 if t < 4 else 0.0]), model.theta, None)
+        errors = advance(index, t, prior, np.array([2.0 if t < 4 else 0.0]), model, learn=False)
     assert errors is not None
     assert np.isfinite([errors.eps, errors.eps_centred]).all()
     prior = model.predict(np.zeros(0), np.ones((1, 1)))
-    assert index.advance(6, prior, np.zeros(1), model.theta, None).eps[0] > 1e6
+    assert advance(index, 6, prior, np.zeros(1), model, learn=False).eps[0] > 1e6
 
 
 def test_an_average_is_charged_with_the_weights_of_its_moment():
@@ -112,7 +116,7 @@ def test_an_average_is_charged_with_the_weights_of_its_moment():
     errors, weights = rng.normal(size=(count, 3, length, N)), rng.dirichlet(np.ones(3), size=(count, N))
     std, outputs = rng.uniform(0.5, 2.0, (count, 3, N)), rng.normal(size=(count, N))
     index = AveragedHorizons(length, N, 3)
-    found = [index.advance_average(t, errors[t], outputs[t], np.ascontiguousarray(weights[t].T), std[t])
+    found = [index.advance(t, errors[t], outputs[t], np.ascontiguousarray(weights[t].T), std[t])
              for t in range(count)]
     assert found[:length] == [None] * length
     for t in range(count - length):

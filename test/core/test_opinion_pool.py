@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from semiparam_ros.core.opinion_pool import pool, pool_both, pool_together, pool_weights
+from semiparam_ros.core.opinion_pool import pool_both, pool_together, pool_weights
+from support.plain_forms import pool
 
 
 @pytest.mark.parametrize('scale', [1e-140, 1.0, 1e140])

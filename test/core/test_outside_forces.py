@@ -7,15 +7,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from semiparam_ros.core.robot.compensation import bodies_and_bias
 from semiparam_ros.core.robot.contact_place import ContactPlace
 from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M, ExternalWrench
-from semiparam_ros.core.robot.feedforward import described
 from semiparam_ros.core.robot.frames import force_maps, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools, tool_from_text
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.compensation import bodies_and_bias
+from semiparam_ros.online.desired_state import described
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
 from support.arms import joint, link
 from support.node_helpers import BODY, SETTINGS, URDF, motion

@@ -50,9 +50,7 @@ def test_it_holds_the_root_of_the_textbook_covariance_and_its_estimates():
             covariance *= 1.1**2
 
 
-@pytest.mark.parametrize('compiled', [True, False])
-def test_an_estimate_that_was_zero_for_long_is_placed_with_its_first_innovation(monkeypatch, compiled):
-    monkeypatch.setattr(square_root_filter, 'AVAILABLE', compiled and square_root_filter.AVAILABLE)
+def test_an_estimate_that_was_zero_for_long_is_placed_with_its_first_innovation():
     features, measured = rows()
     measured[:, 3] = 0.0
     measured[:7, 1], measured[:17, 4] = 0.0, 0.0  # in the midst of changes that wait

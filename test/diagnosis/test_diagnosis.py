@@ -36,7 +36,7 @@ from semiparam_ros.effects.base import CHANNELS, Span
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, deviations_off, samples_of
 from semiparam_ros.experiments.variants_with_effects import evaluate_variants
-from semiparam_ros.online import worker
+from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.report.diagnosis_page import relative_floor
 from semiparam_ros.settings import Settings, load_params
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
@@ -321,14 +321,14 @@ def test_effects_of_one_diagnosis_share_one_reference_model():
 
 
 def test_a_node_is_told_the_stamp_of_the_start_and_understands_it_again(payload):
-    effects = worker.declared(payload)
+    effects = diagnosis_jobs.declared(payload)
     stamp = payload.recorded.samples.origin + payload.everything.effects[0].start_s * 1e9
     assert [(effect.kind, effect.start_s) for effect in effects] == [('payload', None)]
     assert 1e9 * effects[0].span.start_stamp_s == pytest.approx(stamp, abs=1000)
     again = found_in(PAYLOAD(), effects=effects)
     assert again.verdict == 'nothing_missing'
     assert again.before.nmse.mean() == pytest.approx(payload.after.nmse.mean(), rel=0.05)
-    assert worker.declared(again) == worker.declared(payload)  # so that nothing is to be applied
+    assert diagnosis_jobs.declared(again) == diagnosis_jobs.declared(payload)  # so that nothing is to be applied
 
 
 def test_a_joint_offset_is_named_with_its_joint_and_angle(joint_offset):
@@ -348,7 +348,7 @@ def test_a_start_inside_a_held_out_block_is_found_to_the_sample(kind, start_s):
     assert found.held_out[at - 10:at + 10].all() and not found.final.train_mask[at - 10:at + 10].any()
     assert [finding.effect.kind for finding in found.findings] == [kind]
     assert found.findings[0].effect.start_s == pytest.approx(start_s, abs=0.1)
-    assert 1e9 * worker.declared(found)[0].span.start_stamp_s == pytest.approx(
+    assert 1e9 * diagnosis_jobs.declared(found)[0].span.start_stamp_s == pytest.approx(
         found.recorded.samples.origin + found.findings[0].effect.start_s * 1e9, abs=1000)
     assert found.everything.train_mask.sum() == found.final.train_mask.sum() + found.held_out.sum()
     assert found.on_all_samples.nmse.mean() < found.after.nmse.mean()

@@ -13,7 +13,7 @@ from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.text_report import summary, text_report
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
-from semiparam_ros.online import worker
+from semiparam_ros.online import diagnosis_jobs
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 
 BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
@@ -70,10 +70,10 @@ def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():
     found = diagnose(BODY, samples, [known], only=ONLY)
     assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [('payload', 'tool')]
     assert found.findings[0].effect.end_s == pytest.approx(0.6 * END_S, abs=0.15) and not found.declared
-    effects = worker.declared(found)
+    effects = diagnosis_jobs.declared(found)
     assert [set(effect.span.values) for effect in effects] == [{'start_stamp_s', 'end_stamp_s'}]
     again = diagnose(BODY, samples, effects, only=ONLY)
-    assert again.verdict == 'nothing_missing' and worker.declared(again) == effects
+    assert again.verdict == 'nothing_missing' and diagnosis_jobs.declared(again) == effects
 
 
 def test_a_load_that_comes_again_is_another_one():

@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from semiparam_ros.core.robot.consistency import is_consistent
-from semiparam_ros.core.robot.frames import felt_links, load_transform
+from semiparam_ros.core.robot.frames import load_transform, observed_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
@@ -132,7 +132,7 @@ def test_inertias_are_read_and_written_as_pinocchio_has_them(arm, turn):
     body = RigidBody.from_urdf(urdf, ICUB_JOINTS, 'effort')
     links = described_links(urdf)
     total = np.zeros_like(body.inertial_parameters)
-    for name in felt_links(body):
+    for name in observed_links(body):
         if name in links:
             index, transform = load_transform(body, name)
             total[10 * index:10 * index + 10] += transform @ links[name]

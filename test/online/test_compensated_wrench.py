@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.robot.compensation import Compensation
 from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.online.compensation import Compensation
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, InlineBackground, motion
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
-from semiparam_ros.core.robot.feedforward import described, desired, joint_torques
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.effects import kinds
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.desired_state import described, desired, joint_torques
 from semiparam_ros.online.feedforward import STATUS, Feedforward, status
 from support.arms import smooth_motion
 from support.effect_cases import BODIES, CASES, MOTION, NAMES

@@ -20,13 +20,14 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.online import state_file, worker
+from semiparam_ros.online import diagnosis_jobs, model_jobs, state_file
 from semiparam_ros.online.history import History, batch_of
-from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, told_load
+from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, reported_load
 from semiparam_ros.online.learning import Learning
+from semiparam_ros.online.model_jobs import new_estimator
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
-from semiparam_ros.online.worker import ProcessBackground, Urgency, new_estimator
+from semiparam_ros.online.worker import ProcessBackground, Urgency
 from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from support.learner_stage import Stage
@@ -541,7 +542,7 @@ def test_what_a_history_lets_go_of_hours_is_no_jump_of_the_clock(works):
     again = History(40, 60, 2)
     again.refill(pickle.loads(pickle.dumps(history.batch())))
     for each in (history, again):
-        rebuilt = worker.build(replace(SETTINGS, variant='P'), BODY, each.batch(), None, each.origin)
+        rebuilt = model_jobs.build(replace(SETTINGS, variant='P'), BODY, each.batch(), None, each.origin)
         assert rebuilt.origin == live.origin == samples[0].stamp
 
 
@@ -617,7 +618,7 @@ def test_what_the_hand_carries_is_found():
         row = (sample.position, sample.velocity, sample.acceleration)
         outputs = heavy.regressor(*row) @ heavy.base_parameters
         estimator.step(sample._replace(outputs=outputs + 1e-3 * np.random.default_rng(0).standard_normal(6)))
-    carried = told_load(*carried_load(estimator))
+    carried = reported_load(*carried_load(estimator))
     assert carried.link == 'ft' and carried.mass == pytest.approx(0.4, rel=0.02)
     np.testing.assert_allclose(carried.centre, [0.02, 0.0, 0.1], atol=0.01)
     assert abs(carried.mass - 0.4) < 4 * carried.std.mass < 0.1
@@ -630,13 +631,13 @@ def test_a_payload_is_a_body_or_not_told_and_nothing_is_told_before_there_is_a_m
         estimator.step(sample)
     assert carried_load(estimator) is None, 'the initial window is not over'
     load = np.r_[0.5, 0.5 * np.array([0.1, 0.0, 0.2]), 0.03, 0.0, 0.032, -0.01, 0.0, 0.01]
-    body = told_load('ft', load, 1e-8 * np.eye(10))
+    body = reported_load('ft', load, 1e-8 * np.eye(10))
     assert np.isfinite(body.inertia).all() and np.linalg.eigvalsh(body.inertia)[0] > 0.0
     np.testing.assert_allclose(body.std.mass, 1e-4)
     np.testing.assert_allclose(body.std.centre, 1e-4 / 0.5 * np.sqrt(1.0 + body.centre**2), rtol=1e-3)
-    none = told_load('ft', load * np.r_[np.ones(4), np.zeros(6)], 1e-8 * np.eye(10))
+    none = reported_load('ft', load * np.r_[np.ones(4), np.zeros(6)], 1e-8 * np.eye(10))
     assert np.isnan(none.inertia).all() and np.isfinite(none.centre).all()
-    nothing = told_load('ft', load, np.eye(10))
+    nothing = reported_load('ft', load, np.eye(10))
     assert nothing.mass == 0.5 and nothing.std.mass == 1.0 and np.isnan(nothing.centre).all()
 
 
@@ -723,7 +724,7 @@ def wait_for(path, seconds):
 
 SHARED = """
 import os, time
-from semiparam_ros.online.worker import processor_share
+from semiparam_ros.online.diagnosis_jobs import processor_share
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 busy = os.fork()
 while not busy:
@@ -738,11 +739,12 @@ def test_a_diagnosis_looks_at_as_many_samples_as_its_share_of_a_processor_allows
     shared = subprocess.run([sys.executable, '-c', SHARED], capture_output=True, text=True, check=True)
     assert 0.0 < float(shared.stdout) < 0.75, 'another one has half of it'
     batch = batch_of((sample._replace(stamp=number), True) for number, sample in enumerate(motion(500) * 25))
-    looked = {share: worker.thinned(batch, share) for share in (1.0, 0.5, 0.25, 0.1, 0.01)}
+    looked = {share: diagnosis_jobs.thinned(batch, share) for share in (1.0, 0.5, 0.25, 0.1, 0.01)}
     assert [len(part) for part in looked.values()] == [4167, 2500, 1250, 1042, 1042]
     for part in looked.values():
         assert len(set(np.diff(part.stamps))) == 1, 'no gap of its own making'
-    assert len(worker.thinned(batch.part(0, 1500), 0.1)) == 1500 and len(worker.thinned(batch.part(0, 7), 0.1)) == 7
+    for count in (7, 1500):
+        assert len(diagnosis_jobs.thinned(batch.part(0, count), 0.1)) == count
 
 
 def test_gaps_are_told_where_the_robot_rested_and_none_of_thinning():
@@ -756,16 +758,16 @@ def test_gaps_are_told_where_the_robot_rested_and_none_of_thinning():
         history.append(sample._replace(stamp=sample.stamp + (number >= 1500) * 500 * PERIOD_NS), True)
     batch = history.span(300.0)
     for share in (1.0, 0.1):
-        samples = worker.thinned(batch, share).samples
+        samples = diagnosis_jobs.thinned(batch, share).samples
         (told,) = [note for note in unidentifiable(BODY, samples) if 'gap' in note]
         assert told.startswith('The samples looked at have 1 gap in time, namely 9.'), told
 
 
 def test_how_long_a_diagnosis_takes_yet_follows_what_it_gets():
-    expected = worker.expected_s(5000)
-    assert worker.left_s(5000, 20.0, 5.0) == pytest.approx(4.0 * (expected - 5.0))
-    assert worker.left_s(5000, 200.0, 50.0) == pytest.approx(worker.LINGERS * 200.0)
-    assert worker.left_s(5000, 0.0, 0.0) == 0.0
+    expected = diagnosis_jobs.expected_s(5000)
+    assert diagnosis_jobs.left_s(5000, 20.0, 5.0) == pytest.approx(4.0 * (expected - 5.0))
+    assert diagnosis_jobs.left_s(5000, 200.0, 50.0) == pytest.approx(diagnosis_jobs.LINGERS * 200.0)
+    assert diagnosis_jobs.left_s(5000, 0.0, 0.0) == 0.0
 
 
 def wait_until_there(begun, there):

@@ -21,20 +21,20 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from semiparam_ros.core.model import PRIORS
-from semiparam_ros.core.robot.compensation import Compensation
 from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.export.files import export_to
 from semiparam_ros.export.urdf import described_links
+from semiparam_ros.online.compensation import Compensation
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.history import KEPT_OF_REST
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.learning import Learning, observe
+from semiparam_ros.online.model_jobs import known_of, new_estimator
 from semiparam_ros.online.model_switcher import State, same_model
 from semiparam_ros.online.state_file import load, save
-from semiparam_ros.online.worker import known_of, new_estimator
 from semiparam_ros.settings.build import build_rigid_body
 from support.node_helpers import BODY, JOINTS, PERIOD_NS, SETTINGS, DelayedBackground, motion
 
@@ -116,7 +116,7 @@ class Lives(RuleBasedStateMachine):
     def settings_reverted(self, settings):
         assert settings == self.learner.settings
 
-    def change_told(self, record):
+    def change_reported(self, record):
         assert record.sentence
 
     def failed(self, place, error):
@@ -383,8 +383,8 @@ LIVES = hypothesis.settings(max_examples=hypothesis.settings.default.max_example
                             stateful_step_count=40, deadline=None,
                             phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
                             suppress_health_check=list(hypothesis.HealthCheck))
-PATCHES = {'core.recursion.KEPT': 20.0, 'online.worker.KEPT': 20.0, 'online.renewal.LEAST_DRAFT': 1,
-           'online.worker.OLDER': 1}  # a fresh estimator learns all
+PATCHES = {'core.recursion.KEPT': 20.0, 'online.model_jobs.KEPT': 20.0, 'online.renewal.LEAST_DRAFT': 1,
+           'online.model_jobs.OLDER': 1}  # a fresh estimator learns all
 for kind in (Lives, EffortLives):
     kind.TestCase.settings = LIVES
     for name, value in PATCHES.items():
@@ -405,7 +405,7 @@ def with_a_window():
 
 def test_a_file_holds_what_a_life_goes_on_with(tmp_path, monkeypatch):
     """The state that the lives above keep in memory is the one that the file gives back."""
-    monkeypatch.setattr('semiparam_ros.online.worker.OLDER', 1)  # a fresh estimator learns all
+    monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER', 1)  # a fresh estimator learns all
     life = with_a_window()
     save(tmp_path / 's.npz', life.learner.state())
     life.learner.restore(load(tmp_path / 's.npz', life.learner.settings, BODY))
@@ -414,8 +414,8 @@ def test_a_file_holds_what_a_life_goes_on_with(tmp_path, monkeypatch):
 
 
 def test_a_life_in_which_the_hyperparameters_are_estimated_again(tmp_path, monkeypatch):
-    monkeypatch.setattr('semiparam_ros.online.worker.MOST_WORSE', np.inf)
-    monkeypatch.setattr('semiparam_ros.online.worker.OLDER', 1)
+    monkeypatch.setattr('semiparam_ros.online.model_jobs.MOST_WORSE', np.inf)
+    monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER', 1)
     monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
     life = with_a_window()
     life.moves_fast(45)
@@ -465,7 +465,7 @@ def test_a_clock_that_jumps_while_a_model_is_built_jumps_for_it_at_the_same_samp
 
 def test_averaged_variants_live_as_any_other(tmp_path, monkeypatch):
     """Chosen while another one answers, and left again; a file; a jump of the clock; rest; another window."""
-    monkeypatch.setattr('semiparam_ros.online.worker.OLDER', 1)
+    monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER', 1)
     life = Lives()
     life.begin()
     life.chooses('SPK-ML')
@@ -496,7 +496,7 @@ def test_averaged_variants_live_as_any_other(tmp_path, monkeypatch):
 
 
 def test_priors_and_friction_are_switched_and_back(tmp_path, monkeypatch):
-    monkeypatch.setattr('semiparam_ros.online.worker.OLDER', 1)
+    monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER', 1)
     life = EffortLives()
     life.begin()
     life.chooses('SPK-ML')

@@ -11,9 +11,10 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.learning import Learning
+from semiparam_ros.online.model_jobs import known_of, new_estimator, renew
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.renewal import RecentWindow, later_window
-from semiparam_ros.online.worker import ProcessBackground, Urgency, known_of, new_estimator, renew
+from semiparam_ros.online.worker import ProcessBackground, Urgency
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, InlineBackground, faster, motion
 
@@ -32,7 +33,7 @@ def renewals(stage):
 def assert_as_offline(stage, day, windows=1):
     offline = OfflineLearner(stage.learner.built, [], lambda: None, stage.learner.takeovers)
     steps = [offline.step(sample, True) for sample in day]
-    assert offline.renewals == windows
+    assert offline.learner.renewals == windows
     np.testing.assert_allclose(stage.means, [step.mean for step in steps], rtol=1e-9, atol=1e-9)
 
 
@@ -108,8 +109,8 @@ def test_a_draft_does_not_wait_where_a_whole_window_must(monkeypatch):
 def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, effects, monkeypatch):
     """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life. Of a
     robot that has changed since, nothing is."""
-    monkeypatch.setattr('semiparam_ros.online.worker.OLDER_OF_DRAFT', 10)
-    monkeypatch.setattr('semiparam_ros.online.worker.KEPT', 50.0)
+    monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER_OF_DRAFT', 10)
+    monkeypatch.setattr('semiparam_ros.online.model_jobs.KEPT', 50.0)
     pairs = [(sample, Learning.AFTER_CHANGE if changed and number == changed else Learning.YES)
              for number, sample in enumerate(DAY[:330])]
     settings = replace(SLOWER, effects=effects)

@@ -86,7 +86,9 @@ def same(one, other):
     if isinstance(one, np.ndarray):
         return isinstance(other, np.ndarray) and one.dtype == other.dtype and np.array_equal(one, other)
     if isinstance(one, tuple | list):
-        return len(one) == len(other) and all(map(same, one, other))
+        names = getattr(one, '_fields', range(len(one)))
+        return len(one) == len(other) and all(name in SCRATCH or same(mine, its)
+                                              for name, mine, its in zip(names, one, other, strict=True))
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same(one[name], other[name]) for name in one)
     if type(one).__module__.startswith('semiparam_ros') and hasattr(one, '__dict__'):
@@ -98,8 +100,8 @@ def same(one, other):
 
 SCRATCH = {
     'body',  # built from the description, not from the file; with pinocchio's own work space
-    '_left', '_right',  # changes that wait no longer
-    '_rows', '_origins',  # of horizons that are over
+    'left', 'right',  # changes that wait no longer
+    '_rows', 'rows', '_origins',  # of horizons that are over
     'revision',  # another one with every change, so that predictions made before are refused
     'options', '_options', 'hyperparameters',  # estimated the first time, given the second
 }

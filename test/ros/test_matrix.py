@@ -7,7 +7,7 @@ from semiparam_ros.core.variants import AVERAGED, CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import TIMES
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.worker import new_estimator
+from semiparam_ros.online.model_jobs import new_estimator
 from support import settings_matrix as matrix
 
 SAMPLES = 330

@@ -17,8 +17,8 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.core.robot import feedforward
 from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.online import desired_state as feedforward
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.parameter_table import PARAMETERS
@@ -108,7 +108,7 @@ def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path, bag_optio
         loaded = load_samples(bag, settings)
         learner = OfflineLearner(settings, [loaded], lambda: None, takeovers)
         predictions = [learner.step(sample, True) for sample in loaded.samples]
-        assert learner.renewals and learner.gate.refused > 20
+        assert learner.learner.renewals and learner.learner.gate.refused > 20
         horizons = [each.horizon for each in predictions if each.horizon is not None]
         client.wait(lambda: len(client.heard['horizon_error']) >= len(horizons), 'the last horizon')
         for topic, wanted in (('predicted_wrench', [each.mean for each in predictions]),

@@ -11,12 +11,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
-from semiparam_ros.core.robot import feedforward
-from semiparam_ros.core.robot.feedforward import joint_torques
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import desired_state as feedforward
+from semiparam_ros.online.desired_state import joint_torques
 from semiparam_ros.ros.estimator.desired_trajectory import (
     MOST_NAMES,
     MOST_POINTS,

@@ -47,8 +47,8 @@ def test_live_as_offline_a_push_has_its_force_and_its_link_and_a_tool_comes_with
     takeovers = client.take_over()
 
     learner, external, found = OfflineLearner(LIVE, [], lambda: None, takeovers), ExternalWrench(BODY), []
-    learner.answered = lambda each, widening: found.append(
-        external.of(each, each.sample.outputs - each.mean, widening))
+    learner.on_answer = lambda answer, widening: found.append(
+        external.of(answer.prediction, answer.residual, widening))
     for sample in samples[:400]:
         learner.step(sample, True)
     client.wait(lambda: len(client.heard['contact_place']) >= 400, 'the last place')

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from semiparam_ros.online.identified_parameters import told_load
+from semiparam_ros.online.identified_parameters import reported_load
 from semiparam_ros.ros.estimator.diagnostics import (
     OK,
     REPORTS,
@@ -136,7 +136,7 @@ def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the
     for answer in stage.answers:
         tally.add(answer)
     load, _ = believed_load(stage.learner, tally)
-    carried = told_load(*load)
+    carried = reported_load(*load)
     assert payload_sentence(carried).endswith('kg at ft; its inertia is withheld: no body has the one that fits.')
     assert np.isnan(carried.inertia).all() and np.isfinite(carried.centre).all()
     for each in (carried, carried.std):

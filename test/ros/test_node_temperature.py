@@ -125,9 +125,9 @@ def test_a_temperature_that_stops_coming_is_told_and_samples_go_on_with_the_last
         message = Temperature(temperature=value)
         set_stamp(message.header.stamp, stamp)
         message.header.frame_id = frame
-        before = inputs.counts['temperature'], inputs.stream.strangers
+        before = inputs.counts['temperature'], inputs.stream.ignored
         warmth.publish(message)
-        until(executor, lambda: (inputs.counts['temperature'], inputs.stream.strangers) != before)
+        until(executor, lambda: (inputs.counts['temperature'], inputs.stream.ignored) != before)
 
     assert np.isnan(state(10**9)).all()
     assert 'temperature' in inputs.topics and 'temperature' not in inputs.needed

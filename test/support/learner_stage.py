@@ -34,7 +34,7 @@ class Stage:
     def settings_reverted(self, settings):
         self.reverted.append(settings)
 
-    def change_told(self, record):
+    def change_reported(self, record):
         self.changes.append(record)
 
     def failed(self, place, error):

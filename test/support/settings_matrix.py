@@ -352,16 +352,16 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
     record, learner = Record(), OfflineLearner(settings, [], lambda: None, takeovers)
     tare, external = Tare(learner.estimator.body.n_outputs), ExternalWrench(learner.estimator.body, 'ft')
     forces: list[list[float]] = []
-    learner.answered = lambda each, widening: forces.append(
-        outside(external, each, each.sample.outputs - each.mean, widening))
+    learner.on_answer = lambda answer, widening: forces.append(
+        outside(external, answer.prediction, answer.residual, widening))
     for index, sample in enumerate(samples):
         if index in tares:
             tare.take()
         if tare.active:
             sample = sample._replace(outputs=sample.outputs - tare.bias)
-        refused = learner.gate.refused
+        refused = learner.learner.gate.refused
         prediction = learner.step(sample, True)
-        contact = learner.gate.refused > refused
+        contact = learner.learner.gate.refused > refused
         tare.add(sample.stamp, prediction.sample.outputs - prediction.model_mean, prediction.ready)
         mean = prediction.mean + tare.bias if tare.active else prediction.mean
         learnt = not contact and prediction.motion.is_news
@@ -370,7 +370,7 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
         if prediction.horizon is not None:
             record.horizon(prediction.horizon)
     record.finish(learner.estimator, tare)
-    record.failed_windows = len(learner.failed_windows)
+    record.failed_windows = len(learner.learner.failed_windows)
     return record
 
 

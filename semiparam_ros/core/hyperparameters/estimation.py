@@ -26,7 +26,8 @@ from semiparam_ros.core.variants import single, variant_named
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What the initial window decides once; what a class does not have is 0, or None for ``pi``.
+    """Hyperparameters, which the initial window decides once; what a class does not have is 0, or
+    None for ``pi``.
 
     :param gamma: prior standard deviation of theta (times the block's own prior scale).
     :param rho: prior standard deviation of the feature weights; of output k it is rho * output_scale[k].

@@ -1,4 +1,5 @@
-"""How many random features the initial window asks for: the fewest whose evidence is as good as that of many.
+"""Number of random features that the initial window asks for: the fewest whose evidence is as good
+as that of many.
 
 Features of one seed are taken from the first on, so that fewer are a part of more.
 """

@@ -84,7 +84,8 @@ class Window:
 
 
 class Point(NamedTuple):
-    """Where the evidence is taken: ``tau`` (groups,), ``output_scale`` (n,); kappa 0 is white noise."""
+    """Point where the evidence is taken: ``tau`` (groups,), ``output_scale`` (n,); kappa 0 is white
+    noise."""
 
     gamma: float
     rho: float

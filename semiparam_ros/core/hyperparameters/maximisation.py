@@ -1,4 +1,5 @@
-"""Where the search for the hyperparameters starts, how it climbs the log evidence, and which end it keeps.
+"""Search for the hyperparameters: where it starts, how it climbs the log evidence, which end it
+keeps.
 
 A coarse scan on a thinned window gives the starts; each is searched on a draft; the best ends are polished on all.
 """
@@ -53,7 +54,8 @@ class EvidenceMaximum(NamedTuple):
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Which logarithms are searched, in the order gamma, rho, tau, sigma, kappa, memory, output scales."""
+    """Logarithms that are searched, in the order gamma, rho, tau, sigma, kappa, memory, output
+    scales."""
 
     free: Array  # boolean mask over the full vector
     base: Array  # logarithms of the values that stay
@@ -215,7 +217,7 @@ def logarithms(at: Point) -> Array:
 
 
 class Maximum(NamedTuple):
-    """Where a search ended."""
+    """End of a search."""
 
     point: Array
     value: float

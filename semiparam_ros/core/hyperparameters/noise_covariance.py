@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Vector, compiled
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -36,12 +36,8 @@ class Drift:
 
     def whiten(self, columns: Array) -> Array:
         """N^-1 X for X (t, q)."""
-        if not AVAILABLE:
-            solved, _ = lapack.dpttrs(*self._factor, columns)
-            return np.asarray(columns - self.kappa * solved)
-        white = np.empty(columns.shape)
-        _whiten(np.ascontiguousarray(columns), *self._factor, self.kappa, white)
-        return white
+        diagonal, beside = self._factor
+        return _whitened(np.ascontiguousarray(columns), diagonal, beside, self.kappa)
 
     @property
     def log_determinant(self) -> float:
@@ -51,22 +47,8 @@ class Drift:
     def correlation(self, left: Array, right: Array) -> Array:
         """(2,) tr X'R Y and tr X'(dR / dlog memory) Y, the sums over all pairs of rows of x_i y_j a^k and of
         step / memory x_i y_j k a^k with k = |i - j|, for X and Y (t, q)."""
-        sums = np.zeros(2)
-        if AVAILABLE:
-            _correlate(np.ascontiguousarray(left), np.ascontiguousarray(right), self.decay, sums)
-        else:
-            sums[:] = self._correlated(left, right)
+        sums = _correlated(np.ascontiguousarray(left), np.ascontiguousarray(right), self.decay)
         return sums * (1.0, self._rate)
-
-    def _correlated(self, left: Array, right: Array) -> tuple[float, float]:
-        """The weights a^k, from k = 1 on, have the generating function a z / (1 - a z), k a^k: a z / (1 - a z)^2."""
-        from scipy.signal import lfilter  # loads all of scipy.stats, which a node need not wait for when it starts
-
-        a, sums = self.decay, []
-        for denominator in ([1.0, -a], [1.0, -2.0 * a, a * a]):
-            before = [lfilter([0.0, a], denominator, columns, axis=0) for columns in (left, right)]
-            sums.append(float(np.sum(left * before[1] + right * before[0])))
-        return sums[0] + float(np.sum(left * right)), sums[1]
 
     def determinant_slopes(self) -> Array:
         """(2,) derivatives of log |N| by log kappa and by log memory."""
@@ -77,10 +59,11 @@ class Drift:
         return np.array([self.kappa * diagonal.sum(), trace * rate * a])
 
 
-@compiled(MATRIX, VECTOR, VECTOR, NUMBER, MATRIX)
-def _whiten(columns: Array, d: Array, e: Array, kappa: float, white: Array) -> None:
+@compiled
+def _whitened(columns: Matrix, d: Vector, e: Vector, kappa: float) -> Matrix:
     """X - kappa T^-1 X for X (t, q), with T = L diag(d) L', L unit bidiagonal with e."""
     steps, width = columns.shape
+    white = np.empty((steps, width))
     for j in range(width):
         white[0, j] = columns[0, j]
     for i in range(1, steps):
@@ -92,14 +75,18 @@ def _whiten(columns: Array, d: Array, e: Array, kappa: float, white: Array) -> N
         for j in range(width):
             solved[j] = white[i, j] / d[i] - after * solved[j]
             white[i, j] = columns[i, j] - kappa * solved[j]
+    return white
 
 
-@compiled(MATRIX, MATRIX, NUMBER, VECTOR)
-def _correlate(left: Array, right: Array, a: float, sums: Array) -> None:
-    """What earlier rows bring to a row follows recursions: f_i = a (f_{i-1} + x_{i-1}) is the sum of a^k x_{i-k}, and
-    g_i = a (g_{i-1} + f_{i-1} + x_{i-1}) that of k a^k x_{i-k}."""
-    width = left.shape[1]
-    f_left, f_right, g_left, g_right = np.zeros((4, width))
+@compiled
+def _correlated(left: Matrix, right: Matrix, a: float) -> Vector:
+    """See :meth:`Drift.correlation`, without its factors.
+
+    What earlier rows bring to a row follows recursions: f_i = a (f_{i-1} + x_{i-1}) is the sum of
+    a^k x_{i-k}, and g_i = a (g_{i-1} + f_{i-1} + x_{i-1}) that of k a^k x_{i-k}.
+    """
+    width, sums = left.shape[1], np.zeros(2)
+    f_left, f_right, g_left, g_right = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width)
     for i in range(len(left)):
         value = slope = 0.0
         for j in range(width):
@@ -112,6 +99,7 @@ def _correlate(left: Array, right: Array, a: float, sums: Array) -> None:
             f_right[j] = a * (f_right[j] + y)
         sums[0] += value
         sums[1] += slope
+    return sums
 
 
 def _inverse_correlation(steps: int, a: float) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.core.compiled import AVAILABLE, MATRIX, STACK, compiled
+from semiparam_ros.core.compiled import Matrix, Stack, compiled
 from semiparam_ros.core.types import Array
 
 FEW = 30
@@ -19,7 +19,8 @@ FEW = 30
 
 
 class ArmMotion(NamedTuple):
-    """Where every joint of a model is over N samples, in the base: placements after its turn, and its own motion.
+    """Motion of every joint of a model over N samples, in the base: placements after its turn, and
+    its own motion.
 
     Of a joint with several degrees of freedom, a free one that stays at zero, each is a column of its own.
     """
@@ -87,7 +88,7 @@ def effort_regressors(model: pin.Model, travel: Array, velocity: Array, accelera
     """
     motion, count = arm_motion(model, travel), travel.shape[1]
     result = np.zeros((len(rows), 10 * (model.njoints - first_body), count))
-    moving, write = _accelerations(motion, velocity, acceleration), _write_compiled if AVAILABLE else _write
+    moving = _accelerations(motion, velocity, acceleration)
     for body in range(first_body, model.njoints):
         rotation = motion.rotation[body]
         turning, change, gain = (_seen_from(rotation, values) for values in moving[body])
@@ -96,29 +97,18 @@ def effort_regressors(model: pin.Model, travel: Array, velocity: Array, accelera
             for column, slide, turn in motion.columns(joint):
                 if column in rows:
                     lever = motion.position[body] - motion.position[joint]
-                    write(rotation, slide, turn, lever, turning, change, gain, result[rows.index(column), entries])
+                    _write(rotation, slide, turn, lever, turning, change, gain, result[rows.index(column), entries])
     return result
 
 
-def _write(rotation: Array, slide: Array, turn: Array, lever: Array, turning: Array, change: Array, gain: Array,
-           effort: Array) -> None:
+@compiled
+def _write(rotation: Stack, slide: Matrix, turn: Matrix, lever: Matrix, turning: Matrix, change: Matrix, gain: Matrix,
+           effort: Matrix) -> None:
     """Into ``effort`` (10, N) that of one column by m, mc, and inertias xx, xy, yy, xz, yz, zz of a body.
 
     :param slide: and ``turn`` (3, N) of the column, in the base. :param lever: (3, N) from its joint to the body's.
     :param turning: and ``change``, ``gain`` (3, N) of the body in its own axes ``rotation`` (3, 3, N).
     """
-    along, about = (_seen_from(rotation, axis) for axis in (slide + cross(turn, lever), turn))
-    (x, y, z), (p, q, r), (u, v, w), (dp, dq, dr) = about, turning, cross(about, turning), change
-    effort[0] = (along * gain).sum(axis=0)
-    effort[1:4] = cross(along, change) + cross(turning, cross(turning, along)) + cross(gain, about)
-    effort[4:] = (x * dp + u * p, x * dq + y * dp + u * q + v * p, y * dq + v * q, x * dr + z * dp + u * r + w * p,
-                  y * dr + z * dq + v * r + w * q, z * dr + w * r)
-
-
-@compiled(STACK, *[MATRIX] * 7)
-def _write_compiled(rotation: Array, slide: Array, turn: Array, lever: Array, turning: Array, change: Array,
-                    gain: Array, effort: Array) -> None:
-    """:func:`_write`."""
     for t in range(effort.shape[1]):
         tx, ty, tz = turn[0, t], turn[1, t], turn[2, t]
         lx, ly, lz = lever[0, t], lever[1, t], lever[2, t]
@@ -147,7 +137,8 @@ def _write_compiled(rotation: Array, slide: Array, turn: Array, lever: Array, tu
 
 
 def _accelerations(motion: ArmMotion, velocity: Array, acceleration: Array) -> list[tuple[Array, Array, Array]]:
-    """Of each joint's body the angular velocity, its change, and the acceleration less gravity (3, N), in the base."""
+    """Angular velocity of each joint's body, its change, and the acceleration less gravity (3, N),
+    in the base."""
     still = np.zeros_like(motion.position[0])
     found = [(still, still, still - np.array(motion.model.gravity.linear)[:, None])]
     for joint in range(1, motion.model.njoints):

@@ -87,7 +87,7 @@ def inertial_parameters(pseudo: Array) -> Array:
 
 
 def is_consistent(parameters: Array) -> bool:
-    """Whether a body with these parameters (10,) can be."""
+    """Tell whether a body with these parameters (10,) can be."""
     return bool(np.linalg.eigvalsh(_central(pseudo_inertia(parameters))).min() > 0.0)
 
 
@@ -165,7 +165,7 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
 
 
 class _Problem:
-    """What is minimised, as a function of the pseudo-inertias (n, 4, 4)."""
+    """Function that is minimised, of the pseudo-inertias (n, 4, 4)."""
 
     def __init__(self, mean: Array, root: Array, bodies: Sequence[Body]) -> None:
         self._mean, self._root = mean, root

@@ -1,4 +1,4 @@
-"""Which link is touched, by what the outputs feel of it.
+"""Link that is touched, by what the outputs feel of it.
 
 A touch is a force f at a point on a link. Points along the bones stand for it: the link's centre of mass, and the ways
 from its joint to everything that is fixed to it. Skin lies beside the bones, which adds couples in proportion to the
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.robot.frames import felt_links, frame_index, loaded_links, unit_maps
+from semiparam_ros.core.robot.frames import frame_index, loaded_links, observed_links, unit_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 
@@ -70,7 +70,7 @@ class ContactPlace:
 
 def _points(body: RigidBody, links: tuple[str, ...]) -> tuple[Array, Array]:
     """(P,) the joint of the arm that carries each point, in order, and (P, 3) the point [m] in the joint's frame."""
-    model, felt = body.arm, set(felt_links(body))
+    model, observed = body.arm, set(observed_links(body))
     carriers: list[int] = []
     points: list[Array] = []
     for link in links:
@@ -80,7 +80,7 @@ def _points(body: RigidBody, links: tuple[str, ...]) -> tuple[Array, Array]:
             sensor = model.frames[body.sensor_index].placement
             start, centre = sensor.translation, sensor.act(body.distal.inertias[1].lever)
         ends = [frame.placement.translation for frame in model.frames
-                if frame.parentJoint == joint and frame.name in felt]
+                if frame.parentJoint == joint and frame.name in observed]
         ends += [model.jointPlacements[child].translation for child in range(1, model.njoints)
                  if model.parents[child] == joint]
         own: list[Array] = []

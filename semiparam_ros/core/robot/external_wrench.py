@@ -1,4 +1,5 @@
-"""What acts on the robot from outside: the outputs minus everything that the model knows, as a force and a couple.
+"""Wrench that acts on the robot from outside: the outputs minus everything that the model knows, as
+a force and a couple.
 
 A wrench F = (f, m) from outside at a frame of a link changes the outputs by A F. At the wrench sensor itself A is the
 identity but for the sign of the convention; at another frame it moves the wrench there; of joint efforts it is the
@@ -45,7 +46,7 @@ class External(NamedTuple):
 
 
 class ExternalWrench:
-    """Of one robot, at one frame.
+    """Outside wrench on one robot, at one frame.
 
     :param frame: a link of the robot; ``''`` for the sensor, or without one for the last link that the outputs feel.
     """
@@ -81,7 +82,7 @@ class ExternalWrench:
         return np.hstack([maps[:, :3] @ to_frame, maps[:, 3:] @ to_frame])
 
     def of(self, prediction: Prediction, residual: Array, widening: Array) -> External:
-        """What acts at a sample of which the model leaves ``residual`` (n,) of what was measured.
+        """Wrench at a sample of which the model leaves ``residual`` (n,) of what was measured.
 
         :param widening: (n,) how much wider than the model's own its bands are in free motion.
         """

@@ -1,4 +1,5 @@
-"""What a force at a link does to the outputs, and how a link moves: the ground that many effects stand on."""
+"""Outputs caused by a force at a link, and motion of a link: the ground that many effects stand
+on."""
 
 from __future__ import annotations
 
@@ -54,7 +55,7 @@ def loaded_links(body: RigidBody) -> dict[str, int]:
 
 
 @lru_cache(maxsize=8)
-def felt_links(body: RigidBody) -> tuple[str, ...]:
+def observed_links(body: RigidBody) -> tuple[str, ...]:
     """Every link that the outputs feel, by name."""
     model = body.arm if body.distal is None else body.distal
     return tuple(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint != 0)
@@ -166,7 +167,8 @@ def _on_sensor(body: RigidBody, position: Array, rotation: Array, sensor: Array)
 
 
 def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
-    """Of the links beside ``link``, the one whose origin is nearest to a point (3,) [m], and the point in its frame.
+    """Return the link, of those beside ``link``, whose origin is nearest to a point (3,) [m], and
+    the point in its frame.
 
     :param point: in the frame of ``link``.
     """

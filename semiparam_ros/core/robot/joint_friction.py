@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, PART, STRIDED, VECTOR, compiled
+from semiparam_ros.core.compiled import Integers, Part, Strided, Vector, compiled
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import output_scale
-from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.core.types import Array
 
 TURN_SPEEDS = np.array([0.005, 0.03])
 """[rad/s, m/s] v_s. Measured arms turn over within 0.3 to 3 % of their top speed."""
@@ -35,10 +35,7 @@ def fill_friction(body: RigidBody, velocity: Array, columns: Array) -> None:
 
     The part is the one after the rigid body's columns.
     """
-    if AVAILABLE:
-        _fill(velocity, body.output_index, TURN_SPEEDS, columns[:, body.n_parameters:])
-        return
-    columns[:, body.n_parameters:body.n_parameters + KINDS * body.n_outputs] = friction_columns(body, velocity[None])[0]
+    _fill(velocity, body.output_index, TURN_SPEEDS, columns[:, body.n_parameters:])
 
 
 def friction_columns(body: RigidBody, velocity: Array) -> Array:
@@ -61,8 +58,8 @@ def friction_prior(body: RigidBody) -> Array:
     return np.concatenate([scale / TOP_SPEED, np.tile(scale, len(TURN_SPEEDS))])
 
 
-@compiled(STRIDED, INTEGERS, VECTOR, PART)
-def _fill(velocity: Array, index: Indices, speeds: Array, columns: Array) -> None:
+@compiled
+def _fill(velocity: Strided, index: Integers, speeds: Vector, columns: Part) -> None:
     """See :func:`fill_friction`."""
     n = len(index)
     for k in range(n):

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import null_space
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGERS, MATRIX, PART, compiled
+from semiparam_ros.core.compiled import Integers, Matrix, Part, compiled
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.robot.arm_motion import FEW, effort_regressors
 from semiparam_ros.core.samples import Samples
@@ -269,16 +269,15 @@ class RigidBody:
     def _reduce_by(self, from_base: Array) -> None:
         self._from_base, self._to_outputs = from_base, self.sign * from_base
         # Few: a base parameter combines those of a body or two.
-        self._entries = tuple(index.astype(np.int64) for index in from_base.nonzero())
+        rows, columns = from_base.nonzero()
+        self._entries = rows.copy(), columns.copy()
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array, out: Array | None = None) -> Array:
         """(n, p) matrix psi with outputs = psi @ base_parameters; in the first columns of ``out`` where it is given."""
         full = self.rows(self.arm_vector(position), self.arm_vector(velocity), self.arm_vector(acceleration))
         psi = np.empty((self.n_outputs, self.n_parameters)) if out is None else out
-        if AVAILABLE:
-            _reduce(full, self._to_outputs, *self._entries, psi)
-        else:
-            psi[:, :self.n_parameters] = full @ self._to_outputs
+        rows, columns = self._entries
+        _reduce(full, self._to_outputs, rows, columns, psi)
         return psi
 
     def regressors(self, samples: Samples) -> Array:
@@ -409,8 +408,8 @@ def _canonical(basis: Array) -> Array:
     return np.ascontiguousarray(np.where(np.abs(chosen) > ROUNDING, chosen, 0.0))
 
 
-@compiled(PART, MATRIX, INTEGERS, INTEGERS, MATRIX)
-def _reduce(full: Array, to_outputs: Array, rows: Indices, columns: Indices, psi: Array) -> None:
+@compiled
+def _reduce(full: Part, to_outputs: Matrix, rows: Integers, columns: Integers, psi: Matrix) -> None:
     """full @ to_outputs by the entries of to_outputs that are not zero, into the first columns of psi."""
     for k in range(len(full)):
         psi[k, :to_outputs.shape[1]] = 0.0

@@ -1,4 +1,5 @@
-"""How large a robot is, and what size a quantity of it may have: the ground of priors that are wide, yet not absurd."""
+"""Size of a robot, and the size that a quantity of it may have: the ground of priors that are wide,
+yet not absurd."""
 
 from __future__ import annotations
 
@@ -67,8 +68,8 @@ def _beyond(body: RigidBody, first: int) -> Size:
 
 @lru_cache(maxsize=1024)
 def plausible(unit: str, size: Size) -> float:
-    """What a quantity of this unit may be for a robot of this size: ``SHARE`` of its mass, of its weight, of the torque
-    that holds it stretched out, and as much in a second or a radian."""
+    """Largest plausible value of this unit for a robot of this size: ``SHARE`` of its mass, of its
+    weight, of the torque that holds it stretched out, and as much in a second or a radian."""
     above, _, below = unit.partition('/')
     return _of(above, size) / _of(below.strip('()'), size)
 

@@ -6,7 +6,7 @@ from math import exp
 
 import numpy as np
 
-from semiparam_ros.core.compiled import MATRIX, NUMBER, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Vector, compiled
 from semiparam_ros.core.finite import are_finite
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -69,8 +69,7 @@ class CausalDifferentiator:
     def _follow(self, step: float, values: Array) -> None:
         self._age += 1
         g, h, k = self._gains(step)
-        before, self._fit = self._fit, np.empty_like(self._fit)
-        follow(before, values, step, g, h / step, k / step**2, self._fit)
+        self._fit = follow(self._fit, values, step, g, h / step, k / step**2)
 
     def _gains(self, step: float) -> tuple[float, float, float]:
         """Gains of the fading fit in the steady state, and at first those of a fit without weights to what there is.
@@ -89,12 +88,14 @@ class CausalDifferentiator:
         return 1.0 - fade**3, 1.5 * rest**2 * (1.0 + fade), rest**3
 
 
-@compiled(MATRIX, VECTOR, NUMBER, NUMBER, NUMBER, NUMBER, MATRIX)
-def follow(before: Array, values: Array, step: float, g: float, h: float, k: float, after: Array) -> None:
+@compiled
+def follow(before: Matrix, values: Vector, step: float, g: float, h: float, k: float) -> Matrix:
     """The parabolas (3, n) a ``step`` [s] on, corrected by gains times what their values (n,) miss."""
+    after = np.empty(before.shape)
     for i in range(len(values)):
         value, rate, change = before[0, i], before[1, i], before[2, i]
         rate_now = rate + step * change
         value_now = value + step * rate + 0.5 * step**2 * change
         missed = values[i] - value_now
         after[0, i], after[1, i], after[2, i] = value_now + g * missed, rate_now + h * missed, change + k * missed
+    return after

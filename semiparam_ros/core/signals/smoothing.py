@@ -17,9 +17,9 @@ from math import factorial
 
 import numpy as np
 import scipy  # it loads scipy.optimize, which takes a fifth of a second, with the first use
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve_banded
 
-from semiparam_ros.core.compiled import AVAILABLE, INTEGER, MATRIX, NUMBER, STACK, VECTOR, compiled
+from semiparam_ros.core.compiled import Matrix, Stack, Vector, compiled
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -100,7 +100,7 @@ def _with_noise(samples: Samples, motion: Samples, noise: Array, measured: int, 
 
 @lru_cache(maxsize=8)
 def _hyperparameters(samples: Samples, measured: int, order: int) -> list[Array]:
-    """Of each joint :meth:`_SmoothingProblem.best`."""
+    """Return :meth:`_SmoothingProblem.best` of each joint."""
     return [_problem(samples.time, _measured(samples, joint, measured), order)[0].liveliest(TUNING_SAMPLES).best()
             for joint in range(samples.position.shape[1])]
 
@@ -291,18 +291,10 @@ def _diagonals(before: Array, across: Array, after: Array) -> Array:
     return diagonals
 
 
-def _jumps(states: Array, transition: Array, precision: Array) -> float:
+@compiled
+def _jumps(states: Matrix, transition: Stack, precision: Stack) -> float:
     """Sum of squares, over their variance at a white derivative of 1, of what the states (N, order) do beside their
     transitions (N-1, order, order)."""
-    if AVAILABLE:
-        return float(_sum_of_jumps(states, transition, precision))
-    jumps = states[1:] - np.einsum('tij,tj->ti', transition, states[:-1])
-    return float(np.sum(jumps * np.einsum('tij,tj->ti', precision, jumps)))
-
-
-@compiled(MATRIX, STACK, STACK, returns=NUMBER)
-def _sum_of_jumps(states: Array, transition: Array, precision: Array) -> float:
-    """:func:`_jumps`."""
     order, total = states.shape[1], 0.0
     jump = np.empty(order)
     for step in range(len(transition)):
@@ -323,16 +315,13 @@ def _solved(diagonals: Array, right: Array) -> tuple[Array, Array]:
     LAPACK has the same, but takes four times as long where there are so few diagonals.
     Raises LinAlgError where A is not positive definite.
     """
-    if not AVAILABLE:
-        factor = cholesky_banded(diagonals.T, lower=True, check_finite=False)
-        return factor.T, cho_solve_banded((factor, True), right, check_finite=False)
     if _factor_and_solve(diagonals, right):
         raise np.linalg.LinAlgError
     return diagonals, right
 
 
-@compiled(MATRIX, VECTOR, returns=INTEGER)
-def _factor_and_solve(diagonals: Array, right: Array) -> int:
+@compiled
+def _factor_and_solve(diagonals: Matrix, right: Vector) -> int:
     """:func:`_solved` in place; 0, or 1 where it fails."""
     count, width = diagonals.shape
     order = width // 2

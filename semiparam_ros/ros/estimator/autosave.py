@@ -15,7 +15,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.state_file import SavedState, folder_of
-from semiparam_ros.online.worker import Later
+from semiparam_ros.online.worker import Scheduler
 from semiparam_ros.ros.estimator.diagnostics import ERROR, OK, Report
 from semiparam_ros.settings.snapshot import Settings
 
@@ -27,17 +27,17 @@ class Autosave:
 
     :param lock: the right to write there.
     :param state: gives what is to be saved, None before the robot is known.
-    :param later: see :data:`Later`.
+    :param schedule: see :data:`Scheduler`.
     :param say: receives sentences for the log. :param refuse: those about checkpoints that could not be written.
     Raises SemiparamError when there can be no folder for them.
     """
 
     def __init__(self, node: Node, settings: Settings, lock: FolderLock, state: Callable[[], SavedState | None],
-                 later: Later, say: Callable[[str], None],
+                 schedule: Scheduler, say: Callable[[str], None],
                  refuse: Callable[[str], None]) -> None:
         self.checkpoints = Checkpoints(folder_of(settings), node.get_fully_qualified_name(), lock)
         self._active, self._resumes = settings.checkpoint_period > 0.0, settings.checkpoint_resume
-        self._state, self._later, self._say, self._refuse = state, later, say, refuse
+        self._state, self._schedule, self._say, self._refuse = state, schedule, say, refuse
         self._failed = ''
         self._written: float | None = None
         self._count = 0
@@ -79,7 +79,7 @@ class Autosave:
         return saved
 
     def report(self) -> Report:
-        """Whether they are written, and when the last one was."""
+        """Report of whether they are written, and when the last one was."""
         values = {'file': self.checkpoints.path, 'written': self._count, 'last failure': self._failed}
         if self._failed:
             return Report(ERROR, f'not written: {self._failed}', values)
@@ -114,7 +114,7 @@ class Autosave:
             return
         self._retry.cancel()
         try:
-            self.checkpoints.save_in_thread(state, partial(self._later, self._saved))
+            self.checkpoints.save_in_thread(state, partial(self._schedule, self._saved))
         except SemiparamError as error:
             self._saved(error)
 

@@ -1,4 +1,4 @@
-"""What the node tells of changes of the robot: ``~/change``, its log, and a file of records."""
+"""Announcement of changes of the robot: ``~/change``, its log, and a file of records."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Changing:
 
     :param learner: gives the learner, None before the robot is known. :param folder: where the file
         of records lies.
-    :param say: receives sentences for the log. :param later: see :data:`Later`. :param failed:
+    :param say: receives sentences for the log. :param schedule: see :data:`Scheduler`. :param failed:
         receives an error and its place.
     """
 
@@ -37,14 +37,14 @@ class Changing:
         learner: Callable[[], Learner | None],
         folder: Path,
         say: Callable[[str], None],
-        later: Callable[..., object],
+        schedule: Callable[..., object],
         failed: Callable[[str, Exception], object],
     ) -> None:
-        self._node, self._learner, self._say, self._later, self._failed = (
+        self._node, self._learner, self._say, self._schedule, self._failed = (
             node,
             learner,
             say,
-            later,
+            schedule,
             failed,
         )
         self._path, self._file = folder / FILE, FileThread('changes')
@@ -65,7 +65,7 @@ class Changing:
         """A change is new, or more is known of it."""
         self._say(record.sentence)
         line = json.dumps(record.as_dict()) + '\n'
-        self._file.submit(partial(self._write, line), partial(self._later, self._written))
+        self._file.submit(partial(self._write, line), partial(self._schedule, self._written))
         learner = self._learner()
         if learner is not None:
             self._publish(learner)

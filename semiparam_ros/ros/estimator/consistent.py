@@ -28,7 +28,7 @@ LARGEST_SHARE = 0.1
 """Of a processor, which it may use."""
 
 
-class Found(NamedTuple):
+class ConsistentBodies(NamedTuple):
     """Consistent parameters of the model at one time.
 
     :param load: what the arm carries as a body, with the covariance as it was learnt.
@@ -57,7 +57,7 @@ class ConsistentTopic:
         self._description, self._background, self._failed = description, background, failed
         self._name = node.get_fully_qualified_name()
         self._publisher = node.create_publisher(String, '~/parameters', LATCHED)
-        self.found: Found | None = None
+        self.found: ConsistentBodies | None = None
         self.trouble = ''
         self._job: Job | None = None
         self._earliest = 0.0
@@ -77,7 +77,7 @@ class ConsistentTopic:
         if self._job is not None or now < self._earliest:
             return
         carried = load if load is not None and is_shown(load) else None
-        asked = Found(quantities(estimator, estimator.rigid_body_model), load, stamp, now)
+        asked = ConsistentBodies(quantities(estimator, estimator.rigid_body_model), load, stamp, now)
         self._job = self._background.submit(
             consistent_parameters, self._description(), estimate,
             None if carried is None else (carried.parameters, carried.covariance),
@@ -89,7 +89,7 @@ class ConsistentTopic:
             self._job.cancel()
         self._job, self.found, self.trouble = None, None, ''
 
-    def _done(self, asked: Found, answer: ConsistentParameters | None,
+    def _done(self, asked: ConsistentBodies, answer: ConsistentParameters | None,
               error: BaseException | None) -> None:
         self._job = None
         if answer is None:

@@ -26,7 +26,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.feedforward import STATUS, Feedforward, WithheldError, status
 from semiparam_ros.online.learner import Learner
-from semiparam_ros.online.worker import Later
+from semiparam_ros.online.worker import Scheduler
 from semiparam_ros.ros.cdr import ENCAPSULATION, Layout, joint_state_layout
 from semiparam_ros.ros.estimator.publishers import ValueMessage
 
@@ -172,16 +172,16 @@ class DesiredTrajectory:
     Standard deviations stand beside both, and the marks of each point on ``~/feedforward_status``.
 
     :param failed: receives the topic and what went wrong with a trajectory.
-    :param later: see :data:`Later`; what has come meanwhile goes first.
+    :param schedule: see :data:`Scheduler`; what has come meanwhile goes first.
     """
 
     def __init__(self, node: Node, outputs: str, learner: Callable[[], Learner], frame_id: Callable[[], str],
-                 failed: Callable[[str, Exception], None], later: Later) -> None:
-        self._learner, self._frame_id, self._failed, self._later = learner, frame_id, failed, later
+                 failed: Callable[[str, Exception], None], schedule: Scheduler) -> None:
+        self._learner, self._frame_id, self._failed, self._schedule = learner, frame_id, failed, schedule
         self._work: deque[Iterator[None]] = deque()
         kind = WrenchStamped if outputs == 'wrench' else JointState
         self.feedforward = Feedforward()
-        self._warn, self._told = node.get_logger().warning, ''
+        self._warn, self._warned = node.get_logger().warning, ''
         self._points = node.create_publisher(kind, '~/feedforward', MOST_POINTS)
         self._std = node.create_publisher(kind, '~/feedforward_std', MOST_POINTS)
         self._status = node.create_publisher(JointState, '~/feedforward_status', MOST_POINTS)
@@ -222,13 +222,13 @@ class DesiredTrajectory:
             self._work.popleft()
             self._failed(TOPIC, error)
         if self._work:
-            self._later(self._go_on)
+            self._schedule(self._go_on)
 
     def _tell_withheld(self) -> None:
         """Once when it begins, and once when trajectories are answered again: a controller sends many a second."""
-        if self.feedforward.withheld != self._told:
-            self._told = self.feedforward.withheld
-            self._warn(self._told or 'desired trajectories are answered.')
+        if self.feedforward.withheld != self._warned:
+            self._warned = self.feedforward.withheld
+            self._warn(self._warned or 'desired trajectories are answered.')
 
     def _answered(self, trajectory: TrajectoryReader, order: Sequence[int]) -> Iterator[None]:
         """Step by step: every point is checked before the first one is answered."""
@@ -267,8 +267,8 @@ class DesiredTrajectory:
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
-    """Where our joints are in the message, which may name others too; raises SemiparamError unless each is there once.
-    """
+    """Places of our joints in the message, which may name others too; raises SemiparamError unless
+    each is there once."""
     wrong = [joint for joint in joints if names.count(joint) != 1]
     if wrong:
         raise SemiparamError(f'desired_trajectory must name joint {wrong[0]!r} once; it names {listed(names)}.')

@@ -13,10 +13,11 @@ from std_msgs.msg import String
 
 from semiparam_ros.effects import Effect, effects_to_parameters
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online import worker
+from semiparam_ros.online import diagnosis_jobs
+from semiparam_ros.online.diagnosis_jobs import DiagnosisOutcome, Progress
 from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.learner import Learner
-from semiparam_ros.online.worker import Job, Later, Outcome, ProcessBackground, Progress
+from semiparam_ros.online.worker import Job, ProcessBackground, Scheduler
 from semiparam_ros.ros.estimator.diagnostics import OK, InternalErrors, Report
 from semiparam_ros.ros.estimator.parameters import Parameters
 from semiparam_ros.ros.estimator.publishers import LATCHED
@@ -45,18 +46,18 @@ class Diagnosing:
     A process of its own does the work, so that a model being built does not wait for it. Before it begins it looks how
     much of a processor it gets, and takes as many samples as that allows.
 
-    :param later: see :data:`Later`.
+    :param schedule: see :data:`Scheduler`.
     :param errors: counts what goes wrong unexpectedly.
     """
 
     def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
-                 later: Later, errors: InternalErrors) -> None:
-        self._node, self._parameters, self._learner, self._later = node, parameters, learner, later
+                 schedule: Scheduler, errors: InternalErrors) -> None:
+        self._node, self._parameters, self._learner, self._schedule = node, parameters, learner, schedule
         self._errors = errors
         self._background: ProcessBackground | None = None
         self._running: Running | None = None
         self._stage, self._left_s = 'none has been asked for.', 0.0
-        self._outcome: Outcome | None = None
+        self._outcome: DiagnosisOutcome | None = None
         self._examined: tuple[Effect, ...] = ()
         self._until = 0
         """[ns] Stamp of the last sample that the last diagnosis looked at."""
@@ -74,7 +75,7 @@ class Diagnosing:
             self._background.close()
 
     def report(self) -> Report:
-        """How far one is, or how the last one ended."""
+        """Report of how far one is, or how the last one ended."""
         if self._running is None:
             return Report(OK, self._stage, {'running': False})
         elapsed = time.monotonic() - self._running.begun
@@ -90,11 +91,12 @@ class Diagnosing:
         learner = self._learner()
         samples = learner.history.span(self._parameters.settings.diagnosis_window)
         assert self._background is not None  # it has made the diagnosis
-        self._background.submit(worker.gain_since, learner.body, worker.thinned(samples, 1.0), self._until,
-                                self._examined, found.effects, tuple(learner.changes.applied.contributions),
+        looked_at = diagnosis_jobs.thinned(samples, 1.0)
+        self._background.submit(diagnosis_jobs.gain_since, learner.body, looked_at, self._until, self._examined,
+                                found.effects, tuple(learner.changes.applied.contributions),
                                 done=partial(self._declare, reply, found))
 
-    def _declare(self, reply: Reply, found: Outcome, gain: float | None, error: BaseException | None) -> None:
+    def _declare(self, reply: Reply, found: DiagnosisOutcome, gain: float | None, error: BaseException | None) -> None:
         try:
             if error is not None:
                 raise error
@@ -107,7 +109,7 @@ class Diagnosing:
         except Exception as failure:
             reply(reason('~/apply_diagnosis', failure, self._errors), success=False)
 
-    def _found(self) -> Outcome | str:
+    def _found(self) -> DiagnosisOutcome | str:
         """The last diagnosis that can be applied, or a sentence where nothing is left to do."""
         if self._running is not None:
             raise SemiparamError('a diagnosis is running; wait for its answer, then apply it.')
@@ -123,7 +125,7 @@ class Diagnosing:
                                  f'beside {_listed(self._examined)}; ~/diagnose looks again.')
         return self._outcome
 
-    def _applied(self, found: Outcome) -> str:
+    def _applied(self, found: DiagnosisOutcome) -> str:
         values = zip(('effects', 'effects_reference'), effects_to_parameters(found.effects), strict=True)
         result = self._node.set_parameters_atomically([self._parameters.ros_parameter(*value) for value in values])
         if not result.successful:
@@ -146,12 +148,12 @@ class Diagnosing:
         if not len(samples):
             raise SemiparamError('there are no samples to diagnose yet.')
         if self._background is None:
-            self._background = ProcessBackground(self._later, self._tell)
-        job = self._background.submit(worker.processor_share, done=partial(self._then, self._look))
+            self._background = ProcessBackground(self._schedule, self._tell)
+        job = self._background.submit(diagnosis_jobs.processor_share, done=partial(self._then, self._look))
         # Those that are wanted now, whether their model answers already or is still being built.
         effects = tuple(declared_effects(self._parameters.settings))
         self._running = Running(reply, samples, effects, time.monotonic(), job)
-        self._tell(Progress('begins', worker.expected_s(min(len(samples), worker.SAMPLES_AT_MOST))))
+        self._tell(Progress('begins', diagnosis_jobs.expected_s(min(len(samples), diagnosis_jobs.SAMPLES_AT_MOST))))
 
     def _then(self, follow: Callable[[Result], None], result: Result | None, error: BaseException | None) -> None:
         """Go on with what the process gave; whatever goes wrong is the answer."""
@@ -168,19 +170,19 @@ class Diagnosing:
         """At as many of the samples as the share of a processor allows."""
         assert self._running is not None and self._background is not None
         samples = self._running.samples
-        part = worker.thinned(samples, share)
+        part = diagnosis_jobs.thinned(samples, share)
         looked = _looked(samples, part)
-        if len(part) < len(worker.thinned(samples, 1.0)):
+        if len(part) < len(diagnosis_jobs.thinned(samples, 1.0)):
             looked += f', as it gets {share:.0%} of a processor'
         learner = self._learner()
-        job = self._background.submit(worker.diagnose, learner.body, part, self._running.effects,
+        job = self._background.submit(diagnosis_jobs.diagnose, learner.body, part, self._running.effects,
                                       tuple(learner.changes.applied.contributions),
                                       done=partial(self._then, partial(self._conclude, looked)))
         self._running = self._running._replace(job=job)
         self._node.get_logger().info(f'a diagnosis looks at {looked}, in a process beside the node.')
-        self._tell(Progress(f'looks at {looked}', worker.expected_s(len(part)) / share))
+        self._tell(Progress(f'looks at {looked}', diagnosis_jobs.expected_s(len(part)) / share))
 
-    def _conclude(self, looked: str, outcome: Outcome) -> None:
+    def _conclude(self, looked: str, outcome: DiagnosisOutcome) -> None:
         assert self._running is not None
         effects, (head, *found) = self._running.effects, outcome.summary
         answer = '\n'.join([f'With {_listed(effects)} declared: {head}', *found, 'Details:',
@@ -206,7 +208,7 @@ class Diagnosing:
 
 
 def _looked(samples: SampleBatch, part: SampleBatch) -> str:
-    """Which samples a diagnosis looks at."""
+    """Sentence on the samples that a diagnosis looks at."""
     seconds = (samples.stamps[-1] - samples.stamps[0]) * 1e-9
     return f'{len(part)} of {len(samples)} samples, evenly spread over {seconds:.0f} s'
 

@@ -1,4 +1,5 @@
-"""What the node says of itself: every status once a second on /diagnostics (REP 107), and the payload."""
+"""Reports of the node on itself: every status once a second on /diagnostics (REP 107), and the
+payload."""
 
 from __future__ import annotations
 
@@ -30,11 +31,11 @@ from semiparam_ros.online.identified_parameters import (
     carried_load,
     conditioning,
     quantities,
-    told_load,
+    reported_load,
 )
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
-from semiparam_ros.ros.estimator.consistent import ConsistentTopic, Found
+from semiparam_ros.ros.estimator.consistent import ConsistentBodies, ConsistentTopic
 from semiparam_ros.ros.estimator.publishers import inertia_message
 from semiparam_ros.ros.estimator.subscriptions import WRENCH, InputStream
 
@@ -68,7 +69,7 @@ class Rejections:
 
     @property
     def on_topics(self) -> int:
-        """How many messages."""
+        """Number of messages refused."""
         return self.counts.total() - self.counts[PARAMETERS]
 
 
@@ -114,7 +115,7 @@ class Report(NamedTuple):
 
 
 class Tally:
-    """What is counted between two reports."""
+    """Counts between two reports."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         self.excitation = Excitation(joints)
@@ -172,7 +173,7 @@ class InputReport:
         values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._rejections.counts).items())}
         self._last, self._elsewhere = self._latest(sum(faults.values())), self._rejections.on_topics
         values['last refusal'] = self._last
-        values['ignored: other_joints'] = stream.strangers if stream else 0
+        values['ignored: other_joints'] = stream.ignored if stream else 0
         values['waiting for their counterpart'] = stream.pending if stream else 0
         values['lost before the robot was known'] = counts['given up']
         return self._judged(now, sum(faults.values()) + self._rejections.on_topics, values)
@@ -203,7 +204,7 @@ class InputReport:
 
     def _ignored(self) -> str:
         stream = self._inputs.stream
-        return f' Ignored: {stream.last_stranger}' if stream and stream.last_stranger else ''
+        return f' Ignored: {stream.last_ignored}' if stream and stream.last_ignored else ''
 
     def _remedy(self, absent: Sequence[str]) -> str:
         if WRENCH in absent and self._inputs.has_efforts:
@@ -250,7 +251,7 @@ class TimingReport:
 
 
 def learning_report(learner: Learner, news: str) -> Report:
-    """Which model answers, and whether it learns."""
+    """Report of which model answers, and whether it learns."""
     level, message = _learning_state(learner)
     values = {
         'variant': learner.built.variant, 'random features': learner.estimator.features_count,
@@ -312,7 +313,7 @@ def _learning_state(learner: Learner) -> tuple[bytes, str]:
 
 
 def _unmoved(learner: Learner) -> str:
-    """What the initial window has not seen yet."""
+    """Joints that the initial window has not seen move yet, in words."""
     joints = [learner.body.joints[index] for index in
               learner.estimator.window.unmoved(learner.body.n_joints, MOVED_ENOUGH)]
     if not joints or learner.history.latest() is None:
@@ -353,7 +354,7 @@ def model_report(learner: Learner, tally: Tally) -> Report:
 
 
 def feedforward_report(feedforward: Feedforward) -> Report:
-    """How many desired states were answered, and what had to be said of them."""
+    """Report of how many desired states were answered, and what had to be said of them."""
     counts = feedforward.counts()
     values = {'answered': counts.answered, 'answered by the robot description': counts.described,
               'cut to the effort limits': counts.limited, 'outside of what was learnt': counts.doubtful,
@@ -364,7 +365,7 @@ def feedforward_report(feedforward: Feedforward) -> Report:
 
 
 def errors_report(errors: InternalErrors, twins: str = '') -> Report:
-    """What went wrong in the node itself, by its place.
+    """Report of what went wrong in the node itself, by its place.
 
     :param twins: who else publishes its topics, see :meth:`Outputs.twins`.
     """
@@ -377,7 +378,7 @@ def errors_report(errors: InternalErrors, twins: str = '') -> Report:
 
 
 def believed_load(learner: Learner, tally: Tally) -> tuple[Load | None, str]:
-    """What the arm carries; None and the reason while that cannot be told."""
+    """Load that the arm carries; None and the reason while that cannot be told."""
     if not learner.estimator.ready:
         return None, 'withheld: the initial window is not over.'
     detector, (picked, load) = learner.changes.detector, learner.changes.picked
@@ -430,8 +431,8 @@ class Reports:
                  unseen: Callable[[], str], consistent: ConsistentTopic) -> None:
         self.tally = Tally(())
         self._consistent = consistent
-        self._told: Found | None = None
-        self._news = self._robot_name = self._stage = self._told_twins = ''
+        self._published: ConsistentBodies | None = None
+        self._news = self._robot_name = self._stage = self._known_twins = ''
         self._errors, self._twins, self._unseen = errors, twins, unseen
         self._node, self._inputs, self._learner = node, inputs, learner
         self._name = node.get_fully_qualified_name().lstrip('/')
@@ -481,9 +482,9 @@ class Reports:
 
     def _errors_report(self) -> Report:
         twins = self._twins()
-        if twins and not self._told_twins:
+        if twins and not self._known_twins:
             self.say(twins, self._node.get_logger().error)
-        self._told_twins = twins
+        self._known_twins = twins
         return errors_report(self._errors, twins)
 
     def _learning(self) -> Report:
@@ -520,10 +521,10 @@ class Reports:
         return parameters_report(quantities(learner.estimator), {'payload': sentence})
 
     def _consistent_parameters(self, learner: Learner, load: Load | None, sentence: str) -> Report:
-        """Of the latest bodies that were found; of what was learnt while there are none."""
-        before = self._told
+        """Report of the latest bodies that were found; of what was learnt while there are none."""
+        before = self._published
         self._consistent.ask(learner.estimator, load, self.tally.stamp)
-        found = self._told = self._consistent.found
+        found = self._published = self._consistent.found
         if found is None:
             return parameters_report(quantities(learner.estimator), {
                 'payload': sentence or 'withheld: no consistent parameters are found yet.',
@@ -536,7 +537,7 @@ class Reports:
 
     def _publish_payload(self, load: Load, stamp: int | None) -> str:
         """With a stamp [ns], None: it is not to be published; returns its sentence."""
-        carried = told_load(*load)
+        carried = reported_load(*load)
         if stamp is not None and carried.std is not None:
             self._payload.publish(inertia_message(stamp, carried))
             self._payload_std.publish(inertia_message(stamp, carried.std))

@@ -21,9 +21,9 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
 from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.folder_lock import FolderLock
-from semiparam_ros.online.learner import Answer, Learner
+from semiparam_ros.online.learner import Answer, Learner, LearnerListener
 from semiparam_ros.online.state_file import SavedState, folder_of
-from semiparam_ros.online.worker import Later, ProcessBackground, Worker
+from semiparam_ros.online.worker import ProcessBackground, Scheduler, Worker
 from semiparam_ros.ros.context import DELIVER_S
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.changing import Changing
@@ -52,10 +52,10 @@ from semiparam_ros.settings.snapshot import Settings, unknown_name
 NAME = 'estimator'
 
 
-class EstimatorNode(Node):
+class EstimatorNode(Node, LearnerListener):
     """Learns, predicts and publishes.
 
-    :param later: see :data:`Later`.
+    :param schedule: see :data:`Scheduler`.
     :param files: the parameter files, see :func:`located`. :param worker: the process beside it; begun if left out.
     Raises SemiparamError when the parameters do not describe an estimator.
     """
@@ -64,7 +64,7 @@ class EstimatorNode(Node):
     _diagnosing: Diagnosing
     _changing: Changing
 
-    def __init__(self, later: Later, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
+    def __init__(self, schedule: Scheduler, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
         super().__init__(NAME)
         self.learner: Learner | None = None
         self.errors = InternalErrors(self.get_logger().error, self._complain)
@@ -75,10 +75,10 @@ class EstimatorNode(Node):
         self._outputs = Outputs(self, settings.outputs)
         self._outside = Outside(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id)
 
-        guarded = partial(later, self._guarded, 'the background')
+        guarded = partial(schedule, self._guarded, 'the background')
         self._background = ProcessBackground(guarded, first=worker)
         self._robot = Robot(settings, self._begin, partial(self._refuse, DESCRIPTION))
-        self._inputs = InputStream(self, settings, self, later)
+        self._inputs = InputStream(self, settings, self, schedule)
         trajectories = DesiredTrajectory(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id,
                                          self.message_failed, guarded)
         others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report(),
@@ -140,7 +140,7 @@ class EstimatorNode(Node):
         self._inputs.open(body.joints)
 
     def _newest_checkpoint(self) -> SavedState | None:
-        """What a model that broke is replaced by."""
+        """State that replaces a model that broke."""
         return None if self.learner is None else self._autosave.newest(self._live.settings, self.learner.body)
 
     def _the_learner(self) -> Learner:
@@ -190,12 +190,12 @@ class EstimatorNode(Node):
             self._report(error, 'publishing')
 
     def horizon_completed(self, errors: HorizonErrors) -> None:
-        """Those of the active model."""
+        """Publish those of the active model."""
         self._outputs.publish_errors(errors)
         self._reports.tally.errors = errors
 
     def shadow_horizon_completed(self, variant: str, errors: HorizonErrors) -> None:
-        """Those of a shadow, on a topic of its own."""
+        """Publish those of a shadow, on a topic of its own."""
         self._outputs.publish_shadow(variant, errors)
 
     def announce(self, sentence: str) -> None:
@@ -211,7 +211,7 @@ class EstimatorNode(Node):
         """The parameters show what holds."""
         self._live.write(settings)
 
-    def change_told(self, record: ChangeRecord) -> None:
+    def change_reported(self, record: ChangeRecord) -> None:
         """The robot has changed, or more is known of a change."""
         self._changing.announce(record)
 
@@ -273,7 +273,7 @@ class EstimatorNode(Node):
             raise
 
     def _announcement(self) -> str:
-        """What the parameters said last, while a model is being built."""
+        """Sentence that the parameters said last, while a model is being built."""
         if self.learner is None or self.learner.estimating or self.learner.switcher.successor is None:
             return ''
         return self._live.news

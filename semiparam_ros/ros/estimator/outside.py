@@ -1,4 +1,5 @@
-"""What acts from outside: the wrench, the sensor's wrench without its tool, and the link that is touched."""
+"""Topics of what acts from outside: the wrench, the sensor's wrench without its tool, and the link
+that is touched."""
 
 from __future__ import annotations
 
@@ -10,9 +11,9 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
-from semiparam_ros.core.robot.compensation import Compensation
 from semiparam_ros.core.robot.external_wrench import External, ExternalWrench
 from semiparam_ros.core.types import Array
+from semiparam_ros.online.compensation import Compensation
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.ros.cdr import Layout, joint_state_layout
 from semiparam_ros.ros.estimator.publishers import DEPTH, ValueMessage, is_heard, send
@@ -42,14 +43,14 @@ class Outside:
         self._latest: Answer | None = None
 
     def publish(self, answer: Answer) -> None:
-        """What one answer says of it."""
+        """Publish what one answer says of it."""
         self._latest = answer
         stamp = answer.prediction.sample.stamp
         heard = is_heard(self._wrench), is_heard(self._std)
         if any(heard):
             external = self._external_of(answer)
             for publisher, values in ((self._wrench, external.wrench), (self._std, external.std)):
-                self._send(publisher, stamp, self._told_frame(), values)
+                self._send(publisher, stamp, self._frame_name(), values)
         if self._compensated is not None:
             self._compensate(self._compensated, answer)
         if is_heard(self._place):
@@ -69,7 +70,7 @@ class Outside:
             self._external, self._of_frame = ExternalWrench(learner.body, frame), frame
         return self._external.of(answer.prediction, answer.residual, learner.gate.widening)
 
-    def _told_frame(self) -> str:
+    def _frame_name(self) -> str:
         """As the sensor's driver calls it, where it is told there."""
         assert self._external is not None
         at_sensor = not self._of_frame and self._compensated is not None

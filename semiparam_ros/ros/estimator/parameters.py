@@ -142,7 +142,7 @@ def _filled(response: Any, request: Any, sentence: str) -> Any:
 
 
 def results_of(response: Response) -> Iterator[SetParametersResult]:
-    """Of either parameter service."""
+    """Results of either parameter service."""
     yield from [response.result] if isinstance(response, SetParametersAtomically.Response) else response.results
 
 
@@ -239,7 +239,7 @@ class Parameters:
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
-    """What `ros2 param describe` shows."""
+    """Descriptor that `ros2 param describe` shows."""
     result = ParameterDescriptor(description=parameter.description, read_only=not parameter.live,
                                  type=ROS_TYPES[parameter.kind].value)
     unit = f'[{parameter.unit}]' if parameter.unit else ''

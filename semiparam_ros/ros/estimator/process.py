@@ -16,7 +16,7 @@ from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.effects import kinds
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.worker import Later, Worker, forked_worker
+from semiparam_ros.online.worker import Scheduler, Worker, forked_worker
 from semiparam_ros.ros.context import SPIN_S, StopSignals, rcl_reason, spin_for, start_rclpy
 from semiparam_ros.ros.estimator.node import EstimatorNode
 
@@ -78,25 +78,27 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals, worker: Worker) -> int
 
 
 def parameter_files(ros_arguments: Sequence[str]) -> list[Path]:
-    """Those named on the command line, the last one first, for it has the last word."""
+    """Files named on the command line, the last one first, for it has the last word."""
     named = [value for option, value in pairwise(ros_arguments) if option == '--params-file']
     return [Path(path) for path in reversed(named)]
 
 
-def _new_node(later: Later, files: Sequence[Path], worker: Worker) -> EstimatorNode:
+def _new_node(schedule: Scheduler, files: Sequence[Path], worker: Worker) -> EstimatorNode:
     try:
-        return EstimatorNode(later, files, worker)
+        return EstimatorNode(schedule, files, worker)
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
 
 
 def _find_effects(outputs: str) -> None:
-    """Those of other packages are looked for in every one that is installed: now, not between two samples."""
+    """Look for effects of other packages in every one that is installed: now, not between two
+    samples."""
     with suppress(SemiparamError):  # of a package that is not well; told where an effect is declared
         kinds(outputs)
 
 
 def _keep_collector_out() -> None:
-    """What is loaded now stays for good: the cyclic garbage collector need not look at it while samples come."""
+    """Keep the cyclic garbage collector from what is loaded now, which stays for good, while
+    samples come."""
     gc.collect()
     gc.freeze()

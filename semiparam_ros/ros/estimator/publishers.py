@@ -155,8 +155,8 @@ class Outputs:
 
 
 def is_heard(publisher: Publisher) -> bool:
-    """Whether anybody listens. The publishers last as long as the node, so nothing guards their handles against their
-    end meanwhile, which takes rclpy three times as long as asking."""
+    """Tell whether anybody listens. The publishers last as long as the node, so nothing guards
+    their handles against their end meanwhile, which takes rclpy three times as long as asking."""
     return bool(publisher.handle.get_subscription_count())
 
 

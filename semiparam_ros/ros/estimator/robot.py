@@ -27,7 +27,7 @@ class Robot:
 
     @property
     def is_known(self) -> bool:
-        """Whether there is a body."""
+        """Tell whether there is a body."""
         return self._text is not None
 
     @property

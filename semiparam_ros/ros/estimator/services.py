@@ -22,7 +22,7 @@ from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.state_file import SavedState
-from semiparam_ros.online.worker import Later
+from semiparam_ros.online.worker import Scheduler
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
 from semiparam_ros.ros.estimator.parameters import Parameters
 
@@ -30,7 +30,8 @@ Result = TypeVar('Result')
 
 
 class Reply:
-    """What a request waits for: call it once, with the sentence and whether it went well, from the same thread."""
+    """Answer that a request waits for: call it once, with the sentence and whether it went well,
+    from the same thread."""
 
     def __init__(self) -> None:
         self._header: object = None
@@ -43,7 +44,7 @@ class Reply:
         self._deliver()
 
     def expect(self, header: object, send: Callable[[Trigger.Response, object], None]) -> None:
-        """Where the answer goes."""
+        """Send the answer there."""
         self._header, self._send = header, send
         self._deliver()
 
@@ -85,13 +86,13 @@ class Services:
 
     :param learner: gives the learner, or raises SemiparamError before the robot is known.
     :param folder: where states lie. :param lock: the right to write there.
-    :param later: see :data:`Later`.
+    :param schedule: see :data:`Scheduler`.
     :param errors: counts what goes wrong unexpectedly.
     """
 
     def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner], folder: Path,
-                 lock: FolderLock, later: Later, errors: InternalErrors) -> None:
-        self._node, self._parameters, self._learner, self._later = node, parameters, learner, later
+                 lock: FolderLock, schedule: Scheduler, errors: InternalErrors) -> None:
+        self._node, self._parameters, self._learner, self._schedule = node, parameters, learner, schedule
         self._folder, self._lock, self._errors = folder, lock, errors
         self._files = FileThread('states')
         create_trigger(node, '~/reset', self.reset, errors)
@@ -155,7 +156,7 @@ class Services:
                 self._node.get_logger().info(f'{name}: {sentence}')
                 reply(sentence)
 
-        self._files.submit(work, partial(self._later, finish))
+        self._files.submit(work, partial(self._schedule, finish))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """``data`` true: predict without learning."""

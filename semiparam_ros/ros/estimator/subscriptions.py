@@ -25,7 +25,7 @@ from semiparam_ros.bags.readings import Kind, Reading
 from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.worker import Later
+from semiparam_ros.online.worker import Scheduler
 from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout_of
 from semiparam_ros.settings.snapshot import Settings
 
@@ -84,12 +84,12 @@ class MessageTurns:
     message as it came, all of these would wait behind all messages, for ever where those come faster than they are
     answered.
 
-    :param later: see :data:`~semiparam_ros.online.worker.Later`. :param work: must not raise.
+    :param schedule: see :data:`~semiparam_ros.online.worker.Scheduler`. :param work: must not raise.
     :param most: messages of a topic that may wait; the oldest are lost to newer ones.
     """
 
-    def __init__(self, later: Later, work: Callable[[Waiting], None], most: int) -> None:
-        self._later, self._work, self._most = later, work, most
+    def __init__(self, schedule: Scheduler, work: Callable[[Waiting], None], most: int) -> None:
+        self._schedule, self._work, self._most = schedule, work, most
         self._waiting: deque[Waiting] = deque()
         self._counts: Counter[str] = Counter()
         self._given_up: Counter[str] = Counter()
@@ -101,7 +101,7 @@ class MessageTurns:
 
     @property
     def late_s(self) -> float:
-        """How long the oldest has waited [s]."""
+        """Time that the oldest has waited [s]."""
         return time.perf_counter() - self._waiting[0].arrived if self._waiting else 0.0
 
     def add(self, topic: str, reading: Reading | None) -> None:
@@ -115,10 +115,11 @@ class MessageTurns:
             self._drop()
         if not self._asked:
             self._asked = True
-            self._later(self._take_turn)
+            self._schedule(self._take_turn)
 
     def _drop(self) -> None:
-        """Those given up, which are the oldest of their topics, as far as they are in front."""
+        """Drop those given up, which are the oldest of their topics, as far as they are in
+        front."""
         while self._waiting and self._given_up[self._waiting[0].topic]:
             self._given_up[self._waiting.popleft().topic] -= 1
 
@@ -133,7 +134,7 @@ class MessageTurns:
                 break
         self._asked = bool(self._waiting)
         if self._asked:
-            self._later(self._take_turn)
+            self._schedule(self._take_turn)
 
 
 class OutdatedMessage(NamedTuple):
@@ -199,7 +200,7 @@ class InputsListener(Protocol):
         """A robot description."""
 
     def clock_jumped(self) -> None:
-        """What waited for its counterpart is dropped."""
+        """Take note that what waited for its counterpart is dropped."""
 
     def message_failed(self, topic: str, error: Exception) -> None:
         """A message was refused, or could not be handled."""
@@ -208,12 +209,12 @@ class InputsListener(Protocol):
 class InputStream:
     """Subscriptions, and the stream they feed once the robot's joints are known; until then messages are kept.
 
-    :param later: see :data:`~semiparam_ros.online.worker.Later`.
+    :param schedule: see :data:`~semiparam_ros.online.worker.Scheduler`.
     """
 
-    def __init__(self, node: Node, settings: Settings, listener: InputsListener, later: Later) -> None:
+    def __init__(self, node: Node, settings: Settings, listener: InputsListener, schedule: Scheduler) -> None:
         self._node, self._settings, self._listener = node, settings, listener
-        self.turns = MessageTurns(later, self._take, settings.queue_depth or MOST_WAITING)
+        self.turns = MessageTurns(schedule, self._take, settings.queue_depth or MOST_WAITING)
         self.counts: Counter[str] = Counter()
         self.stopwatch = Stopwatch()
         self.arrived: dict[str, float] = {}
@@ -261,7 +262,7 @@ class InputStream:
         self._listener.clock_jumped()
 
     def publishers(self, topic: str) -> int:
-        """How many publishers a topic has that are heard."""
+        """Number of publishers of a topic that are heard."""
         return int(self._subscriptions[topic].get_publisher_count())
 
     def follow_reliability(self) -> list[str]:
@@ -367,14 +368,14 @@ class InputStream:
         """False for a message of other joints than ours, which is no sign of life of the robot."""
         stream = self.stream
         assert stream is not None
-        strangers = stream.strangers
+        ignored = stream.ignored
         backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
         samples = FEEDS[topic].kind.feed(stream, reading.stamp, *reading.fields)
         if stream.faults['backward_stamp'] > backward:
             if topic != TEMPERATURE:  # of many publishers: what one of them says of the time is not the robot's clock
                 self._went_back(topic, reading)
             return True
-        if stream.strangers > strangers:
+        if stream.ignored > ignored:
             return False
         self._watch.accepted(topic)
         if topic == TEMPERATURE:

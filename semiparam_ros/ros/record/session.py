@@ -46,7 +46,7 @@ class RecordProgress:
         self._console = console
         self._shown = shown
         self._status: Status | None = console.status('') if shown and console.is_terminal else None
-        self._began = self._told = time.monotonic()
+        self._began = self._reported_at = time.monotonic()
 
     def __enter__(self) -> RecordProgress:
         if self._status is not None:
@@ -63,8 +63,8 @@ class RecordProgress:
         """Show the present figures."""
         if self._status is not None:
             self._status.update(f'recording, Ctrl-C ends: {self._line()}')
-        elif self._shown and time.monotonic() - self._told > LINE_S:
-            self._told = time.monotonic()
+        elif self._shown and time.monotonic() - self._reported_at > LINE_S:
+            self._reported_at = time.monotonic()
             self._console.print(self._line(), soft_wrap=True)
 
     def _line(self) -> str:
@@ -194,7 +194,7 @@ class RecordSession:
         A topic comes in order, so nothing of it is missing once a message arrives that was
         published after the end.
         """
-        end, last, told = time.time_ns(), time.monotonic(), False
+        end, last, reported = time.time_ns(), time.monotonic(), False
         ros.stop_spinning()
         later: set[str] = set()
         while not node.complete:
@@ -206,8 +206,8 @@ class RecordSession:
             waited, missing = time.monotonic() - last, node.repeated() - later
             if waited > (DELIVER_S if missing else QUIET_S):
                 return
-            if waited > QUIET_S and not told:
-                told = True
+            if waited > QUIET_S and not reported:
+                reported = True
                 self._say(f'what was published so far on {", ".join(sorted(missing))} may still arrive, for '
                           f'{DELIVER_S:g} s.')
             time.sleep(POLL_S)

@@ -19,14 +19,14 @@ from semiparam_ros.ros.recorded_qos import from_rclpy, subscription_qos, to_rclp
 HOUSEKEEPING = ('/parameter_events', '/rosout')
 
 
-class Found(NamedTuple):
+class FoundTopic(NamedTuple):
     """Snapshot of the graph: topic -> type, and the sought nodes that are not there (yet)."""
 
     topics: dict[str, str]
     missing: tuple[str, ...]
 
 
-def find(node: Node, options: RecordOptions) -> Found:
+def find(node: Node, options: RecordOptions) -> FoundTopic:
     """The topics to record, as far as the graph knows them now."""
     graph = dict(node.get_topic_names_and_types())
     chosen: set[str] = set(graph) if options.everything else set()
@@ -39,7 +39,7 @@ def find(node: Node, options: RecordOptions) -> Found:
     missing += [topic for topic in _resolved(node, options.topics) if topic not in graph]
     named = _resolved(node, options.topics)
     kept = options.selection.of(sorted(topic for topic in chosen if topic in named or topic not in HOUSEKEEPING))
-    return Found({topic: graph[topic][0] for topic in kept if topic in graph}, tuple(missing))
+    return FoundTopic({topic: graph[topic][0] for topic in kept if topic in graph}, tuple(missing))
 
 
 def node_topics(node: Node, full_name: str) -> set[str]:

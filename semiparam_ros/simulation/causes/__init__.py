@@ -1,7 +1,7 @@
 """Causes that the simulator can hide, by their kind.
 
-A class has the name of the effect in ``semiparam_ros.effects`` that a diagnosis should find for it:
-one kind, seen from the world's side and from the estimator's.
+A class has the kind of the effect in ``semiparam_ros.effects`` that a diagnosis should find for it, seen from the
+world's side.
 """
 
 from __future__ import annotations
@@ -13,14 +13,17 @@ from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
 __all__ = ['CAUSES', 'LISTED_KINDS', 'UNLISTED_KINDS', 'HiddenCause', 'Site', 'TrueValue', 'cause_of', 'kinds']
 
 _LISTED: tuple[type[HiddenCause], ...] = (
-    forces.Payload, sensor.SensorOffset, sensor.SensorDrift, sensor.ThermalDrift, sensor.SensorGain,
-    sensor.SensorCrosstalk, sensor.SensorMisalignment, geometry.TimeDelay, geometry.JointOffset,
-    geometry.GravityTilt, forces.ExternalForce, forces.ViscousDrag, forces.QuadraticDrag,
-    cables.CableSpring, cables.CableHysteresis, forces.PeriodicDisturbance,
-    friction.ViscousFriction, friction.CoulombFriction, friction.StribeckFriction,
-    friction.AsymmetricFriction, friction.LoadFriction, drive.RotorInertia, drive.JointSpring,
-    drive.EffortOffset, drive.EffortGain, drive.TransmissionRipple, drive.Backlash,
-    temperature.TemperatureDrift, temperature.TemperatureFriction)
+    forces.HiddenPayload, sensor.HiddenSensorOffset, sensor.HiddenSensorDrift,
+    sensor.HiddenThermalDrift, sensor.HiddenSensorGain, sensor.HiddenSensorCrosstalk,
+    sensor.HiddenSensorMisalignment, geometry.HiddenTimeDelay, geometry.HiddenJointOffset,
+    geometry.HiddenGravityTilt, forces.HiddenExternalForce, forces.HiddenViscousDrag,
+    forces.HiddenQuadraticDrag, cables.HiddenCableSpring, cables.HiddenCableHysteresis,
+    forces.HiddenPeriodicDisturbance, friction.HiddenViscousFriction,
+    friction.HiddenCoulombFriction, friction.HiddenStribeckFriction,
+    friction.HiddenAsymmetricFriction, friction.HiddenLoadFriction, drive.HiddenRotorInertia,
+    drive.HiddenJointSpring, drive.HiddenEffortOffset, drive.HiddenEffortGain,
+    drive.HiddenTransmissionRipple, drive.HiddenBacklash, temperature.HiddenTemperatureDrift,
+    temperature.HiddenTemperatureFriction)
 _UNLISTED: tuple[type[HiddenCause], ...] = (unlisted.Bump, unlisted.DriftingFriction, unlisted.TwoMassFlexibility)
 
 LISTED_KINDS = tuple(cause.kind for cause in _LISTED)

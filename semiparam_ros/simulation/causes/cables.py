@@ -17,7 +17,7 @@ CABLE_STEP_S = 4e-3
 
 
 @dataclass(frozen=True)
-class CableSpring(FrameForce):
+class HiddenCableSpring(FrameForce):
     """An elastic cable runs from a point in the room to a link: f = k (length - rest length) towards the point."""
 
     kind = 'cable_spring'
@@ -42,7 +42,7 @@ class CableSpring(FrameForce):
 
 
 @dataclass(frozen=True)
-class CableHysteresis(FrameForce):
+class HiddenCableHysteresis(FrameForce):
     """A cable whose strands rub: its tension follows a Bouc-Wen state of the elongation."""
 
     kind = 'cable_hysteresis'

@@ -19,7 +19,7 @@ CONTACT_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class RotorInertia(JointTorque):
+class HiddenRotorInertia(JointTorque):
     """The rotor behind the gear is accelerated too: torque = I ddq."""
 
     kind = 'rotor_inertia'
@@ -31,7 +31,7 @@ class RotorInertia(JointTorque):
 
 
 @dataclass(frozen=True)
-class JointSpring(JointTorque):
+class HiddenJointSpring(JointTorque):
     """A spring pulls the joint to a rest position: the motor holds k (q - rest)."""
 
     kind = 'joint_spring'
@@ -50,7 +50,7 @@ class JointSpring(JointTorque):
 
 
 @dataclass(frozen=True)
-class EffortOffset(JointTorque):
+class HiddenEffortOffset(JointTorque):
     """The current sensor of one motor has a bias."""
 
     kind = 'effort_offset'
@@ -68,7 +68,7 @@ class EffortOffset(JointTorque):
 
 
 @dataclass(frozen=True)
-class EffortGain(JointTorque):
+class HiddenEffortGain(JointTorque):
     """The torque constant of one motor is off."""
 
     kind = 'effort_gain'
@@ -87,7 +87,7 @@ class EffortGain(JointTorque):
 
 
 @dataclass(frozen=True)
-class TransmissionRipple(JointTorque):
+class HiddenTransmissionRipple(JointTorque):
     """A gear runs unevenly: a torque periodic in the joint's angle."""
 
     kind = 'transmission_ripple'
@@ -107,7 +107,7 @@ class TransmissionRipple(JointTorque):
 
 
 @dataclass(frozen=True)
-class Backlash(JointTorque):
+class HiddenBacklash(JointTorque):
     """Play in a gear whose output rubs: after each reversal the motor crosses the gap and feels no friction of the
     output until the teeth meet again on the other flank."""
 

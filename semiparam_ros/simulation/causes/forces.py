@@ -17,7 +17,7 @@ PAYLOAD_RADIUS_M = 0.03
 
 
 @dataclass(frozen=True)
-class Payload(HiddenCause):
+class HiddenPayload(HiddenCause):
     """A solid ball is picked up: a real body of the multi-body model until it is put down."""
 
     kind = 'payload'
@@ -61,7 +61,7 @@ class FrameForce(HiddenCause):
 
 
 @dataclass(frozen=True)
-class ExternalForce(FrameForce):
+class HiddenExternalForce(FrameForce):
     """Constant force, its direction fixed in the room."""
 
     kind = 'external_force'
@@ -79,7 +79,7 @@ class ExternalForce(FrameForce):
 
 
 @dataclass(frozen=True)
-class PeriodicDisturbance(FrameForce):
+class HiddenPeriodicDisturbance(FrameForce):
     """A machine on the link shakes it along an axis of the link, at one frequency."""
 
     kind = 'periodic_disturbance'
@@ -111,7 +111,7 @@ class PeriodicDisturbance(FrameForce):
 class JointDisturbance(JointTorque):
     """The same in one drive: a torque at one frequency."""
 
-    kind = PeriodicDisturbance.kind
+    kind = HiddenPeriodicDisturbance.kind
     frequency: float
     phase: float
 
@@ -124,7 +124,7 @@ class JointDisturbance(JointTorque):
 
 
 @dataclass(frozen=True)
-class ViscousDrag(FrameForce):
+class HiddenViscousDrag(FrameForce):
     """A slow fluid holds the link back: f = -c v."""
 
     kind = 'viscous_drag'
@@ -139,7 +139,7 @@ class ViscousDrag(FrameForce):
 
 
 @dataclass(frozen=True)
-class QuadraticDrag(ViscousDrag):
+class HiddenQuadraticDrag(HiddenViscousDrag):
     """A fast fluid holds the link back: f = -c |v| v."""
 
     kind = 'quadratic_drag'

@@ -53,7 +53,7 @@ class JointTorque(HiddenCause):
 
 
 @dataclass(frozen=True)
-class ViscousFriction(JointTorque):
+class HiddenViscousFriction(JointTorque):
     """Oil: torque = b dq."""
 
     kind = 'viscous_friction'
@@ -64,7 +64,7 @@ class ViscousFriction(JointTorque):
 
 
 @dataclass(frozen=True)
-class CoulombFriction(JointTorque):
+class HiddenCoulombFriction(JointTorque):
     """Dry friction: a torque of constant size against the direction of sliding."""
 
     kind = 'coulomb_friction'
@@ -75,7 +75,7 @@ class CoulombFriction(JointTorque):
 
 
 @dataclass(frozen=True)
-class StribeckFriction(JointTorque):
+class HiddenStribeckFriction(JointTorque):
     """Dry friction that is larger near standstill: sliding level c (1 + r exp(-(dq / vs)^2)) of a LuGre bristle."""
 
     kind = 'stribeck_friction'
@@ -99,7 +99,7 @@ class StribeckFriction(JointTorque):
 
 
 @dataclass(frozen=True)
-class AsymmetricFriction(JointTorque):
+class HiddenAsymmetricFriction(JointTorque):
     """Dry and viscous friction, each of another size in either direction."""
 
     kind = 'asymmetric_friction'
@@ -126,7 +126,7 @@ class AsymmetricFriction(JointTorque):
 
 
 @dataclass(frozen=True)
-class LoadFriction(JointTorque):
+class HiddenLoadFriction(JointTorque):
     """Teeth under load rub: a share of the transmitted torque against the direction of sliding."""
 
     kind = 'load_friction'

@@ -13,7 +13,7 @@ from semiparam_ros.simulation.world import World
 
 
 @dataclass(frozen=True)
-class JointOffset(HiddenCause):
+class HiddenJointOffset(HiddenCause):
     """An encoder's zero is wrong: the joint stands elsewhere than reported."""
 
     kind = 'joint_offset'
@@ -36,7 +36,7 @@ class JointOffset(HiddenCause):
 
 
 @dataclass(frozen=True)
-class GravityTilt(HiddenCause):
+class HiddenGravityTilt(HiddenCause):
     """The base is not level: gravity comes from another direction in its axes."""
 
     kind = 'gravity_tilt'
@@ -59,7 +59,7 @@ class GravityTilt(HiddenCause):
 
 
 @dataclass(frozen=True)
-class TimeDelay(HiddenCause):
+class HiddenTimeDelay(HiddenCause):
     """The outputs come later than their stamps say: the sensor shows the continuous motion a while ago."""
 
     kind = 'time_delay'

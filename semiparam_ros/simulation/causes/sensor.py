@@ -42,7 +42,7 @@ class Bias(HiddenCause):
 
 
 @dataclass(frozen=True)
-class SensorOffset(Bias):
+class HiddenSensorOffset(Bias):
     """The sensor is overloaded or zeroed again: its offset jumps."""
 
     kind = 'sensor_offset'
@@ -60,7 +60,7 @@ class SensorOffset(Bias):
 
 
 @dataclass(frozen=True)
-class SensorDrift(Bias):
+class HiddenSensorDrift(Bias):
     """The offset creeps at a constant rate."""
 
     kind = 'sensor_drift'
@@ -78,7 +78,7 @@ class SensorDrift(Bias):
 
 
 @dataclass(frozen=True)
-class ThermalDrift(Bias):
+class HiddenThermalDrift(Bias):
     """The electronics warm up: a first-order thermal state T' = (1 - T) / time constant moves the offset."""
 
     kind = 'thermal_drift'
@@ -117,7 +117,7 @@ class ReadingMatrix(HiddenCause):
 
 
 @dataclass(frozen=True)
-class SensorGain(ReadingMatrix):
+class HiddenSensorGain(ReadingMatrix):
     """One channel's amplifier is off."""
 
     kind = 'sensor_gain'
@@ -139,7 +139,7 @@ class SensorGain(ReadingMatrix):
 
 
 @dataclass(frozen=True)
-class SensorCrosstalk(ReadingMatrix):
+class HiddenSensorCrosstalk(ReadingMatrix):
     """The calibration matrix is wrong off its diagonal: every channel hears the others."""
 
     kind = 'sensor_crosstalk'
@@ -160,7 +160,7 @@ class SensorCrosstalk(ReadingMatrix):
 
 
 @dataclass(frozen=True)
-class SensorMisalignment(ReadingMatrix):
+class HiddenSensorMisalignment(ReadingMatrix):
     """The sensor is mounted turned about an axis; force and torque arrive in turned axes."""
 
     kind = 'sensor_misalignment'

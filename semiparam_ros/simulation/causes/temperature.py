@@ -28,7 +28,7 @@ def warmer(world: World, time: Array, number: int) -> Array:
 
 
 @dataclass(frozen=True)
-class TemperatureFriction(JointTorque):
+class HiddenTemperatureFriction(JointTorque):
     """Oil that thins as it warms: torque = b (1 + c dT) dq, at the end 0.4 to 0.7 less than at the start."""
 
     kind = 'temperature_friction'
@@ -54,7 +54,7 @@ class TemperatureFriction(JointTorque):
 
 
 @dataclass(frozen=True)
-class TemperatureDrift(Bias):
+class HiddenTemperatureDrift(Bias):
     """The strain gauges' bias follows the sensor's temperature."""
 
     kind = 'temperature_drift'

@@ -41,7 +41,7 @@ def bodies_and_bias(estimator: Estimator, prediction: Prediction) -> tuple[Array
         if effect.of_sensor:
             bias += acting @ model.part(block)
         elif effect.is_load and acting.any():
-            bodies += load_in_base(body, str(getattr(effect, 'where', '')), model.part(block))
+            bodies += load_in_base(body, str(effect.where), model.part(block))
     return bodies, bias
 
 

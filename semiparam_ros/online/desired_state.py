@@ -31,8 +31,8 @@ RANGE_MARGIN = 0.05
 
 
 class Desired(NamedTuple):
-    """What one desired state takes, as of now: ``outputs`` (n,), and ``efforts`` [N m] for the motors, of the body's
-    ``effort_joints``.
+    """Outputs (n,) and ``efforts`` [N m] for the motors, of the body's ``effort_joints``, that one
+    desired state takes now.
 
     A wrench is what the sensor will show, but for a bias that a tare took off. Efforts are what has to be commanded,
     cut to the limits of the URDF; the outputs of an effort model are these. Standard deviations hold the noise; those
@@ -52,7 +52,7 @@ class Desired(NamedTuple):
 
 def desired(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
             added: tuple[Array, Array] | None = None) -> Desired:
-    """What the model says of a desired state (n_joints,) each. Nothing is learnt.
+    """Answer of the model to a desired state (n_joints,) each. Nothing is learnt.
 
     :param added: (n,) what known bodies add that the model has not learnt, as the sensor shows it, and as the arm
         needs it.
@@ -65,7 +65,8 @@ def desired(estimator: Estimator, position: Array, velocity: Array, acceleration
 
 def described(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
               added: tuple[Array, Array] | None = None) -> Desired:
-    """What the robot description alone says; its inertial parameters are taken for known to ``PROVISIONAL_GAMMA``.
+    """Answer of the robot description alone; its inertial parameters are taken for known to
+    ``PROVISIONAL_GAMMA``.
 
     Raises SemiparamError when a value, or what follows from it, is not finite.
     """

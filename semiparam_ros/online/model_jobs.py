@@ -1,0 +1,117 @@
+"""Estimators built from samples: what the process beside the node does for models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.recursion import KEPT
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.history import SampleBatch
+from semiparam_ros.online.learning import Learning, observe
+from semiparam_ros.online.renewal import MOST_WORSE, Errors, RecentWindow, judged, later_window
+from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
+from semiparam_ros.settings.snapshot import Settings
+
+EstimatorJob = Callable[..., Estimator]
+"""Gives an estimator, in the background."""
+
+OLDER = 5
+"""One of so many samples before a later window is learnt, none from before a change of the robot:
+hyperparameters of that window make a model that fits other motion less well than it believes, and
+where that is most of what it learns the new motion is fitted the worse."""
+OLDER_OF_DRAFT = 1000
+"""Of a draft, which is wanted soon, so many at most."""
+
+
+class Known(NamedTuple):
+    """Hyperparameters that an earlier estimate gave for the same model, with the scaling of its
+    inputs."""
+
+    hyperparameters: Hyperparameters
+    input_mean: tuple[float, ...]
+    input_scale: tuple[float, ...]
+    window: int  # samples that they are from
+    others: tuple[Hyperparameters, ...] = ()  # of the variants averaged with it
+
+
+def finish_window(estimator: Estimator, draft: bool = False) -> Estimator:
+    """The estimator whose initial window is full, with its hyperparameters estimated and the window
+    learnt."""
+    estimator.finish_window(draft)
+    return estimator
+
+
+def build(settings: Settings, body: RigidBody, batch: SampleBatch, known: Known | None,
+          origin: int | None) -> Estimator:
+    """A new estimator that has seen all samples of a batch; time counts from ``origin`` [ns]."""
+    return absorb(new_estimator(settings, body, known, origin), batch)
+
+
+def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int | None,
+          later: RecentWindow | None = None) -> Estimator:
+    """The same with hyperparameters from a later window, see :mod:`semiparam_ros.online.renewal`.
+
+    Raises SemiparamError when the window holds too little to estimate from, or the model predicts
+    it worse than the one that it is to beat.
+    """
+    later = later or RecentWindow(settings.initial_samples)
+    gathering, learning, learnt = new_estimator(settings, body, origin=origin), batch.learning, batch.learnt
+    window = later_window(learnt, later.samples)
+    begin = int(window.argmax())
+    start = 0 if settings.effects else begin  # they may remember all that was before
+    for (sample, _), chosen in zip(batch.part(start).pairs(), window[start:].tolist(), strict=True):
+        gathering.gather(sample, chosen)
+    gathering.finish_window(later.draft, learn=False)
+    estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
+    compared = later_window(learnt, judged(later.samples))
+    changed = (learning[:begin] == Learning.AFTER_CHANGE) & (np.cumsum(learnt[:begin]) > KEPT)
+    since = int(np.flatnonzero(changed)[-1]) if changed.any() else 0
+    every = max(OLDER, -((since - begin) // OLDER_OF_DRAFT)) if later.draft else OLDER
+    older = np.zeros(begin, dtype=bool)
+    older[since::every] = True
+    learning[:begin] = np.minimum(learning[:begin], np.where(older, Learning.YES, Learning.NO))
+    parts = [*batch.part(since, start, every).rows, *batch.part(start).rows]
+    numbers = np.r_[since:start:every, start:len(batch)]
+    each = zip(replace(batch, rows=parts).pairs(), learning[numbers].tolist(), compared[numbers].tolist(),
+               strict=True)
+    for (sample, _), learns, chosen in each:
+        prediction = estimator.predict(sample)
+        if chosen:
+            errors.add(prediction)
+        observe(estimator, prediction, learns)
+    if errors.size > MOST_WORSE * later.to_beat:
+        raise SemiparamError(f'the model that follows has errors of {errors.size:.3g} over that window where the model '
+                             f'in force has {later.to_beat:.3g}.')
+    return estimator
+
+
+def new_estimator(settings: Settings, body: RigidBody, known: Known | None = None,
+                  origin: int | None = None) -> Estimator:
+    """An estimator that has learnt nothing yet; time counts from ``origin`` [ns]."""
+    if known is not None:
+        settings = settings.changed(hyperparameter_values(*known[:3]))
+    options = replace(model_options(settings), others=known.others if known else ())
+    return Estimator(body, options, declared_effects(settings), origin, known.window if known else 0)
+
+
+def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
+    """Predict and learn further samples, as the node did when they came."""
+    for sample, learnt in batch.pairs():
+        observe(estimator, estimator.predict(sample), learnt)
+    return estimator
+
+
+def known_of(estimator: Estimator) -> Known | None:
+    """The hyperparameters of an estimator whose initial window is over."""
+    if not estimator.ready or estimator.input_scaling is None:
+        return None
+    mean, scale = estimator.input_scaling
+    return Known(estimator.model.hyperparameters, tuple(mean.tolist()), tuple(scale.tolist()),
+                 estimator.window_samples, estimator.others)
