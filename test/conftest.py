@@ -13,10 +13,11 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import hypothesis
 import pytest
 
+from semiparam_ros.core.signals.smoothing import _SmoothingProblem
 from support.browser import browse  # noqa: F401  (fixtures)
 from support.command_fixtures import params, recording  # noqa: F401  (fixtures)
 from support.commands import semiparam
-from support.estimates import Estimates
+from support.estimates import Estimates, remembered
 from support.mcap_core import node_modules  # noqa: F401  (fixtures)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -58,11 +59,13 @@ def long(request: pytest.FixtureRequest) -> bool:
 
 @pytest.fixture(scope='session', autouse=True)
 def searched_once():
-    """Many tests give their models the same window: its hyperparameters are searched once in this process.
+    """Many tests give their models the same window, and diagnose the same motion: the hyperparameters of each are
+    searched once in this process.
 
     That another search gives the same is tested where it says so.
     """
-    with patch('semiparam_ros.core.model.estimate', Estimates()):
+    with (patch('semiparam_ros.core.model.estimate', Estimates()),
+          patch.object(_SmoothingProblem, 'best', remembered(_SmoothingProblem.best))):
         yield
 
 
