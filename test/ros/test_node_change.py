@@ -20,7 +20,7 @@ LOADED = 1100
 pytestmark = pytest.mark.usefixtures('module_domain')
 
 
-def carrying(count, until=10**6):
+def carrying(count, until):
     """A motion with a load in the hand from sample number LOADED on, and not from ``until`` on."""
     samples = Samples.from_list(motion(count))
     inertia = MASS * (CENTRE @ CENTRE * np.eye(3) - np.outer(CENTRE, CENTRE)) + 1e-3 * np.eye(3)
