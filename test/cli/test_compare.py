@@ -363,7 +363,8 @@ def test_findings_on_the_bundled_recordings(repository, tmp_path):
     settings = load_params(repository / 'config/icub_right_arm.yaml')
     dump_params(replace(settings, features_count=100, initial_samples=500), params)
     found = document(tmp_path / 'result.json', 'compare', *bags, '--params', params, '--seeds', 3, '--starts', 1,
-                     '--jobs', 1,                     '--train-samples', 1500, '--subsets', 2, '--subset-samples', 900, '-o', tmp_path / 'p.html')
+                     '--jobs', 1, '--train-samples', 1500, '--subsets', 2, '--subset-samples', 900,
+                     '-o', tmp_path / 'p.html')
     assert found['seeds'] == [0, 1, 2]
     assert {finding['name']: finding['holds'] for finding in found['findings']} == {
         'parametric_is_worst': True, 'likelihood_beats_validation': True, 'semi_parametric_is_best_average': True,

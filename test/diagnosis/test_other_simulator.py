@@ -127,8 +127,8 @@ def test_a_spring_between_the_hand_and_the_room(diagnosed):
         anchor.append(data.xipos[body].copy())
         return -15.0 * (data.xipos[body] - anchor[0])
 
-    found = diagnosed(ICUB, 'cable_spring', 'cable_hysteresis', 'external_force', 'payload', 'viscous_drag', 'joint_offset',
-                      act=pushing('r_hand', pull))
+    found = diagnosed(ICUB, 'cable_spring', 'cable_hysteresis', 'external_force', 'payload', 'viscous_drag',
+                      'joint_offset', act=pushing('r_hand', pull))
     assert named(found)[0][0] == 'cable_spring'
     assert found.after.nmse.mean() < 0.01 * found.before.nmse.mean()
     stiffness = values(found.findings[0], 'stiffness_xx', 'stiffness_yy', 'stiffness_zz')

@@ -102,7 +102,7 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
             return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
         def decided(what):
-            return [record for record in records() if record['decisions'][-1:] and record['decisions'][-1]['what'] == what]
+            return [record for record in records() if [last['what'] for last in record['decisions'][-1:]] == [what]]
 
         named = LOADED + 350  # ten times as fast as the robot: it waits until the load has its name
         play(client, samples[:named])

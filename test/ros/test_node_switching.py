@@ -1,4 +1,4 @@
-"""A variant of each kind, or every one in the long form, one after the other, while a bag plays at ten times real time.
+"""Variants one after the other while a bag plays at ten times real time: one of each kind, or all in the long form.
 
 `pytest -s --long test/ros/test_node_switching.py` prints how long the node took to answer each switch, and to have the model.
 """
