@@ -1,6 +1,7 @@
 """Variants one after the other while a bag plays at ten times real time: one of each kind, all in the long form.
 
-`pytest -s --long test/ros/test_node_switching.py` prints how long the node took to answer each switch, and to have the model.
+`pytest -s --long test/ros/test_node_switching.py` prints how long the node took to answer each switch, and to
+have the model.
 """
 
 import json
