@@ -54,6 +54,8 @@ def workshop(tmp_path, known, ros_domain):
 def test_every_block_of_a_page_runs(page, workshop, long):
     parsed = page.name in PARSED or (page.name in LONG and not long)
     for block in blocks(page):
+        if block.language == 'python':
+            compile(block.text, str(block), 'exec')
         if block.special == 'not tested' or (page.name in LONG and parsed and block.language in ('text', 'python')):
             continue
         if (parsed and block.language == 'bash') or runs_make(block):
