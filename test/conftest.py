@@ -13,10 +13,11 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import hypothesis
 import pytest
 
+from semiparam_ros.core.signals.smoothing import _SmoothingProblem
 from support.browser import browse  # noqa: F401  (fixtures)
 from support.command_fixtures import params, recording  # noqa: F401  (fixtures)
 from support.commands import semiparam
-from support.estimates import Estimates
+from support.estimates import Estimates, remembered
 from support.mcap_core import node_modules  # noqa: F401  (fixtures)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -58,11 +59,13 @@ def long(request: pytest.FixtureRequest) -> bool:
 
 @pytest.fixture(scope='session', autouse=True)
 def searched_once():
-    """Many tests give their models the same window: its hyperparameters are searched once in this process.
+    """Many tests give their models the same window, and diagnose the same motion: the hyperparameters of each are
+    searched once in this process.
 
     That another search gives the same is tested where it says so.
     """
-    with patch('semiparam_ros.core.model.estimate', Estimates()):
+    with (patch('semiparam_ros.core.model.estimate', Estimates()),
+          patch.object(_SmoothingProblem, 'best', remembered(_SmoothingProblem.best))):
         yield
 
 
@@ -173,13 +176,13 @@ def measured_ur3(shared_data, tmp_path_factory) -> Path:
     return folder
 
 
-LONGEST = ('test_docs.py', 'test_replay.py', 'test_outside_faults.py', 'test_diagnosis.py', 'test_node.py',
-           'test_stop_signals.py', 'test_node_fuzz.py', 'test_setup_checks.py', 'test_other_simulator.py',
-           'test_record.py', 'test_matrix.py', 'test_checkpoints.py', 'test_rounds.py', 'test_packaging.py',
-           'test_outside_client.py', 'test_examples.py', 'test_compare.py', 'test_demo.py', 'test_node_change.py',
-           'test_node_diagnosis.py', 'test_node_switching.py', 'test_learner.py', 'test_estimator.py',
-           'test_structure.py', 'test_carries_over.py', 'test_rest_and_stops.py', 'test_identified.py',
-           'test_state_file.py', 'test_diagnosis_page.py')
+LONGEST = ('test_docs.py', 'test_diagnosis.py', 'test_matrix.py', 'test_outside_faults.py', 'test_replay.py',
+           'test_record.py', 'test_node.py', 'test_compare.py', 'test_node_fuzz.py', 'test_packaging.py',
+           'test_checkpoints.py', 'test_other_simulator.py', 'test_state_file.py', 'test_estimator.py',
+           'test_learner.py', 'test_rounds.py', 'test_diagnosis_page.py', 'test_examples.py', 'test_identified.py',
+           'test_node_change.py', 'test_spans.py', 'test_outside_client.py', 'test_setup_checks.py',
+           'test_carries_over.py', 'test_structure.py', 'test_new_kinds.py', 'test_node_diagnosis.py',
+           'test_temperature_kinds.py', 'test_node_temperature.py', 'test_node_switching.py')
 """Files of a quarter of a minute and more, by what they took."""
 
 

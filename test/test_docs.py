@@ -30,7 +30,8 @@ PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_i
 LONGEST = 35
 """Words of a sentence."""
 """Pages of reference, whose commands take minutes or name files of yours: they are parsed."""
-LONG = {'temperature.md', 'changes.md', 'export.md', 'efforts.md'}
+LONG = {'temperature.md', 'changes.md', 'export.md', 'efforts.md', 'json.md', 'plot.md', 'save_and_load.md',
+        'switch_variants.md'}
 """Pages whose commands other tests run with other recordings: they are parsed, and run in the long form."""
 UNTESTED = 33
 """Blocks that need what no test has. A new one is a decision: count it here."""
@@ -53,6 +54,8 @@ def workshop(tmp_path, known, ros_domain):
 def test_every_block_of_a_page_runs(page, workshop, long):
     parsed = page.name in PARSED or (page.name in LONG and not long)
     for block in blocks(page):
+        if block.language == 'python':
+            compile(block.text, str(block), 'exec')
         if block.special == 'not tested' or (page.name in LONG and parsed and block.language in ('text', 'python')):
             continue
         if (parsed and block.language == 'bash') or runs_make(block):

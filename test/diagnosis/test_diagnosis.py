@@ -539,7 +539,8 @@ def measured(measured_icub, tmp_path_factory):
 @pytest.mark.slow
 def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found(capsys):
     """A force that acts in a small part of the workspace looks a little like many kinds, and like none."""
-    recording = simulate(Scenario(motion='circle_xy', samples=1000, seed=1, effects=(EffectRequest('bump', size=2.0),)))
+    recording = simulate(Scenario(motion='circle_xy', samples=600, outputs='effort', seed=3,
+                                  effects=(EffectRequest('bump', size=2.0),)))
     diagnosis = diagnose(body_of(recording), samples_of(recording))
     assert diagnosis.verdict == 'unexplained' and diagnosis.imitated and not diagnosis.findings
     assert diagnosis.structure.formulas and diagnosis.structure.variables
@@ -560,7 +561,7 @@ def test_an_effect_of_half_a_percent_of_the_error_is_found():
 
 @pytest.mark.slow
 def test_friction_that_differs_between_directions_is_not_split_where_that_explains_less():
-    found = found_in(simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=1,
+    found = found_in(simulate(Scenario(motion='circle_xy', samples=2000, outputs='effort', seed=1,
                                        effects=(EffectRequest('asymmetric_friction', size=0.5),))))
     assert found.findings[0].effect.kind == 'asymmetric_friction'
 
@@ -602,7 +603,7 @@ def test_features_with_the_effects_carry_over_better_than_features_alone(measure
     diagnosis = diagnose_bag(argparse.Namespace(bags=[measured_icub / 'train.mcap'], judge=measured_icub / 'test.mcap',
                                                 split=None, kinds=['joint_offset'], inside=[]), settings)
     shown = []
-    judged = evaluate_variants(replace(settings, features_count=20, initial_samples=300), diagnosis, ['P', 'SPK-ML'], 2,
+    judged = evaluate_variants(replace(settings, features_count=20, initial_samples=300), diagnosis, ['P', 'SPK-ML'], 1,
                                lambda done, total: shown.append((done, total)))
     assert shown == [(count, 12) for count in range(1, 13)]
     assert len(judged['P']['draws']['before']) == 1

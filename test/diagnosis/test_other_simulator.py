@@ -39,10 +39,14 @@ def pushing(link, force, from_s=0.0):
     return act
 
 
-def diagnosed(robot, **hidden):
-    found = diagnose(robot.body, recording(robot, **hidden))
-    assert not found.setup
-    return found
+@pytest.fixture(scope='module')
+def diagnosed(long):
+    """Diagnoses what a robot records: among the kinds told, or among all of them in the long form."""
+    def run(robot, *rivals, **hidden):
+        found = diagnose(robot.body, recording(robot, **hidden), only=() if long else rivals)
+        assert not found.setup
+        return found
+    return run
 
 
 def named(found):
@@ -53,13 +57,13 @@ def values(finding, *names):
     return [finding.parameters[name].value for name in names]
 
 
-def test_nothing_is_missing_of_an_ur3(ur3):
+def test_nothing_is_missing_of_an_ur3(ur3, diagnosed):
     found = diagnosed(ur3)
     assert (found.verdict, named(found)) == ('nothing_missing', [])
     assert found.before.nmse.max() < 1e-3
 
 
-def test_friction_of_a_joint_of_an_ur3(ur3):
+def test_friction_of_a_joint_of_an_ur3(ur3, diagnosed):
     def oiled(spec):
         spec.joint('elbow_joint').damping = [1.5, 0.0, 0.0]
 
@@ -68,7 +72,7 @@ def test_friction_of_a_joint_of_an_ur3(ur3):
     assert values(found.findings[0], 'viscous') == pytest.approx([1.5], rel=0.01)
 
 
-def test_dry_friction_that_turns_softly(ur3):
+def test_dry_friction_that_turns_softly(ur3, diagnosed):
     """MuJoCo's dry friction is a soft constraint: it turns over within 0.1 rad/s on a light arm."""
     def worn(spec):
         spec.joint('elbow_joint').frictionloss = 2.0
@@ -78,7 +82,7 @@ def test_dry_friction_that_turns_softly(ur3):
     assert values(found.findings[0], 'coulomb') == pytest.approx([2.0], rel=0.1)
 
 
-def test_a_base_that_is_not_level(ur3):
+def test_a_base_that_is_not_level(ur3, diagnosed):
     """Its first axis stands upright in the description: a tilt shows masses that no level base shows."""
     tilt = np.radians(3.0)
 
@@ -90,16 +94,17 @@ def test_a_base_that_is_not_level(ur3):
     assert values(found.findings[0], 'tilt_x', 'tilt_y') == pytest.approx([0.0, tilt], abs=0.002)
 
 
-def test_a_push_from_half_time_on(ur3):
+def test_a_push_from_half_time_on(ur3, diagnosed):
     """So strong that no inertias explain the efforts."""
     force = (0.0, 8.0, -10.0)
-    found = diagnosed(ur3, act=pushing('wrist_3_link', force, HALF_S))
+    found = diagnosed(ur3, 'external_force', 'payload', 'joint_offset', 'effort_offset', 'gravity_tilt',
+                      act=pushing('wrist_3_link', force, HALF_S))
     assert named(found)[0] == ('external_force', 'wrist_3_link')
     assert values(found.findings[0], 'force_x', 'force_y', 'force_z') == pytest.approx(force, abs=0.05)
     assert found.findings[0].effect.start_s == pytest.approx(HALF_S, abs=2.5)
 
 
-def test_what_a_hand_picks_up_is_weighed_by_a_wrist_sensor(wrist):
+def test_what_a_hand_picks_up_is_weighed_by_a_wrist_sensor(wrist, diagnosed):
     def load(spec):
         body = spec.body('panda_hand').add_body(name='load', pos=[0.02, 0.0, 0.1])
         body.mass, body.inertia, body.explicitinertial = 1e-6, [1e-9] * 3, True
@@ -109,26 +114,28 @@ def test_what_a_hand_picks_up_is_weighed_by_a_wrist_sensor(wrist):
             model.body('load').mass, model.body('load').inertia = 0.5, [2e-3] * 3
             mujoco.mj_setConst(model, mujoco.MjData(model))
 
-    found = diagnosed(wrist, prepare=load, act=pick_up)
+    found = diagnosed(wrist, 'payload', 'external_force', 'sensor_offset', 'sensor_gain', 'joint_offset',
+                      prepare=load, act=pick_up)
     assert [kind for kind, _ in named(found)] == ['payload']
     assert values(found.findings[0], 'mass') == pytest.approx([0.5], abs=0.005)
 
 
-def test_a_spring_between_the_hand_and_the_room():
+def test_a_spring_between_the_hand_and_the_room(diagnosed):
     anchor = []
 
     def pull(model, data, body):
         anchor.append(data.xipos[body].copy())
         return -15.0 * (data.xipos[body] - anchor[0])
 
-    found = diagnosed(ICUB, act=pushing('r_hand', pull))
+    found = diagnosed(ICUB, 'cable_spring', 'cable_hysteresis', 'external_force', 'payload', 'viscous_drag',
+                      'joint_offset', act=pushing('r_hand', pull))
     assert named(found)[0][0] == 'cable_spring'
     assert found.after.nmse.mean() < 0.01 * found.before.nmse.mean()
     stiffness = values(found.findings[0], 'stiffness_xx', 'stiffness_yy', 'stiffness_zz')
     assert stiffness == pytest.approx([15.0] * 3, rel=0.02)
 
 
-def test_a_hand_in_water():
+def test_a_hand_in_water(diagnosed):
     def drag(model, data, body):
         velocity = np.zeros(6)
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
@@ -139,22 +146,23 @@ def test_a_hand_in_water():
     assert values(found.findings[0], 'drag') == pytest.approx([3.0], rel=0.03)
 
 
-def test_zeros_of_several_encoders():
+def test_zeros_of_several_encoders(diagnosed):
     offsets = np.radians([2.0, 1.5, -2.0, 0.0])
     found = diagnosed(ICUB, zeros=-offsets)
     assert named(found) == [('joint_offset', joint) for joint in ICUB_JOINTS[:3]]
     assert [values(finding, 'offset')[0] for finding in found.findings] == pytest.approx(offsets[:3], abs=0.001)
 
 
-def test_late_efforts_of_joints_with_friction(ur3):
+def test_late_efforts_of_joints_with_friction(ur3, long):
     """Joint by joint, a delay looks like bristles that bend before they slide."""
     samples = recording(ur3, seed=1)
     rubbing = 1.5 * np.tanh(samples.velocity / 0.02) + samples.velocity
     late = np.concatenate([samples.outputs[:2], (samples.outputs + rubbing)[:-2]])
-    found = diagnose(ur3.body, replace(samples, outputs=late))
     dry = {'coulomb_friction': 'coulomb', 'stribeck_friction': 'coulomb'}
     expected = {**dict.fromkeys(dry, 1.5), 'viscous_friction': 1.0, 'time_delay': 0.02}
     numbers = {**dry, 'viscous_friction': 'viscous', 'time_delay': 'delay_s'}
+    found = diagnose(ur3.body, replace(samples, outputs=late),
+                     only=() if long else (*expected, 'backlash', 'effort_gain', 'joint_offset'))
     for finding in found.findings:
         kind = finding.effect.kind
         assert values(finding, numbers[kind])[0] == pytest.approx(expected[kind], rel=0.05)

@@ -326,7 +326,7 @@ def test_a_force_beyond_the_weight_of_the_arm_is_no_finding():
 
 
 @pytest.mark.slow
-def test_a_measured_franka_is_explained_as_well_as_by_a_plain_model(shared_data):
+def test_a_measured_franka_is_explained_as_well_as_by_a_plain_model(shared_data, long):
     """All base parameters, and offset, viscous and dry friction of each joint, its cut-off chosen on the fit."""
     from semiparam_ros.bags.reader import open_bag
 
@@ -340,7 +340,8 @@ def test_a_measured_franka_is_explained_as_well_as_by_a_plain_model(shared_data)
     samples = Samples(stamps, position, velocity, np.zeros_like(velocity), effort, int(stamps[0]))
     body = RigidBody.from_urdf((shared_data / 'panda_arm' / 'panda.urdf').read_text(),
                                [f'panda_joint{number}' for number in range(1, 8)], 'effort')
-    found = diagnose(body, samples)
+    found = diagnose(body, samples, only=() if long else (
+        'effort_offset', 'viscous_friction', 'coulomb_friction', 'stribeck_friction', 'load_friction'))
     first, counted = found.first, found.first.counted
     plain = plain_model(body, first.samples, first.train_mask[:, None] & counted)
     judged = found.held_out[:, None] & counted

@@ -1,6 +1,7 @@
 """What goes wrong before any physics: found where it is, and never where it is not."""
 
 import itertools
+import os
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -49,6 +50,15 @@ def simulated(outputs='wrench', kind=None, motion='fourier', seed=0, samples=100
 def real_icub():
     return RigidBody.from_urdf(described('icub_arm/iCubGenova01.urdf'), ICUB_JOINTS, 'wrench', ICUB_SENSOR,
                                'reaction'), icub_table(SHARED_DATA / 'icub_arm' / 'icubdyn_train.dat')
+
+
+@pytest.fixture
+def icub(request):
+    """The measured arm, and a simulated one for whoever lacks the recordings."""
+    if SHARED_DATA.is_dir() or os.environ.get('CI', '').lower() == 'true':
+        request.getfixturevalue('shared_data')
+        return real_icub()
+    return simulated()
 
 
 @cache
@@ -134,15 +144,8 @@ EVERY_MISTAKE = {**MOTION_MISTAKES, **WRENCH_MISTAKES}
 
 
 @pytest.mark.parametrize('name', EVERY_MISTAKE)
-def test_each_mistake_is_found_in_a_simulated_recording(name):
-    body, samples = simulated()
-    mistake, expected = EVERY_MISTAKE[name]
-    assert expected in found(body, mistake(samples))
-
-
-@pytest.mark.parametrize('name', EVERY_MISTAKE)
-def test_each_mistake_is_found_in_a_real_recording(name, shared_data):
-    body, samples = real_icub()
+def test_each_mistake_is_found(name, icub):
+    body, samples = icub
     mistake, expected = EVERY_MISTAKE[name]
     problems = setup_problems(body, mistake(samples))
     assert expected in [(problem.what, problem.where) for problem in problems]
@@ -150,7 +153,7 @@ def test_each_mistake_is_found_in_a_real_recording(name, shared_data):
 
 
 @pytest.mark.parametrize('axes', list(itertools.product(itertools.permutations(range(3)),
-                                                        itertools.product((1, -1), repeat=3)))[1::7])
+                                                        itertools.product((1, -1), repeat=3)))[1::12])
 def test_axes_are_named_the_way_back(axes):
     """Applying the axes that the sentence names to the broken copy gives the recording again."""
     body, samples = simulated()
@@ -191,8 +194,7 @@ def test_mistakes_in_the_real_efforts_of_a_ur3(mistake, expected, shared_data):
     assert expected in found(body, mistake(samples))
 
 
-@pytest.mark.parametrize(('name', 'one', 'other'), [('id1.bag', 2, 3), ('id1.bag', 0, 1), ('id2.bag', 1, 2),
-                                                    ('id2.bag', 4, 5)])
+@pytest.mark.parametrize(('name', 'one', 'other'), [('id1.bag', 2, 3), ('id2.bag', 4, 5)])
 @pytest.mark.parametrize(('roles', 'what'), [
     (('outputs',), 'effort_order'), (('position',), 'position_order'),
     (('velocity', 'acceleration'), 'velocity_order')])

@@ -24,12 +24,13 @@ estimator:
 """
 
 
-@pytest.mark.parametrize(('outputs', 'kind'), [('effort', 'temperature_friction'), ('wrench', 'temperature_drift')])
-def test_a_bag_tells_what_follows_its_temperature(tmp_path, outputs, kind):
+@pytest.mark.parametrize(('outputs', 'kind', 'samples'), [('effort', 'temperature_friction', '1500'),
+                                                          ('wrench', 'temperature_drift', '3000')])
+def test_a_bag_tells_what_follows_its_temperature(tmp_path, outputs, kind, samples):
     """Found, and nothing beside it; the parameter file declares it with the temperature that it counts from."""
     bag, params, found = tmp_path / 'a.mcap', tmp_path / 'p.yaml', tmp_path / 'found.yaml'
     where = '@r_elbow' if outputs == 'effort' else ''
-    assert main(['simulate', str(bag), '--outputs', outputs, '--effect', kind + where, '--samples', '3000',
+    assert main(['simulate', str(bag), '--outputs', outputs, '--effect', kind + where, '--samples', samples,
                  '--seed', '5', '--truth', str(tmp_path / 'truth.json')]) == 0
     params.write_text(PARAMS.format(
         joints=', '.join(ICUB_JOINTS), temperatures='r_elbow' if outputs == 'effort' else ICUB_SENSOR,
@@ -63,7 +64,7 @@ def test_friction_without_warming_is_plain_although_temperatures_are_recorded():
 
 
 def test_drift_in_time_is_told_from_what_follows_the_temperature():
-    recording = simulate(Scenario(samples=3000, seed=8, temperatures=True, effects=(EffectRequest('thermal_drift'),)))
+    recording = simulate(Scenario(samples=1500, seed=8, temperatures=True, effects=(EffectRequest('thermal_drift'),)))
     found = diagnose(body_of(recording), samples_of(recording))
     assert [finding.effect.kind for finding in found.findings] == ['thermal_drift']
 

@@ -12,7 +12,7 @@ from live_benchmark import empty_loop, quantiles
 
 
 def test_a_slow_robot_is_answered_every_time(ros_domain):
-    result = subprocess.run([sys.executable, live_benchmark.__file__, '--rate', '50', '--seconds', '2',
+    result = subprocess.run([sys.executable, live_benchmark.__file__, '--rate', '100', '--seconds', '1',
                              '--features', '40', '--window', '250'], capture_output=True, text=True,
                             timeout=180, check=False,
                             env={**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'})

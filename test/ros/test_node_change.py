@@ -20,7 +20,7 @@ LOADED = 1100
 pytestmark = pytest.mark.usefixtures('module_domain')
 
 
-def carrying(count, until=10**6):
+def carrying(count, until):
     """A motion with a load in the hand from sample number LOADED on, and not from ``until`` on."""
     samples = Samples.from_list(motion(count))
     inertia = MASS * (CENTRE @ CENTRE * np.eye(3) - np.outer(CENTRE, CENTRE)) + 1e-3 * np.eye(3)
@@ -80,40 +80,8 @@ def test_a_diagnosis_of_a_load_that_was_put_down_meanwhile_is_not_applied(tmp_pa
         ), refused.message
 
 
-def test_a_load_is_told_on_a_topic_in_the_status_and_in_a_file(tmp_path):
-    settings = replace(
-        SETTINGS, variant='P', acceleration_source='measured', state_folder=str(tmp_path / 'states')
-    )
-    dump_params(settings, tmp_path / 'p.yaml')
-    samples = carrying(LOADED + 500)
-    with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
-        client.connect()
-        client.listen(DiagnosticArray, 'change')
-        client.offer('joint_states', 'joint_accelerations', 'wrench')
-        play(client, samples)
-
-        def told():
-            return [
-                message.status[0]
-                for message in client.heard['change']
-                if message.status[0].message.startswith('payload at ft since ')
-            ]
-
-        client.wait(told, 'the change by its name')
-        status = told()[-1]
-        values = {entry.key: entry.value for entry in status.values}
-        mass, std = (float(number) for number in values['mass [kg]'].split(' +- '))
-        assert abs(mass - MASS) < max(3.0 * std, 0.05 * MASS)
-        assert values['state'] == 'changed'
-        client.wait_report('changes', lambda level, message, values: message == status.message)
-        lines = (tmp_path / 'states' / 'changes.jsonl').read_text().splitlines()
-        record = json.loads(lines[-1])
-        assert record['named']['effect']['kind'] == 'payload'
-        begun = record['named']['effect']['start_stamp_s']
-        assert abs(begun - samples[LOADED].stamp * 1e-9) < 0.2
-
-
-def test_a_load_is_applied_and_taken_back_and_nobody_touches_anything(tmp_path):
+def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_path):
+    """On a topic, in the status and in a file."""
     settings = replace(
         SETTINGS,
         variant='P',
@@ -129,18 +97,32 @@ def test_a_load_is_applied_and_taken_back_and_nobody_touches_anything(tmp_path):
         client.listen(DiagnosticArray, 'change')
         client.offer('joint_states', 'joint_accelerations', 'wrench')
 
-        def decisions():
+        def records():
             path = tmp_path / 'states' / 'changes.jsonl'
-            lines = path.read_text().splitlines() if path.exists() else []
-            return [each['what'] for line in lines for each in json.loads(line)['decisions'][-1:]]
+            return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+        def decided(what):
+            return [record for record in records() if [last['what'] for last in record['decisions'][-1:]] == [what]]
 
         named = LOADED + 350  # ten times as fast as the robot: it waits until the load has its name
         play(client, samples[:named])
-        client.wait(lambda: 'tried beside the model' in decisions(), 'the load to be tried')
+        client.wait(lambda: decided('tried beside the model'), 'the load to be tried')
+        record = decided('tried beside the model')[-1]['named']
+        assert record['effect']['kind'] == 'payload'
+        assert abs(record['effect']['start_stamp_s'] - samples[LOADED].stamp * 1e-9) < 0.2
+        *_, told = (
+            message.status[0]
+            for message in client.heard['change']
+            if message.status[0].message.startswith('payload at ft since ')
+        )
+        values = {entry.key: entry.value for entry in told.values}
+        mass, std = (float(number) for number in values['mass [kg]'].split(' +- '))
+        assert abs(mass - MASS) < max(3.0 * std, 0.05 * MASS)
+        assert values['state'].startswith('changed')
+        client.wait_report('changes', lambda level, message, values: message == told.message)
         play(client, samples[named:])
-        client.wait(lambda: 'taken back' in decisions(), 'the load to be taken back')
-        record = json.loads((tmp_path / 'states' / 'changes.jsonl').read_text().splitlines()[-1])
-        assumed, tried, applied, over = record['decisions']
+        client.wait(lambda: decided('taken back'), 'the load to be taken back')
+        assumed, tried, applied, over = records()[-1]['decisions']
         assert assumed['what'] == 'taken off until it is named'
         assert (tried['what'], applied['what']) == ('tried beside the model', 'applied')
         assert over['evidence'] > 12.0

@@ -14,6 +14,7 @@ from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.record.options import Limits, RecordOptions, parse_count
+from support.commands import refusal
 from support.node_client import stamp_of
 from support.node_helpers import JOINTS, SETTINGS, motion
 from support.replay_peers import EVERYTHING, LATCHED, STATES, TEXT, WRENCH, Peer, Tool, write_robot
@@ -170,8 +171,6 @@ def rclpy_sensor_data():
     (['--node', '/estimatr', '--wait-timeout', 0.3], '/estimatr was not found within 0.3 s'),
     (['--topics', '/wrench', '--wait-timeout', 0.3], '/wrench was not found within 0.3 s'),
     (['--all', '--duration', 0.3], 'nothing was recorded'),
-    (['--count', 'many'], "'many' is no count: expected N or TOPIC=N"),
-    (['--until-idle', 0], 'the idle time must be above 0'),
 ])
 def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, sentence):
     out = tmp_path / 'out' / 'out.mcap'
@@ -180,6 +179,15 @@ def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, senten
         assert record.wait() == 2, record.output
     assert record.said(sentence) and 'Traceback' not in record.output
     assert not list(out.parent.glob('*'))
+
+
+@pytest.mark.parametrize(('arguments', 'sentence'), [
+    (['--count', 'many'], "'many' is no count: expected N or TOPIC=N"),
+    (['--until-idle', 0], 'the idle time must be above 0'),
+])
+def test_a_senseless_end_is_refused(tmp_path, capsys, arguments, sentence):
+    assert sentence in refusal(capsys, 'record', tmp_path / 'out.mcap', *arguments)
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_older_file_is_not_replaced_unless_asked(tmp_path):

@@ -18,6 +18,7 @@ from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.ros.cdr import read_stamp
+from support.commands import refusal
 from support.replay_peers import (
     EVERYTHING,
     LATCHED,
@@ -288,14 +289,18 @@ def test_a_damaged_bag_plays_as_far_as_it_goes(tmp_path):
 @pytest.mark.parametrize(('arguments', 'sentence'), [
     (['--as-fast-as-followed', '--wait-timeout', 0.3], 'nobody publishes /estimator/residual after 0.3 s'),
     (['--wait-for-subscribers', 2, '--wait-timeout', 0.3], '0 of 2 subscribing nodes are connected after 0.3 s'),
-    (['--topics', '/wrnch'], 'has no topic /wrnch'),
-    (['--rate', 0.0], 'rate must be a finite number above 0'),
     (['--ros-args', '-p', 'rate:=fast'], "'rate'"),
 ])
 def test_mistakes_are_one_sentence(tmp_path, arguments, sentence):
     bag = write_robot(tmp_path / 'a.mcap', 3)
     tool = replayed(tmp_path, bag, *arguments, code=2)
     assert tool.said(sentence) and 'Traceback' not in tool.output and tool.output.count('\n') == 1
+
+
+@pytest.mark.parametrize(('arguments', 'sentence'), [(['--topics', '/wrnch'], 'has no topic /wrnch'),
+                                                     (['--rate', 0.0], 'rate must be a finite number above 0')])
+def test_a_senseless_playback_is_refused(tmp_path, capsys, arguments, sentence):
+    assert sentence in refusal(capsys, 'replay', write_robot(tmp_path / 'a.mcap', 3), *arguments)
 
 
 def read_until(terminal, text, seen=b''):

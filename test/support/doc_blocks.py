@@ -202,7 +202,8 @@ def check_parses(block: Block, repository: Path) -> None:
     for command in commands(block):
         words = [word for word in shlex.split(command, comments=True) if (word != '&' and '=' not in word.split('/')[0])
                  or word.startswith('-')]
-        check_command(words, repository)
+        if words != ['wait']:
+            check_command(words[:words.index('--ros-args')] if '--ros-args' in words else words, repository)
 
 
 @lru_cache
