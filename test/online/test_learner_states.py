@@ -2,7 +2,7 @@
 
     pytest --long test/online/test_learner_states.py
 
-runs four hundred lives instead of twenty.
+runs hundreds of lives instead of twelve.
 """
 
 from __future__ import annotations
@@ -379,7 +379,7 @@ class EffortLives(Lives):
 ROUNDED = 1e-9
 """Of the outputs' scale: noise that the positions and efforts of a life, of fifteen digits, do not hold."""
 
-LIVES = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 5,
+LIVES = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 8,
                             stateful_step_count=40, deadline=None,
                             phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
                             suppress_health_check=list(hypothesis.HealthCheck))
