@@ -56,8 +56,8 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
 
 def _at_each_time(fit: Fit, trial: Trial) -> list[Trial]:
     """The trial, and the same effect always, from a start on, until an end and between both, where it may be so."""
-    effect, breaks = trial.effect, breaks_s(fit.samples)
-    if not effect.changes or any(time_s in breaks for time_s in effect.span.values.values()):
+    effect = trial.effect
+    if not effect.changes:
         return [trial]
     columns = added_columns(fit, effect.without_span())
     spans = [span for span in best_spans(fit, effect, columns) if span.values.keys() != effect.span.values.keys()]

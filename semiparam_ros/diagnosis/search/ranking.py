@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 from semiparam_ros.diagnosis.regression import Fit
@@ -36,12 +37,12 @@ def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
     """Those worth refining: the best, calibrations (which are linear only while small), and the best of each kind with
     many values."""
     config = fit.config
-    chosen = trials[:config.refined_candidates]
-    chosen += [trial for trial in trials[config.refined_candidates:]
-               if trial.effect.is_calibration and trial.evidence > config.least_evidence]
+    chosen = trials[:config.tried]
+    chosen += [trial for trial in trials[config.tried:]
+               if trial.effect.is_calibration and trial.evidence > math.log(config.odds)]
     for kind in {trial.effect.kind for trial in trials if trial.many_valued}:
         foremost = [trial for trial in trials if trial.many_valued and trial.effect.kind == kind][:config.swapped]
-        chosen += [trial for trial in foremost if trial not in chosen and trial.evidence > config.least_evidence]
+        chosen += [trial for trial in foremost if trial not in chosen and trial.evidence > math.log(config.odds)]
     return chosen
 
 

@@ -27,7 +27,7 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     it ends: those of a delay hold noise of the motion, and kept ones end beside the least loss.
     """
     places, slopes, last = {identity(effect) for effect in moving}, None, np.inf
-    for _ in range(fit.config.gauss_newton_steps):
+    for _ in range(fit.config.newton_steps):
         moving = [effect for effect in fit.effects if identity(effect) in places]
         fresh = slopes is None
         if slopes is None:

@@ -19,7 +19,6 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.correlation import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects, with_values
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, predicted_with
-from semiparam_ros.diagnosis.search.in_some_recordings import in_some_recordings
 from semiparam_ros.diagnosis.search.refit import calibrated_values, gauss_newton, moved_by
 from semiparam_ros.diagnosis.search.spans import best_spans
 from semiparam_ros.effects import Effect
@@ -73,14 +72,14 @@ def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
 
 
 def _started(fit: Fit, effect: Effect) -> tuple[Effect, Array]:
-    """The effect when it explains most, if it can begin or end and its times are open, and its columns."""
-    columns = always = added_columns(fit, effect)
-    if effect.is_calibration:
-        return effect, columns
-    if effect.changes and effect.span == ALWAYS:
-        effect = replace(effect, span=best_spans(fit, effect, always, most=1)[0])
-        columns = always * effect.span.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
-    return in_some_recordings(fit, effect, columns, always)
+    """The effect when it explains most, if it can begin or end or be in some recordings and its times are open, and its
+    columns."""
+    columns = added_columns(fit, effect)
+    may_end = effect.changes or (fit.samples.breaks and not effect.of_one_recording)
+    if may_end and not effect.is_calibration and effect.span == ALWAYS:
+        effect = replace(effect, span=best_spans(fit, effect, columns, most=1)[0])
+        columns = columns * effect.span.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
+    return effect, columns
 
 
 def _linear_trial(fit: Fit, effect: Effect) -> Trial:
@@ -218,7 +217,7 @@ def _calibrated(fit: Fit, trial: Trial, effect: Effect, columns: Array) -> Trial
         columns of the model, for new ones are costly; where that does not settle, as with a large gain, all is new.
     """
     model, moved = fit, effect
-    for _ in range(fit.config.gauss_newton_steps):
+    for _ in range(fit.config.newton_steps):
         step = model.joint_step(columns)
         after, further = _moved_along(model, moved, *step)
         gained = model.loss - after.loss
