@@ -282,7 +282,7 @@ def _over(fit: Fit, effect: Effect, since_s: float) -> Move:
     after = refit_weights(
         with_effects(fit, [over if known is effect else known for known in fit.effects])
     )
-    gained = gain(fit, after, over.span.values.values())
+    gained = gain(fit, after, [float(over.end_s or since_s)])
     return Move((over,), after, gained, math.log(fit.config.start_grid))
 
 

@@ -178,10 +178,6 @@ class DiagnosisConfig:
     """Asks of a gain that it is so many times its standard error over the blocks: 1 in 160 by chance."""
     odds: float = 1e5
     """Takes a kind of effect for so unlikely that odds of it before the recording are one to this (chosen)."""
-    swapped: int = 3
-    """Tries so many other kinds and places in place of each effect that was found (chosen)."""
-    worth_swapping: float = 0.5
-    """Tries those that, coarse as they are, reach this share of its evidence (chosen)."""
     tried: int = 8
     """Scores so many of the candidates of a round, the most credible first (chosen)."""
 
@@ -202,8 +198,6 @@ class DiagnosisConfig:
     """Moves a point of application by at most so many Gauss-Newton steps (chosen)."""
     longest_lever_m: float = 0.3
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
-    reweighted: float = 0.5
-    """Settles calibrations once more where what is left of a channel fell below this share (chosen)."""
     newton_steps: int = 12
     """Settles calibrations, and the nonlinear values of effects, in at most so many Gauss-Newton steps (chosen)."""
     backtracking: float = 0.25
@@ -213,8 +207,6 @@ class DiagnosisConfig:
     settled_gain: float = 0.1
     """Ends the Gauss-Newton steps of calibrations and nonlinear values once they gain less than this of the squares
     over their variance: less than a third of a standard deviation (chosen)."""
-    reference_rounds: int = 2
-    """Refers friction that grows with the load so many times to the load of the model that holds it (chosen)."""
     shortened_step: float = 0.1
     """Keeps the derivatives as long as each step is at most this share of the one before (chosen)."""
 

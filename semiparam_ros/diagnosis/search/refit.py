@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -99,7 +98,7 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
         parts = held([effect])
         known = [one for one in fit.effects if not held([one]) & parts]
         fit = with_effects(fit, [*known, effect])
-    fit = _with_own_load(_relocated(refit_weights(fit)))
+    fit = _relocated(refit_weights(fit))
     return calibrated(fit, [effect for effect in fit.effects if effect.is_calibration])
 
 
@@ -111,10 +110,7 @@ def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
     """
     whole, slides = fit, any(told_by_sliding(fit, effect) for effect in calibrations)
     fit = fit.sliding if slides else fit
-    while calibrations:
-        scale, fit = fit.scale, refit_weights(gauss_newton(fit, calibrations))
-        if np.all(fit.scale > fit.config.reweighted * scale):
-            break  # else the prior was weighed against noise that there is not
+    fit = refit_weights(gauss_newton(fit, calibrations)) if calibrations else fit
     if not slides:
         return fit
     led = following(fit.effects, whole.effects)
@@ -131,23 +127,6 @@ def told_by_sliding(fit: Fit, effect: Effect) -> bool:
     """Whether a calibration is told by joints that slide, for at a turn it looks like another form of
     friction."""
     return effect.moves_friction and fit.body.outputs == 'effort'
-
-
-def _with_own_load(fit: Fit) -> Fit:
-    """The same model with effects that depend on the load referred to the load as the model with them has it.
-
-    Before they were in the model, they bent the rigid body's fit.
-    """
-    for _ in range(fit.config.reference_rounds):
-        own = tuple(fit.rigid_part.tolist())
-        effects = [replace(effect, reference=own) if effect.needs_reference else effect for effect in fit.effects]
-        if effects == list(fit.effects):
-            break
-        other = with_effects(fit, effects)
-        if other.loss >= fit.loss:
-            break
-        fit = refit_weights(other)
-    return fit
 
 
 def _relocated(fit: Fit) -> Fit:
