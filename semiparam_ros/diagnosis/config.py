@@ -198,6 +198,8 @@ class DiagnosisConfig:
     """Moves a point of application by at most so many Gauss-Newton steps (chosen)."""
     longest_lever_m: float = 0.3
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
+    reweighted: float = 0.5
+    """Settles calibrations once more where what is left of a channel fell below this share (chosen)."""
     newton_steps: int = 12
     """Settles calibrations, and the nonlinear values of effects, in at most so many Gauss-Newton steps (chosen)."""
     backtracking: float = 0.25

@@ -110,7 +110,10 @@ def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
     """
     whole, slides = fit, any(told_by_sliding(fit, effect) for effect in calibrations)
     fit = fit.sliding if slides else fit
-    fit = refit_weights(gauss_newton(fit, calibrations)) if calibrations else fit
+    while calibrations:
+        scale, fit = fit.scale, refit_weights(gauss_newton(fit, calibrations))
+        if np.all(fit.scale > fit.config.reweighted * scale):
+            break  # else the prior was weighed against noise that there is not
     if not slides:
         return fit
     led = following(fit.effects, whole.effects)
