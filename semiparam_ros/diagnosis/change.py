@@ -22,11 +22,9 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded
-from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluate_here
 from semiparam_ros.diagnosis.findings import Quantity
-from semiparam_ros.diagnosis.preparation import Inputs, best_inputs, require_enough, working_factor
+from semiparam_ros.diagnosis.preparation import Inputs, prepared, require_enough
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.moves import Move
 from semiparam_ros.diagnosis.search.plausibility import plausible
@@ -156,25 +154,18 @@ def name_change(
 def _ranked(
     fit: Fit, known: Sequence[Effect], since_s: float, ended_s: float | None
 ) -> list[Move]:
-    """Every effect that may have begun, the likeliest first; before them all one that is known and
-    is over, unless another explains much more."""
+    """Every effect that may have begun, and every one that is known and may be over, the likeliest first."""
     found = [
         trial
         for effect in _candidates(fit)
         if (trial := _tried(fit, effect, since_s, ended_s)) is not None
     ]
-    over = [
+    found += [
         _over(fit, effect, since_s)
         for effect in known
         if effect.changes and not effect.ends and ended_s is None
     ]
-    most = max((trial.gain.total for trial in found), default=0.0)
-    enough = [trial for trial in over if trial.gain.total * fit.config.change_worth > most]
-    found += [trial for trial in over if trial not in enough]
-    return [
-        *sorted(enough, key=lambda trial: -trial.net),
-        *sorted(found, key=lambda trial: -trial.net),
-    ]
+    return sorted(found, key=lambda trial: -trial.net)
 
 
 def gain_since(
@@ -191,22 +182,14 @@ def gain_since(
 
     Raises SemiparamError when there are too few of either.
     """
-    clean, factor = ~excluded(samples, config), working_factor(samples, config)
-    whole = samples[: len(samples) // factor * factor]
-    old, new = (
-        clean[: len(whole)] & part for part in (whole.time < since_s, whole.time >= since_s)
-    )
     models = [
         [effect.in_recording(samples.origin) for effect in effects] for effects in (before, after)
     ]
-    inputs = best_inputs(body, whole, models[0], old, config)
-    chosen, fitting, judging = inputs.prepare(whole), inputs.mask(old), inputs.mask(new)
+    old = samples.time < since_s
+    inputs, chosen, used, counted = prepared(body, samples, models[0], old, config)
+    fitting, judging = used & inputs.mask(old), used & inputs.mask(~old)
     require_enough(config, fitting, judging)
-    counted = counted_outputs(body, chosen, config)
-    fits = [
-        starting_fit(body, chosen, effects, fitting & counted.any(axis=1), config, counted)
-        for effects in models
-    ]
+    fits = [starting_fit(body, chosen, effects, fitting, config, counted) for effects in models]
     repeated = repetition(fits[1])
     densities = [
         -0.5 * counted * (fit.residual**2 / fit.scale**2 + 2.0 * np.log(fit.scale)) / repeated
@@ -228,17 +211,12 @@ def _first_fit(
 ) -> tuple[Fit, Inputs, Mask]:
     """The model that is declared, how its samples were prepared, and which (N,) came after the
     change."""
-    clean, factor = ~excluded(samples, config), working_factor(samples, config)
-    whole = samples[: len(samples) // factor * factor]
-    clean = clean[: len(whole)]
     effects = [*(effect.in_recording(samples.origin) for effect in effects), *_friction(body)]
-    inputs = inputs or best_inputs(body, whole, effects, clean, config)
-    chosen, valid = inputs.prepare(whole), inputs.mask(clean)
-    counted = counted_outputs(body, chosen, config)
-    valid &= counted.any(axis=1)
+    everything = np.ones(len(samples), dtype=bool)
+    inputs, chosen, used, counted = prepared(body, samples, effects, everything, config, inputs)
     changed = np.asarray(chosen.time >= since_s)
-    require_enough(config, valid & ~changed, valid)
-    return starting_fit(body, chosen, effects, valid, config, counted), inputs, changed
+    require_enough(config, used & ~changed, used)
+    return starting_fit(body, chosen, effects, used, config, counted), inputs, changed
 
 
 def _friction(body: RigidBody) -> list[Effect]:
@@ -278,7 +256,8 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> M
     """The effect with its best times near those given, in the model; None where it has values that
     it cannot have."""
     spans = [Span(start_s=since_s, end_s=ended_s)]
-    if effect.is_load and ended_s is None:
+    known = any(each.is_load and not each.ends for each in fit.effects)
+    if effect.is_load and ended_s is None and not known:
         spans.append(Span(end_s=since_s))  # what was in the hand before, and the model has learnt
     best: Move | None = None
     for span in spans:
@@ -301,13 +280,13 @@ def _near(fit: Fit, time_s: float) -> tuple[float, float]:
 
 def _over(fit: Fit, effect: Effect, since_s: float) -> Move:
     """An effect that the model holds, with its end near a time."""
-    rest = with_effects(fit, [known for known in fit.effects if known is not effect])
-    ended = with_best_edge(rest, effect, 'end_s', _near(fit, since_s))
+    kept = [known for known in fit.effects if known is not effect]
+    over = with_best_edge(with_effects(fit, kept), effect, 'end_s', _near(fit, since_s))
     after = refit_weights(
-        with_effects(fit, [ended if known is effect else known for known in fit.effects])
+        with_effects(fit, [over if known is effect else known for known in fit.effects])
     )
-    gained = gain(fit, after, ended.span.values.values())
-    return Move((ended,), after, gained, math.log(fit.config.start_grid))
+    gained = gain(fit, after, [float(over.end_s or since_s)])
+    return Move((over,), after, gained, math.log(fit.config.start_grid))
 
 
 def _price(effect: Effect, fit: Fit) -> float:

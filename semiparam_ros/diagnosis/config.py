@@ -18,8 +18,6 @@ class DiagnosisConfig:
 
     least_samples: int = 200
     """Refuses recordings with fewer samples: below, hardly any effect can be told from noise (chosen)."""
-    least_motion: float = 1e-3
-    """Refuses recordings in which no joint moves by this much [rad, or m]: the resolution of encoders (chosen)."""
 
     # --- data: preparation ---
 
@@ -77,8 +75,6 @@ class DiagnosisConfig:
     """Says that a joint stood still when it moves less than this in all [rad, or m] (chosen)."""
     slow_range: float = 0.05
     """Says that a joint hardly moved when it moves less than this in all [rad, or m] (chosen)."""
-    identifiability_samples: int = 500
-    """Looks at so many samples, evenly spread, for masses that do not show (chosen)."""
     unseen_share: float = 5e-4
     """Calls a mass unseen when a change as large as itself moves the outputs by less than this share of their standard
     deviation: rich motions of iCub, UR3 and Franka show each by 1e-3 or more, a locked joint leaves 1e-5 (measured)."""
@@ -90,9 +86,6 @@ class DiagnosisConfig:
     absorbed_share: float = 1e-6
     """Gives a candidate no credit for a direction of which the declared columns leave only this share (chosen)."""
 
-    deviation_stretches: int = 20
-    """Stretches of the recording whose contradictions widen the standard deviations (chosen: each much longer than the
-    noise's correlation, and enough of them to tell a variance)."""
 
     # --- evaluation ---
 
@@ -123,10 +116,6 @@ class DiagnosisConfig:
 
     setup_samples: int = 250
     """Compares so many samples, evenly spread, with the robot description under dozens of labels (chosen)."""
-    setup_least_samples: int = 50
-    """Says nothing of the setup of a recording with fewer usable samples (chosen)."""
-    setup_least_motion: float = 0.01
-    """Says nothing of the units of a joint that moves less than this in all [rad, or m] (chosen)."""
     span_s: float = 0.2
     """Compares a change with its integral over this time [s]: long against noise, short against motion (chosen)."""
     least_spans: int = 50
@@ -148,40 +137,24 @@ class DiagnosisConfig:
     zero_leap: float = 0.3
     """Asks also that it leaps between zero and this share of its usual values: a coarse converter passes through the
     small ones (chosen)."""
-    longest_lag_s: float = 0.5
-    """Looks for velocities that lag the positions by up to this time [s] (chosen)."""
-    lag_worth: float = 0.5
-    """Says that velocities lag when that lowers their misfit to this share (chosen)."""
-    lag_steps: float = 1.2
-    """Says so only of a lag of more than this many samples: less is a matter of where a driver stamps (chosen)."""
     direction_share: float = 0.02
     """Counts a direction of the joints' motion that has this share of the largest one's size (chosen)."""
-    few_directions: int = 2
-    """Says that the joints move together when they have no more directions: one sine for all has two (chosen)."""
     silent_share: float = 1e-3
     """Calls a velocity missing when its integral varies less than this share of the position's change (chosen)."""
 
     # --- setup: outputs, orders, directions and mounting ---
 
-    setup_evidence: float = 12.0
-    """Believes another label from this log evidence on [nat], odds of 160 000 to 1, because a hundred are tried. Of
-    arms as they are the best reached 2.5, of any two outputs swapped in these recordings the least 65 (measured)."""
     same_gravity_cosine: float = 0.9
     """Takes two directions of gravity for one beyond this cosine, 26 degrees (chosen)."""
     alike_correlation: float = 0.7
     """Lets the ratio of outputs to prediction speak for a unit beyond this correlation (measured, as before)."""
     unit_tolerance: float = 2.0
     """Takes a ratio within this factor of a unit for it: a real UR3's efforts are 1.7 times the description's."""
-    opposed_effort: float = 0.4
-    """Doubts the sign of an effort below minus this correlation with the description's prediction, if at least as many
-    joints exceed it: on a real Franka arm the base turns with 0.44, its dry friction taken off (measured)."""
     no_match_share: float = 0.4
     """Doubts the robot description when the best inertias leave this share of variance: the worst effect of size 3
     leaves 0.32, other arms' descriptions and sensor frames 0.43 to 1 (measured)."""
     most_relabellings: int = 2
     """Corrects so many wrong labels one after the other; a third would be another robot (chosen)."""
-    degrees_beyond: float = 3.2
-    """Tries degrees when a position exceeds this [rad], a little more than half a turn."""
 
     # --- setup: misfit of the description ---
 
@@ -191,10 +164,6 @@ class DiagnosisConfig:
     """Fits noise and parameters in turn so often (chosen)."""
     inertia_deviation: float = 0.3
     """Allows an inertial parameter one standard deviation of this share of the body's own size (chosen)."""
-    wrench_price: float = 1e-3
-    """Charges this share of a wrench's variance for one such deviation (chosen; far_better was measured with it)."""
-    effort_price: float = 1e-4
-    """Charges this for efforts: they hold rotors and cables that no description has (chosen, as before)."""
     friction_turn_share: float = 0.05
     """Lets dry friction turn over within this share of a joint's highest speed (chosen)."""
 
@@ -209,10 +178,6 @@ class DiagnosisConfig:
     """Asks of a gain that it is so many times its standard error over the blocks: 1 in 160 by chance."""
     odds: float = 1e5
     """Takes a kind of effect for so unlikely that odds of it before the recording are one to this (chosen)."""
-    swapped: int = 3
-    """Tries so many other kinds and places in place of each effect that was found (chosen)."""
-    worth_swapping: float = 0.5
-    """Tries those that, coarse as they are, reach this share of its evidence (chosen)."""
     tried: int = 8
     """Scores so many of the candidates of a round, the most credible first (chosen)."""
 
@@ -220,11 +185,6 @@ class DiagnosisConfig:
 
     most_rounds: int = 20
     """Stops the search after so many rounds (chosen; it ends before by itself)."""
-    least_evidence: float = 12.0
-    """Accepts an effect from this log evidence on [nat], odds of 160 000 to 1, because a hundred candidates are tried;
-    with nothing hidden the best of 48 recordings reached 2.1 (measured)."""
-    refined_candidates: int = 8
-    """Refines so many of the best candidates of a round: the coarse order is nearly the final one (chosen)."""
     refine_evaluations: int = 14
     """Spends so many evaluations on the line search of one value: its bracket then shrinks a thousandfold."""
     line_search_rounds: int = 4
@@ -240,10 +200,8 @@ class DiagnosisConfig:
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
     reweighted: float = 0.5
     """Settles calibrations once more where what is left of a channel fell below this share (chosen)."""
-    gauss_newton_steps: int = 12
-    """Settles calibrations in at most so many Gauss-Newton steps (chosen)."""
-    shape_steps: int = 12
-    """Settles the nonlinear values of effects in at most so many (chosen: they are further off)."""
+    newton_steps: int = 12
+    """Settles calibrations, and the nonlinear values of effects, in at most so many Gauss-Newton steps (chosen)."""
     backtracking: float = 0.25
     """Shortens a Gauss-Newton step that would raise the loss to this share, until it lowers it (chosen)."""
     settled_step: float = 1e-4
@@ -251,23 +209,15 @@ class DiagnosisConfig:
     settled_gain: float = 0.1
     """Ends the Gauss-Newton steps of calibrations and nonlinear values once they gain less than this of the squares
     over their variance: less than a third of a standard deviation (chosen)."""
-    reference_rounds: int = 2
-    """Refers friction that grows with the load so many times to the load of the model that holds it (chosen)."""
     shortened_step: float = 0.1
     """Keeps the derivatives as long as each step is at most this share of the one before (chosen)."""
 
     weight_shows: float = 18.5
     """Refuses a load whose mass and first moments lie nearer to none than this squared distance, in their own
     covariance: 1 in 1000 by chance with four of them."""
-    unlike_a_body: float = 30.0
-    """Refuses a load whose inertial parameters lie this squared distance from any body's, in their own covariance: 1 in
-    1000 by chance with ten of them."""
-    unlike_a_body_share: float = 0.05
-    """Lets that distance also be this share of the load's own from nothing: a model that is a little off bends it
+    unlike_a_body: float = 4.0
+    """Refuses a load of which an eigenvalue of the pseudo-inertia lies so many standard deviations below zero
     (chosen)."""
-
-    # --- search: several joint offsets, delay beside friction, elimination ---
-
 
     # --- search: ambiguity ---
 
@@ -287,16 +237,8 @@ class DiagnosisConfig:
     structure_share: float = 0.015
     """Calls structure significant from this share of the residual on, all channels together (measured: clean recordings
     keep at most 0.004)."""
-    structure_deviations: float = 2.0
-    """Asks also for a mean gain of the blocks of this many standard errors (chosen)."""
-    large_structure_share: float = 0.06
-    """From this share on, asks for fewer standard errors: few blocks may hold it, as when something is touched."""
-    large_structure_deviations: float = 0.9
-    """Asks for this many standard errors there (chosen)."""
     channel_share: float = 0.05
     """Calls structure in one channel alone significant from this share of its residual on (chosen)."""
-    channel_deviations: float = 3.0
-    """Asks there for a mean gain of the blocks of this many standard errors (chosen)."""
     chance_draws: int = 16
     """Compares with so many draws of noise of the residual's colour (chosen)."""
     beyond_chance: float = 3.0
@@ -338,14 +280,10 @@ class DiagnosisConfig:
 
     # --- residual: a formula ---
 
-    formula_variables: int = 4
-    """Builds formulas from so many of the variables (chosen)."""
     most_terms: int = 6
     """Gives a formula at most so many terms: a reader cannot do with more (chosen)."""
     formula_share: float = 0.05
     """Shows a formula that explains this share of the residual on unseen blocks (chosen)."""
-    formula_blocks: int = 15
-    """Judges a formula on so many longer blocks: it is meant to carry over (chosen)."""
     formula_enough: float = 0.9
     """Takes the shortest formula that explains this share of what the best one explains (chosen)."""
     declared_share: float = 0.25
@@ -357,10 +295,6 @@ class DiagnosisConfig:
 
     # --- several recordings and rivals ---
 
-    whole_recording_share: float = 0.02
-    """Takes a whole recording for the plainer answer where a start inside one explains only so much more (chosen)."""
-    some_recordings_ratio: float = 1.1
-    """Believes in some recordings rather than in all when these explain so many times more (chosen)."""
     better_odds: float = 20.0
     """Prefers a plainer cause up to these odds against it, where what it leaves is white, and names a rival passed over
     for it as the better one above them: strong evidence (Kass and Raftery 1995)."""
@@ -390,8 +324,6 @@ class DiagnosisConfig:
     """Searches the time of a change so long before it seemed to begin: what notices it looks back no longer."""
     change_after_s: float = 2.0
     """Searches it so long after (chosen)."""
-    change_worth: float = 1.1
-    """Takes what is known for over, unless what may have begun explains more than this many times as much (chosen)."""
 
     # --- verdict ---
 

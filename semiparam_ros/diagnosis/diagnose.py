@@ -13,16 +13,15 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, of_each, own_offsets, present, whole_groups
-from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.imitations import function_explains_more
 from semiparam_ros.diagnosis.preparation import (
-    SMOOTHED,
     Inputs,
-    best_inputs,
+    late,
+    prepared,
     require_enough,
     too_fast,
     working_factor,
@@ -38,7 +37,6 @@ from semiparam_ros.diagnosis.search.ranking import Progress
 from semiparam_ros.diagnosis.search.refit import calibrated
 from semiparam_ros.diagnosis.search.stepwise import Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
-from semiparam_ros.diagnosis.setup.doubts import doubts
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.uncertainty import Deviations, deviations
 from semiparam_ros.effects import Effect, kinds
@@ -196,11 +194,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     margin = max(config.gap_margin, factor * config.smoothing_ends)
     clean = ~excluded(samples, config) & ~beside_breaks(samples, margin)
     may_fit = _may_fit(samples, train_mask, other is not None, config)
-    inputs = best_inputs(body, samples, effects, clean & may_fit, config)
-    chosen, valid = inputs.prepare(samples), inputs.mask(clean)
+    inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
-    counted = counted_outputs(body, chosen, config)
-    fitting, held_out = fitting & counted.any(axis=1), held_out & counted.any(axis=1)
     require_enough(config, *([fitting, held_out] if other is None else [fitting]))
     first = _calibrated(starting_fit(body, chosen, effects, fitting, config, counted))
     steps, setup = _searched(first if inputs.measured_accelerations else with_error_columns(first),
@@ -221,7 +216,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config,
                                                        counted)
     fast = [] if setup else too_fast(body, samples, inputs, final)
-    if fast and structure is not None and structure.share < config.large_structure_share:
+    if fast and structure is not None and structure.share < config.input_error_share:
         structure = replace(structure, significant=False)  # errors of the inputs explain more than that
     everything, new = final, [index for index, _, _ in places_in(final, steps)]
     if steps and other is None:
@@ -237,9 +232,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         findings=found, steps=steps, first=first, final=final, everything=everything,
         deviations=sure, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
-        notes=[*of_each(samples, names, lambda one: doubts(body, one, config)),
-               *_late(inputs, samples), *fast,
-               *unidentifiable(body, samples, config), *_left_out(clean),
+        notes=[*late(inputs, samples), *fast, *unidentifiable(body, samples, config), *_left_out(clean),
                *_changed_in_gaps(found, samples, margin, config)],
         recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
 
@@ -285,8 +278,8 @@ def check(samples: Samples, body: RigidBody, config: DiagnosisConfig) -> None:
     if len(samples) < config.least_samples:
         raise SemiparamError(f'the recording holds {len(samples)} complete samples; a diagnosis needs at least '
                              f'{config.least_samples}.')
-    if np.all(np.ptp(samples.position, axis=0) < config.least_motion):
-        raise SemiparamError(f'no joint moves by more than {config.least_motion} rad in the recording; a diagnosis '
+    if np.all(np.ptp(samples.position, axis=0) < config.still_range):
+        raise SemiparamError(f'no joint moves by more than {config.still_range} rad in the recording; a diagnosis '
                              f'needs motion of {", ".join(body.joints)}.')
 
 
@@ -332,14 +325,6 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, margin: int, config
                     sentences.append(f'{place(effect.kind, effect.where)} {word} between {gap.start_s:.1f} and '
                                      f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
     return sentences
-
-
-def _late(inputs: Inputs, samples: Samples) -> list[str]:
-    """A sentence about velocities or accelerations that are those of another sample."""
-    least, used = 0.5e-9 * float(np.median(np.diff(samples.stamps))), SMOOTHED.get(inputs.motion, (1,))[0]
-    names = ('velocities', 'accelerations')[:used - 1]
-    return [f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as filtered ones do; they were '
-            'taken as much earlier.' for name, lag in zip(names, inputs.lags, strict=False) if lag > least]
 
 
 def _left_out(valid: Mask) -> list[str]:

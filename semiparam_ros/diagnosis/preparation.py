@@ -21,6 +21,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, smoothed_again
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.outliers import excluded
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
 from semiparam_ros.diagnosis.search.candidates import held
@@ -34,7 +35,6 @@ SMOOTHED = {'smoothed with accelerations': (3, 4), 'smoothed more, with accelera
             'smoothed more': (2, 6), FROM_POSITIONS: (1, 4)}
 """How many of positions, velocities and accelerations the smoother uses, and which derivative it takes for white."""
 ESTIMATED = ('smoothed', 'smoothed more', FROM_POSITIONS)
-DERIVATIVES = ('velocity', 'acceleration')
 OPTIONS = (*SMOOTHED, 'recorded', BUT_ACCELERATIONS)
 """All of them, first those that leave the least noise in the motion."""
 MEASURED = tuple(name for name in OPTIONS if name not in ESTIMATED)
@@ -99,36 +99,42 @@ def measured_lags(samples: Samples, inputs: Inputs, config: DiagnosisConfig = DE
     A late derivative is x'(t - tau) = x'(t) - tau x''(t), so tau is a regression of what it differs by from that of
     smoothed positions on the next derivative, each joint weighed by what it scatters.
     """
-    smooth = inputs._replace(motion=FROM_POSITIONS).prepare(samples)
+    smooth, working = inputs._replace(motion=FROM_POSITIONS).prepare(samples), averaged(samples, inputs.factor)
     jerk = np.gradient(smooth.acceleration, smooth.time, axis=0)
     moves = inputs.mask(np.ones(len(samples), dtype=bool))
-    late = [_lag(recorded[moves], told[moves], next_one[moves], config) if recorded.any() else 0.0
+    late = [_lag(working.time, recorded, told, next_one, moves, config) if recorded.any() else 0.0
             for recorded, told, next_one in zip(
-                (getattr(averaged(samples, inputs.factor), name) for name in DERIVATIVES),
-                (smooth.velocity, smooth.acceleration), (smooth.acceleration, jerk), strict=True)]
+                (working.velocity, working.acceleration), (smooth.velocity, smooth.acceleration),
+                (smooth.acceleration, jerk), strict=True)]
     return late[0], late[1]
 
 
-def _lag(recorded: Array, told: Array, derivative: Array, config: DiagnosisConfig) -> float:
-    differs = told - recorded
-    if len(differs) < 2:
+def _lag(time: Array, recorded: Array, told: Array, derivative: Array, moves: Mask, config: DiagnosisConfig) -> float:
+    if moves.sum() < 2:
         return 0.0
-    weight = 1.0 / np.maximum(differs.var(axis=0), 1e-300)
-    right, left = ((values @ weight) for values in (differs * derivative, derivative**2))
-    blocks = np.array_split(np.arange(len(right)), config.blocks)
-    right, left = (np.array([values[block].sum() for block in blocks]) for values in (right, left))
-    lag = float(right.sum() / max(left.sum(), 1e-300))
-    error = float(np.sqrt(np.sum((right - lag * left) ** 2)) / max(left.sum(), 1e-300))
+    lag, step, error = 0.0, np.inf, 0.0
+    for _ in range(config.newton_steps):
+        differs = (told - _earlier(time, recorded, lag))[moves]
+        weight = 1.0 / np.maximum(differs.var(axis=0), 1e-300)
+        right, left = ((values @ weight) for values in (differs * derivative[moves], derivative[moves]**2))
+        blocks = np.array_split(np.arange(len(right)), config.blocks)
+        right, left = (np.array([values[block].sum() for block in blocks]) for values in (right, left))
+        step = float(right.sum() / max(left.sum(), 1e-300))
+        error = float(np.sqrt(np.sum((right - step * left) ** 2)) / max(left.sum(), 1e-300))
+        lag += step
+        if abs(step) < error:
+            break
     return lag if abs(lag) > config.sure * error else 0.0
 
 
-def _aligned(samples: Samples, lags: tuple[float, float]) -> Samples:
-    def earlier(values: Array, lag: float) -> Array:
-        at = samples.time + lag
-        return np.column_stack([np.interp(at, samples.time, each) for each in values.T]) if lag else values
+def _earlier(time: Array, values: Array, lag: float) -> Array:
+    """Values (N, k) so much [s] earlier."""
+    return np.column_stack([np.interp(time + lag, time, each) for each in values.T]) if lag else values
 
-    return replace(samples, velocity=earlier(samples.velocity, lags[0]),
-                   acceleration=earlier(samples.acceleration, lags[1])) if any(lags) else samples
+
+def _aligned(samples: Samples, lags: tuple[float, float]) -> Samples:
+    return replace(samples, velocity=_earlier(samples.time, samples.velocity, lags[0]),
+                   acceleration=_earlier(samples.time, samples.acceleration, lags[1])) if any(lags) else samples
 
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
@@ -155,6 +161,29 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     best = max(densities, key=lambda name: float(densities[name].sum()))
     lost = {name: summed(densities[best] - densities[name]) for name in options}
     return options[next(name for name in options if lost[name].total <= lost[name].error)]
+
+
+class Prepared(NamedTuple):
+    """Working samples: how they were prepared, which (N,) may be used, and which outputs (N, n) tell something."""
+
+    inputs: Inputs
+    samples: Samples
+    used: Mask
+    counted: Mask
+
+
+def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
+             config: DiagnosisConfig = DEFAULTS, inputs: Inputs | None = None, clean: Mask | None = None) -> Prepared:
+    """Samples as a model with these effects is fitted to them.
+
+    :param may_fit: (N,) those that choose the motion. :param inputs: how to prepare them; chosen unless given.
+    :param clean: (N,) those that may be used; all beside no gap and no shock unless given.
+    """
+    clean = ~excluded(samples, config) if clean is None else clean
+    inputs = inputs or best_inputs(body, samples, effects, clean & may_fit, config)
+    chosen = inputs.prepare(samples)
+    counted = counted_outputs(body, chosen, config)
+    return Prepared(inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted)
 
 
 def with_usual(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> list[Effect]:
@@ -200,6 +229,20 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '
             f'{100 * errors[worst] / max(spread[worst], 1e-12):.1f} % ({body.joints[worst]}), and that is most of what '
             f'the model leaves. Small effects found here, or small ones not found, say little; {remedy}.']
+
+
+def late(inputs: Inputs, samples: Samples) -> list[str]:
+    """A sentence about velocities, and one about accelerations, that come after the positions, as filtered ones do."""
+    least, used = 0.5e-9 * float(np.median(np.diff(samples.stamps))), SMOOTHED.get(inputs.motion, (0,))[0]
+    sentences = []
+    for name, lag, mended in zip(('velocities', 'accelerations'), inputs.lags, (used > 1, used > 2), strict=True):
+        if lag > least:
+            filtered = f', or declare velocity_filter{{"time_constant_s": {lag:.2g}}}' * (name == 'velocities')
+            here = 'Here they were taken as much earlier.' if mended else \
+                'Until then a friction or a delay found here may be off.'
+            sentences.append(f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as a filter makes '
+                             f'them: publish them unfiltered{filtered}. {here}')
+    return sentences
 
 
 def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:

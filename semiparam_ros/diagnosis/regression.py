@@ -310,14 +310,6 @@ class Fit:
         coefficients, _, _, _, right = self._regressed(self._products(columns), columns.shape[2])
         return self.loss - float(right @ coefficients), coefficients
 
-    def joint_step(self, columns: Array) -> tuple[Array, Array]:
-        """Changes of theta (p,) and of the coefficients (c,) of further columns that bring both to their best together,
-        where theta need not be at its own best yet."""
-        change = self.step_of_theta()
-        rest = with_values(self, self.theta + change, self.residual - self.predicted(change))
-        coefficients, _, _, cross, _ = rest._regressed(rest._products(columns), columns.shape[2])
-        return change - cross @ coefficients, coefficients
-
     def step_of_theta(self) -> Array:
         """(p,) the change that brings theta to its best."""
         right = self._precision() * (self.prior_mean() - self.theta)

@@ -99,7 +99,7 @@ def _deviations(fit: Fit, columns: Array, told: Array) -> Array:
     """(p + c,) standard deviations of theta and of the coefficients of further columns (N, n, c), or of what is linear
     in them by ``told`` (p + c, p + c)."""
     covariance = fit.covariance_with(columns)
-    stretches = np.array_split(np.flatnonzero(fit.train_mask), fit.config.deviation_stretches)
+    stretches = np.array_split(np.flatnonzero(fit.train_mask), fit.config.blocks)
     repeated, scores = np.zeros_like(covariance), np.zeros((len(stretches), len(covariance)))
     for channel, used, acting, weighed in _rows(fit, columns):
         repeated[np.ix_(acting, acting)] += (fit.correlation[channel] - 1.0) * (weighed.T @ weighed)

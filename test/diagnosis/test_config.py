@@ -21,7 +21,7 @@ NAMES = [each.name for each in fields(DiagnosisConfig)]
 # What decides nothing: how much a text shows, steps of derivatives, guards of arithmetic, constants of mathematics.
 NUMBERS_ELSEWHERE = {'MOST_PARAMETERS', 'MOST_IN_ROW', 'MOST_DECIMALS', 'MOST_GAPS_NAMED', 'DERIVATIVE_STEP',
                      'DIFFERENCE', 'POINT_DIFFERENCE', 'GAIN_STEP', 'POINT_REACH', 'START_RIDGE', 'RIDGE', 'WHITENING',
-                     'RANK', 'NORMAL_MAD', 'ROUNDED', 'DEGREE', 'FINEST_LAG', 'EARLIEST_DATE_S', 'SMOOTHED',
+                     'RANK', 'NORMAL_MAD', 'ROUNDED', 'DEGREE', 'EARLIEST_DATE_S', 'SMOOTHED',
                      'OF_PSEUDO_INERTIA'}
 
 
@@ -86,9 +86,9 @@ def verdict_with(drifting, **changed):
     ({'odds': np.inf}, ('nothing_missing', [])),
     ({'coarseness': 0.01}, ('nothing_missing', [])),
     ({'most_rounds': 0}, ('nothing_missing', [])),
-    ({'most_rounds': 0, 'structure_least_samples': 100, 'structure_share': 0.0, 'structure_deviations': -9.0,
-      'beyond_chance': -99.0}, ('unexplained', [])),
-    ({'setup_evidence': -1e6}, ('unexplained', [])),
+    ({'most_rounds': 0, 'structure_least_samples': 100, 'structure_share': 0.0, 'beyond_chance': -99.0},
+     ('unexplained', [])),
+    ({'no_match_share': 0.0, 'pushed_share': 0.0}, ('unexplained', [])),
 ])
 def test_another_threshold_gives_another_verdict(drifting, changed, expected):
     assert verdict_with(drifting, **changed) == expected

@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 from conftest import SHARED_DATA
 from semiparam_ros.bags.loading import load_samples
@@ -20,10 +19,8 @@ from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, with_effects, with_nuisance
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
 from semiparam_ros.diagnosis.search.plausibility import (
-    OF_PSEUDO_INERTIA,
     all_plausible,
     pseudo_inertia,
-    squared_distance,
 )
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
 from semiparam_ros.diagnosis.search.score import gain
@@ -294,24 +291,6 @@ def test_a_load_must_be_a_body_as_far_as_the_motion_shows():
     assert np.linalg.eigvalsh(pseudo_inertia(body))[0] > 0.0
     ghost = np.array([0.007, 0.0, 0.0, 0.0, -1.9, 0.0, -1.9, 0.0, 0.0, -1.9])
     assert not all_plausible(*with_load(ghost, 0.01))
-
-
-@pytest.mark.parametrize('seed', range(4))
-def test_no_body_is_nearer_than_the_nearest(seed):
-    rng = np.random.default_rng(seed)
-    weights = rng.standard_normal((10, 10))
-
-    def body(root):
-        return OF_PSEUDO_INERTIA @ (root @ root.T).ravel()
-
-    root = np.tril(rng.standard_normal((4, 4))) + np.eye(4)
-    wanted = body(root)
-    np.testing.assert_allclose(pseudo_inertia(wanted), root @ root.T, atol=1e-12)
-    assert squared_distance(wanted, np.eye(4), weights) < 1e-6 * (weights @ wanted) @ (weights @ wanted)
-    none = wanted - body(1.5 * np.diag(rng.uniform(0.5, 1.0, 4)))
-    found = squared_distance(none, np.eye(4), weights)
-    tried = minimize(lambda x: float(np.sum((weights @ (body(np.reshape(x, (4, 4))) - none)) ** 2)), np.eye(4).ravel())
-    assert found <= 1.01 * tried.fun and (found > 0.0) == (np.linalg.eigvalsh(pseudo_inertia(none))[0] < 0.0)
 
 
 def test_a_force_beyond_the_weight_of_the_arm_is_no_finding():

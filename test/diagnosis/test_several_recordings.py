@@ -10,7 +10,7 @@ from semiparam_ros.cli.main import main
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, present, spans, whole_groups
+from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, present, whole_groups
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_to_text, kinds
@@ -72,8 +72,6 @@ def test_runs_of_recordings():
     _, samples = recorded('wrench')
     joined = Samples.joined(samples)
     load = kinds()['payload']('r_gripper')
-    runs = [present(joined, 'ABC', replace(load, span=span)) for span in spans(joined)]
-    assert runs == [('A',), ('A', 'B'), ('B',), ('B', 'C'), ('C',)]
     assert present(joined, 'ABC', during(joined, 1, load)) == ('B',)
     assert effect_to_text(during(joined, 1, load).without_span()) == 'payload@r_gripper'
 

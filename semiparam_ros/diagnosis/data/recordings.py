@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,14 +31,6 @@ def beside_breaks(samples: Samples, margin: int) -> Mask:
     return mask
 
 
-def of_each(samples: Samples, names: Sequence[str], say: Callable[[Samples], list[str]]) -> list[str]:
-    """Sentences about each recording, named where there are several."""
-    if not samples.breaks:
-        return say(samples)
-    return [f'{name}: {sentence}' for name, part in zip(names, samples.recordings, strict=True)
-            for sentence in say(alone(samples, part))]
-
-
 def alone(samples: Samples, part: slice) -> Samples:
     """One of the recordings, its time counted from its own start."""
     return replace(samples[part], breaks=(), origin=int(samples.stamps[part.start]))
@@ -54,15 +46,6 @@ def own_offsets(body: RigidBody, samples: Samples) -> list[Effect]:
     times = breaks_s(samples)
     return [kind(span=Span(start, end_s=end)) for kind in kinds(body.outputs).values() if kind.own_in_each_recording
             for start, end in zip(times, [*times[1:], None], strict=False)]
-
-
-def spans(samples: Samples) -> Iterator[Span]:
-    """Every run of recordings that is not all of them, as when something begins and ends."""
-    edges: list[float | None] = [None, *breaks_s(samples), None]
-    for first in range(len(edges) - 1):
-        for last in range(first + 1, len(edges)):
-            if (first, last) != (0, len(edges) - 1):
-                yield Span(edges[first], end_s=edges[last])
 
 
 def during(samples: Samples, number: int, effect: Effect) -> Effect:

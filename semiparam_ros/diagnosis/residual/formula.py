@@ -132,7 +132,7 @@ def _held_out_shares(columns: Array, values: Array, config: DiagnosisConfig) -> 
     Each fold chooses its own terms: terms chosen with the held-out blocks would score too well on them.
     """
     most, folds = config.most_terms, config.structure_folds
-    labels = fold_labels(len(values), config.formula_blocks, folds)
+    labels = fold_labels(len(values), config.split_blocks, folds)
     squares = np.zeros(most)
     for fold in range(folds):
         held = labels == fold

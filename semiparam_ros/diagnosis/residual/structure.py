@@ -11,7 +11,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.residual.dependence import Dependence, dependences
-from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, block_sums, explained
+from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
 from semiparam_ros.diagnosis.residual.formula import Formula, find_formula
 from semiparam_ros.diagnosis.residual.noise import coloured_noise, without_input_errors
 from semiparam_ros.effects.terms import Terms
@@ -72,13 +72,9 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, trai
     motion = StandardisedInputs(body.joints, samples[rows], config)
     guarded = (without_input_errors(body, samples, residual, train_mask, scale, config) * counted)[rows] / scale
     found, families = explained(motion, guarded)
-    gains = block_sums(guarded**2 - (guarded - found) ** 2, config.structure_blocks)
-    power = np.sum(guarded**2, axis=0) + 1e-300
-    share, shares = float(gains.sum() / power.sum()), gains.sum(axis=0) / power
-    affected = (shares > config.channel_share) & (_standard_errors(gains) > config.channel_deviations)
-    deviations = float(_standard_errors(gains.sum(axis=1, keepdims=True))[0])
-    together = (share > config.structure_share and deviations > config.structure_deviations) or (
-        share > config.large_structure_share and deviations > config.large_structure_deviations)
+    gains, power = np.sum(guarded**2 - (guarded - found) ** 2, axis=0), np.sum(guarded**2, axis=0) + 1e-300
+    share, shares = float(gains.sum() / power.sum()), gains / power
+    together, affected = share > config.structure_share, shares > config.channel_share
     if together or affected.any():
         beyond, beyond_in = _beyond_chance(motion, guarded)
         together, affected = together and beyond, affected & beyond_in
@@ -95,7 +91,7 @@ def _described(body: RigidBody, samples: Samples, motion: StandardisedInputs, re
     """The structure with its channels, its variables and its formulas."""
     numbers = np.flatnonzero(affected)
     variables = dependences(motion, (residual / scale)[:, numbers], float(structure.channel_shares[numbers].mean()))
-    names = [each.name for each in variables][:motion.config.formula_variables]
+    names = [each.name for each in variables][:motion.config.most_variables]
     formulas = [find_formula(names, body, samples, residual[:, channel], int(channel), motion.config)
                 for channel in numbers]
     return replace(structure, channels=tuple(body.output_names[k] for k in numbers), variables=variables,
@@ -130,9 +126,3 @@ def samples_to_look_at(train_mask: Mask, config: DiagnosisConfig) -> Stamps:
     """Numbers of the samples to look at, evenly spread."""
     rows = np.flatnonzero(train_mask)
     return rows[::max(-(-len(rows) // config.structure_samples), 1)]
-
-
-def _standard_errors(gains: Array) -> Array:
-    """(n,) mean gain of the blocks (blocks, n) over its standard error."""
-    error = gains.std(axis=0, ddof=1) / np.sqrt(len(gains))
-    return np.divide(gains.mean(axis=0), error, out=np.zeros(gains.shape[1]), where=error > 0.0)

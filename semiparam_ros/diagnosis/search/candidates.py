@@ -87,14 +87,6 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
     return [known for known in fit.effects if identity(known) != identity(effect)]
 
 
-def predicted_with(fit: Fit, effects: list[Effect]) -> Array:
-    """(N, n) outputs of the whole model, as the effects correct and shape it."""
-    outputs = _prediction(fit, effects, whole=True)[:, :, 0]
-    unmoved, assembly = fit.theta.copy(), fit.assembly
-    unmoved[:fit.body.n_parameters] = unmoved[assembly.n_own:assembly.n_columns] = 0.0
-    return np.asarray(outputs + fit.predicted(unmoved))  # a wrench's offset, and errors of the inputs
-
-
 def _rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
     """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it."""
     return _shaped_load(fit, effects, *_corrected(fit, effects))

@@ -14,9 +14,9 @@ from semiparam_ros.diagnosis.search.candidates import Candidate, Place, added_co
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
 from semiparam_ros.diagnosis.search.prior_odds import prices
 from semiparam_ros.diagnosis.search.refit import declare
-from semiparam_ros.diagnosis.search.revision import bent, formed_anew, pruned, reshaped
+from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
-from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, refined
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial
 from semiparam_ros.diagnosis.search.spans import best_spans, with_best_edge
 from semiparam_ros.effects import Effect
 
@@ -46,8 +46,6 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
     foremost = [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
     for trial in chain.from_iterable(_at_each_time(fit, trial) for trial in foremost):
         after = declare(fit, [trial.effect])
-        if trial.many_valued:
-            trial, after = _at_its_best(fit, trial, after, kinds)
         if all_plausible(fit, after):
             moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.span.values.values()),
                               prices([trial.effect], fit, kinds)))
@@ -56,8 +54,8 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
 
 def _at_each_time(fit: Fit, trial: Trial) -> list[Trial]:
     """The trial, and the same effect always, from a start on, until an end and between both, where it may be so."""
-    effect, breaks = trial.effect, breaks_s(fit.samples)
-    if not effect.changes or any(time_s in breaks for time_s in effect.span.values.values()):
+    effect = trial.effect
+    if not effect.changes:
         return [trial]
     columns = added_columns(fit, effect.without_span())
     spans = [span for span in best_spans(fit, effect, columns) if span.values.keys() != effect.span.values.keys()]
@@ -93,26 +91,9 @@ def ending_moves(fit: Fit) -> list[Move]:
             ended = with_best_edge(rest, effect, 'end_s', (max(first, effect.start_s or first), last))
             after = declare(with_effects(fit, [ended if known is effect else known for known in fit.effects]), [])
             if all_plausible(fit, after):
-                moves.append(Move((ended,), after, gain(fit, after, ended.span.values.values()),
+                moves.append(Move((ended,), after, gain(fit, after, [float(ended.end_s or last)]),
                                   math.log(fit.config.start_grid)))
     return moves
-
-
-def _at_its_best(fit: Fit, trial: Trial, after: Fit, kinds: Collection[str]) -> tuple[Trial, Fit]:
-    """A trial of many nonlinear values and the model with it, searched one by one and all together in turn."""
-    known = {identity(effect) for effect in fit.effects}
-    for _ in range(fit.config.line_search_rounds):
-        moved = bent(after, [identity(trial.effect)], kinds)
-        own = [effect for effect in moved.effects if identity(effect) not in known]
-        if moved is after or len(own) != 1:
-            break
-        trial = refined(fit, replace(trial, effect=own[0], leaves=moved.residual, squares=moved.squares))
-        other = declare(fit, [trial.effect])
-        after = max(moved, other, key=lambda model: gain(fit, model).total)
-        if after is moved:
-            trial = replace(trial, effect=own[0])
-            break
-    return trial, after
 
 
 def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str]) -> list[Move]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, with_effects
@@ -57,40 +56,10 @@ def _is_a_body(fit: Fit, theta: Array, block: slice) -> bool:
     """Whether ten inertial parameters are, within their uncertainty, those of a body: its pseudo-inertia has no
     negative eigenvalue (Wensing, Kim and Slotine 2018)."""
     values, vectors = np.linalg.eigh(pseudo_inertia(theta))
-    if values[0] >= 0.0:
-        return True
+    slopes = np.einsum('ik,pij,jk->kp', vectors, OF_PSEUDO_INERTIA, vectors)  # of each eigenvalue
     covariance = fit.theta_covariance()[block, block] * float(fit.correlation.mean())
-    deviations = np.sqrt(np.diag(covariance))
-    weights = np.linalg.inv(np.linalg.cholesky(covariance / np.outer(deviations, deviations) + 1e-9 * np.eye(10)))
-    power = float(np.sum((weights @ (theta / deviations)) ** 2))
-    allowed = max(fit.config.unlike_a_body, fit.config.unlike_a_body_share * power)
-    near = (vectors * np.maximum(values, 1e-3 * np.abs(values).max())) @ vectors.T
-    return squared_distance(theta, near, weights / deviations) < allowed
-
-
-def squared_distance(theta: Array, near: Array, weights: Array) -> float:
-    """(theta' - theta)' W' W (theta' - theta) of the nearest theta' that is a body's: its pseudo-inertia is the square
-    of a triangle (4, 4), which is sought from that of ``near`` (4, 4) on."""
-    rows, columns = np.tril_indices(4)
-    entries = np.arange(len(rows))
-    of_pseudo, aim = weights @ OF_PSEUDO_INERTIA, weights @ theta
-
-    def square(root: Array) -> Array:
-        triangle = np.zeros((4, 4))
-        triangle[rows, columns] = root
-        return triangle
-
-    def away(root: Array) -> Array:
-        triangle = square(root)
-        return np.asarray(of_pseudo @ (triangle @ triangle.T).ravel() - aim)
-
-    def slopes(root: Array) -> Array:
-        half, triangle = np.zeros((len(rows), 4, 4)), square(root)
-        half[entries, rows] = triangle.T[columns]
-        return np.asarray(of_pseudo @ (half + half.transpose(0, 2, 1)).reshape(len(rows), 16).T)
-
-    found = least_squares(away, np.linalg.cholesky(near)[rows, columns], jac=slopes, method='lm', x_scale='jac')
-    return 2.0 * float(found.cost)
+    deviations = np.sqrt(np.einsum('kp,pq,kq->k', slopes, covariance, slopes))
+    return bool(np.all(values > -fit.config.unlike_a_body * deviations))
 
 
 def pseudo_inertia(parameters: Array) -> Array:
@@ -101,12 +70,5 @@ def pseudo_inertia(parameters: Array) -> Array:
     return np.block([[moments, np.array([[x], [y], [z]])], [np.array([[x, y, z, mass]])]])
 
 
-def _parameters(pseudo: Array) -> Array:
-    moments = pseudo[:3, :3]
-    inertia = np.trace(moments) * np.eye(3) - moments
-    return np.array([pseudo[3, 3], *pseudo[3, :3], inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2],
-                     inertia[1, 2], inertia[2, 2]])
-
-
-OF_PSEUDO_INERTIA = np.transpose([_parameters(entry.reshape(4, 4)) for entry in np.eye(16)])
-"""(10, 16): the inertial parameters are linear in the entries of the pseudo-inertia, row by row."""
+OF_PSEUDO_INERTIA = np.stack([pseudo_inertia(unit) for unit in np.eye(10)])
+"""(10, 4, 4): the pseudo-inertia is linear in the inertial parameters."""

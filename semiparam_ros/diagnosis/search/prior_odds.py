@@ -15,13 +15,14 @@ def price(effect: Effect, others: Sequence[Effect], fit: Fit, kinds: Collection[
 
     Each kind is as unlikely as any other, at each of its places. One of a group, such as friction, that is at k of n
     places already is there too with probability (k + 1) / (n + 2) (Laplace's rule of succession). One of several forms
-    is as likely as any other, and one that begins or ends may do so at any time.
+    is as likely as any other, and one that begins or ends may do so at any time, or
+    with any recording.
     """
     config, places = fit.config, max(len(effect.places(fit.body)), 1)
     same = sum(other.kind == effect.kind for other in others) if effect.group else 0
     choices = effect.choices(fit.body, fit.samples, effect.where) if effect.searched else 1
     breaks = breaks_s(fit.samples)
-    times = math.prod(len(breaks) if time_s in breaks else config.start_grid
+    times = math.prod(len(breaks) + 1 if time_s in breaks else config.start_grid
                       for time_s in effect.span.values.values())
     odds = (places + 2) / (same + 1) if same else config.odds * places * max(len(kinds), 1)
     return math.log(choices * times * odds)

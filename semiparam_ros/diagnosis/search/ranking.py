@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 from semiparam_ros.diagnosis.regression import Fit
@@ -33,16 +34,10 @@ def refine_foremost(fit: Fit, trials: list[Trial]) -> list[Trial]:
 
 
 def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
-    """Those worth refining: the best, calibrations (which are linear only while small), and the best of each kind with
-    many values."""
+    """Those worth refining: the best, and calibrations, which are linear only while small."""
     config = fit.config
-    chosen = trials[:config.refined_candidates]
-    chosen += [trial for trial in trials[config.refined_candidates:]
-               if trial.effect.is_calibration and trial.evidence > config.least_evidence]
-    for kind in {trial.effect.kind for trial in trials if trial.many_valued}:
-        foremost = [trial for trial in trials if trial.many_valued and trial.effect.kind == kind][:config.swapped]
-        chosen += [trial for trial in foremost if trial not in chosen and trial.evidence > config.least_evidence]
-    return chosen
+    return trials[:config.tried] + [trial for trial in trials[config.tried:]
+                                    if trial.effect.is_calibration and trial.evidence > math.log(config.odds)]
 
 
 def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:

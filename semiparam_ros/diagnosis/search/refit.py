@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,7 +26,7 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     it ends: those of a delay hold noise of the motion, and kept ones end beside the least loss.
     """
     places, slopes, last = {identity(effect) for effect in moving}, None, np.inf
-    for _ in range(fit.config.gauss_newton_steps):
+    for _ in range(fit.config.newton_steps):
         moving = [effect for effect in fit.effects if identity(effect) in places]
         fresh = slopes is None
         if slopes is None:
@@ -99,7 +98,7 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
         parts = held([effect])
         known = [one for one in fit.effects if not held([one]) & parts]
         fit = with_effects(fit, [*known, effect])
-    fit = _with_own_load(_relocated(refit_weights(fit)))
+    fit = _relocated(refit_weights(fit))
     return calibrated(fit, [effect for effect in fit.effects if effect.is_calibration])
 
 
@@ -131,23 +130,6 @@ def told_by_sliding(fit: Fit, effect: Effect) -> bool:
     """Whether a calibration is told by joints that slide, for at a turn it looks like another form of
     friction."""
     return effect.moves_friction and fit.body.outputs == 'effort'
-
-
-def _with_own_load(fit: Fit) -> Fit:
-    """The same model with effects that depend on the load referred to the load as the model with them has it.
-
-    Before they were in the model, they bent the rigid body's fit.
-    """
-    for _ in range(fit.config.reference_rounds):
-        own = tuple(fit.rigid_part.tolist())
-        effects = [replace(effect, reference=own) if effect.needs_reference else effect for effect in fit.effects]
-        if effects == list(fit.effects):
-            break
-        other = with_effects(fit, effects)
-        if other.loss >= fit.loss:
-            break
-        fit = refit_weights(other)
-    return fit
 
 
 def _relocated(fit: Fit) -> Fit:

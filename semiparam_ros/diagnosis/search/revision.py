@@ -48,13 +48,10 @@ def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
 
 
 def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
-    """The model with the nonlinear values of each effect that was found searched anew beside all the others, where that
-    helps on unseen blocks."""
-    after = formed_anew(fit, fixed)
-    after = declare(after, []) if after is not fit else fit
-    after = bent(after, [identity(effect) for effect in after.effects
-                         if identity(effect) not in fixed], kinds)
-    better = after is not fit and all_plausible(fit, after) and gain(fit, after).total > fit.config.settled_gain
+    """The model with the nonlinear values of all effects that were found at their best together, where that helps on
+    unseen blocks."""
+    after = bent(fit, [identity(effect) for effect in fit.effects if identity(effect) not in fixed], kinds)
+    better = after is not fit and gain(fit, after).total > fit.config.settled_gain
     return after if better else fit
 
 

@@ -17,10 +17,9 @@ from scipy.optimize import minimize_scalar
 from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.correlation import correlation_times
-from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects, with_values
-from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, predicted_with
-from semiparam_ros.diagnosis.search.in_some_recordings import in_some_recordings
-from semiparam_ros.diagnosis.search.refit import calibrated_values, gauss_newton, moved_by
+from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects
+from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns
+from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.spans import best_spans
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
@@ -73,14 +72,14 @@ def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
 
 
 def _started(fit: Fit, effect: Effect) -> tuple[Effect, Array]:
-    """The effect when it explains most, if it can begin or end and its times are open, and its columns."""
-    columns = always = added_columns(fit, effect)
-    if effect.is_calibration:
-        return effect, columns
-    if effect.changes and effect.span == ALWAYS:
-        effect = replace(effect, span=best_spans(fit, effect, always, most=1)[0])
-        columns = always * effect.span.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
-    return in_some_recordings(fit, effect, columns, always)
+    """The effect when it explains most, if it can begin or end or be in some recordings and its times are open, and its
+    columns."""
+    columns = added_columns(fit, effect)
+    may_end = effect.changes or (fit.samples.breaks and not effect.of_one_recording)
+    if may_end and not effect.is_calibration and effect.span == ALWAYS:
+        effect = replace(effect, span=best_spans(fit, effect, columns, most=1)[0])
+        columns = columns * effect.span.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
+    return effect, columns
 
 
 def _linear_trial(fit: Fit, effect: Effect) -> Trial:
@@ -129,8 +128,8 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     """The trial with its nonlinear parameters at their best and the weights those of its own residual."""
     near = _weighed(fit, trial)
     if trial.effect.is_calibration:
-        effect = moved_by(trial.effect, -calibrated_values(trial.effect))
-        return _calibrated(near, trial, effect, added_columns(fit, effect))
+        settled = gauss_newton(with_effects(near, [*fit.effects, trial.effect]), [trial.effect])
+        return replace(trial, effect=settled.effects[-1], leaves=settled.residual, squares=settled.squares)
     best = _refined_once(near, trial)
     if trial.many_valued:
         best = _settled(fit, best)
@@ -209,34 +208,6 @@ def line_searched(fit: Fit, effect: Effect, name: str) -> Effect:
     best = minimize_scalar(cost, bounds=(low, high), method='bounded',
                            options={'maxiter': fit.config.refine_evaluations})
     return effect.with_values(**{name: float(best.x)}) if best.fun < cost(effect.value(name)) else effect
-
-
-def _calibrated(fit: Fit, trial: Trial, effect: Effect, columns: Array) -> Trial:
-    """The trial with its calibration settled, together with all coefficients, by Gauss-Newton.
-
-    :param columns: derivatives (N, n, c) where the ``effect`` is nothing yet. They stay as they are, and so do the
-        columns of the model, for new ones are costly; where that does not settle, as with a large gain, all is new.
-    """
-    model, moved = fit, effect
-    for _ in range(fit.config.gauss_newton_steps):
-        step = model.joint_step(columns)
-        after, further = _moved_along(model, moved, *step)
-        gained = model.loss - after.loss
-        if gained < 0.0:
-            break
-        model, moved = after, further
-        if gained < fit.config.settled_gain or np.abs(step[1]).max() < fit.config.settled_step:
-            return replace(trial, effect=moved, leaves=model.residual, squares=model.squares)
-    settled = gauss_newton(with_effects(fit, [*fit.effects, trial.effect]), [trial.effect])
-    return replace(trial, effect=settled.effects[-1], leaves=settled.residual, squares=settled.squares)
-
-
-def _moved_along(fit: Fit, effect: Effect, change: Array, step: Array) -> tuple[Fit, Effect]:
-    """The declared model beside an effect, theta changed and the calibrations moved by a step, with what that leaves;
-    and the effect."""
-    moved, there = moved_by(effect, step), with_values(fit, fit.theta + change, fit.residual)
-    left = fit.samples.outputs - predicted_with(there, [*fit.effects, moved])
-    return with_values(there, there.theta, left), moved
 
 
 def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:

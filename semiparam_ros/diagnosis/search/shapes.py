@@ -70,7 +70,7 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
     One of them may pull against another, as the lead of frictions and a delay of the efforts do. Steps that do not
     lower the loss are shortened.
     """
-    for _ in range(fit.config.shape_steps):
+    for _ in range(fit.config.newton_steps):
         shapes = shapes_of(fit, found)
         if not shapes:
             break

@@ -15,6 +15,7 @@ from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.data.correlation import correlation_times
+from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import ROUNDED, Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect
@@ -26,15 +27,20 @@ START_RIDGE = 1e-6
 def best_spans(fit: Fit, effect: Effect, columns: Array, most: int | None = None) -> list[Span]:
     """When the effect may act, with columns (N, n, c) as if it always did: always, from a start on, until an end, or
     between both, of each the best; the ``most`` likeliest, of those that the kind's coefficients allow where there are
-    such. What must begin does not always act, and what others do for a moment is a touch.
+    such. What must begin does not always act, and what others do for a moment is a touch. Whatever does not belong to
+    one recording may be in some of several.
 
     Each time costs the log of how many were tried, and as many samples count as one as stay alike in what the best span
     leaves. What was there until a time and what began then with the opposite sign are often one and the same to the
     model: then the sign tells them apart where the kind has one.
     """
     fitting, config = np.flatnonzero(fit.train_mask), fit.config
+    breaks = [] if effect.of_one_recording else np.searchsorted(
+        fitting, [part.start for part in fit.samples.recordings[1:]]).tolist()
     margin = max(int(config.start_margin * len(fitting)), 1)
-    edges = np.unique(np.linspace(margin, len(fitting) - margin, config.start_grid).astype(int))
+    within = np.linspace(margin, len(fitting) - margin, config.start_grid if effect.changes else 0).astype(int)
+    edges = np.unique([*within.tolist(), *breaks]).astype(int)
+    cost = np.where(np.isin(edges, breaks), math.log(len(breaks) + 1), math.log(config.start_grid))
     block, last, times = len(fitting) / config.blocks, len(edges) + 1, fit.samples.time[fitting[edges]]
     least_s = config.longest_contact_s if effect.from_outside else 0.0
     forms = [[(0, last)], [(i, last) for i in range(1, last)], [(0, j) for j in range(1, last)],
@@ -43,11 +49,10 @@ def best_spans(fit: Fit, effect: Effect, columns: Array, most: int | None = None
     forms = [form for form in forms[effect.must_start:] if form]
     spans = np.array([span for form in forms for span in form])
     squares, coefficients = _explained(fit, columns, fitting[np.append(0, edges)], spans)
-    searched = (spans[:, 0] > 0).astype(int) + (spans[:, 1] < last)
     start, end = np.append(fitting[np.append(0, edges)], len(fit.samples))[spans[squares.argmax()]]
     left = fit.explain(columns * _between(len(fit.samples), start, end)).residual
     repeated = float(correlation_times(fit.used(left), config).mean())
-    nats = 0.5 * squares / repeated - searched * math.log(config.start_grid)
+    nats = 0.5 * squares / repeated - np.concatenate([[0.0], cost, [0.0]])[spans].sum(axis=1)
     parts = np.split(np.arange(len(spans)), np.cumsum([len(form) for form in forms])[:-1])
     best = sorted((int(part[nats[part].argmax()]) for part in parts), key=lambda number: -nats[number])
     best = [number for number in best if effect.physical(coefficients[number])] or best
@@ -62,12 +67,17 @@ def _between(count: int, start: int, end: int) -> Array:
 
 
 def _to_the_sample(fit: Fit, columns: Array, edges: Indices, start: int, end: int) -> Span:
-    """The best span near one of which the start and the end are edges number ``start`` and ``end``, 0 for none."""
-    times = fit.samples.time[fit.train_mask]
+    """The best span near one of which the start and the end are edges number ``start`` and ``end``, 0 for none; those
+    at the beginning of a recording stay."""
+    fitting = np.flatnonzero(fit.train_mask)
+    times, breaks = fit.samples.time[fitting], breaks_s(fit.samples)
     step = int(np.diff(edges).max(initial=1))
     numbers = {name: int(edges[number - 1]) for name, number in (('start_s', start), ('end_s', end)) if number}
-    span = Span(**{name: float(times[number]) for name, number in numbers.items()})
-    for name in (*numbers, *list(numbers)[:len(numbers) - 1]):
+    found = {name: next((break_s for break_s in breaks if times[number - 1] < break_s <= times[number]),
+                        float(times[number])) for name, number in numbers.items()}
+    span = Span(**found)
+    open_times = [name for name in numbers if found[name] not in breaks]
+    for name in (*open_times, *open_times[:len(open_times) - 1]):
         low, high = np.clip((numbers[name] - step, numbers[name] + step), 0, len(times) - 1)
         span = best_edge(fit, columns, span, name, (float(times[low]), float(times[high])))
     return span

@@ -13,8 +13,8 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, candidates, identity, others
+from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
+from semiparam_ros.diagnosis.search.candidates import Place, candidates, identity
 from semiparam_ros.diagnosis.search.moves import (
     Move,
     ending_moves,
@@ -23,14 +23,11 @@ from semiparam_ros.diagnosis.search.moves import (
     repeated_moves,
     simplest,
     single_moves,
-    values_of,
 )
-from semiparam_ros.diagnosis.search.prior_odds import prices, usual
 from semiparam_ros.diagnosis.search.ranking import Progress, coarse, refine_foremost
-from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split
-from semiparam_ros.diagnosis.search.score import block_gains, gain
-from semiparam_ros.diagnosis.search.scoring import Trial, overlap, score
+from semiparam_ros.diagnosis.search.score import block_gains
+from semiparam_ros.diagnosis.search.scoring import Trial, overlap
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
@@ -79,14 +76,11 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
             if not steps:
                 break
             shaped = reshaped(fit, fixed, kinds)
-            shaped = shaped if shaped is fit else pruned(shaped, fixed, kinds)
-            steps[-1] = replace(steps[-1], after=shaped)
-            step = swapped(shaped, fixed, kinds)
-            if step is None and shaped is fit:
+            if shaped is fit:
                 break
-            fit = shaped
-            if step is None:
-                continue
+            fit = pruned(shaped, fixed, kinds)
+            steps[-1] = replace(steps[-1], after=fit)
+            continue
         steps.append(_over(step))
         fit = step.after
         if hopeless(fit):
@@ -136,30 +130,6 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
         added=tuple(Trial(effect, after.residual, 1, evidence=best.gain.total / len(found)) for effect in found),
         rivals=(rivals,) * len(found), ranking=tuple(ranking), before=fit, after=after,
         dropped=tuple(effect for effect in fit.effects if identity(effect) not in names))
-
-
-def swapped(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Step | None:
-    """The step to one of the effects that were found at another place, or of a kind that is mistaken for it, where that
-    is better."""
-    for effect in fit.effects:
-        if identity(effect) in fixed or usual(effect, fit):
-            continue
-        rest = declare(with_effects(fit, others(fit, effect)), [])
-        names = {effect.kind, *effect.mistaken_for}
-        pool = [candidate for candidate in candidates(rest, {name: kinds[name] for name in names if name in kinds})
-                if (candidate.kind.kind, candidate.where) != (effect.kind, effect.where)]
-        own = score(rest, Trial(effect, fit.residual, values_of(effect, fit)), fit.correlation).evidence
-        trials = [trial for trial in coarse(rest, pool, lambda words, share: None)
-                  if trial.evidence > fit.config.worth_swapping * own]
-        ranking = refine_foremost(rest, trials[:fit.config.swapped])
-        cost = prices([effect], rest, kinds)
-        moves = [move._replace(gain=gain(fit, move.after, move.added[0].span.values.values()), price=move.price - cost)
-                 for move in single_moves(rest, ranking, kinds)]
-        best = max((move for move in moves if move.good), key=lambda move: move.net, default=None)
-        step = None if best is None else _made(fit, best, moves, ranking, fixed, kinds)
-        if step is not None:
-            return step
-    return None
 
 
 def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:

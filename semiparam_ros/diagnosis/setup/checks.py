@@ -11,6 +11,7 @@ is reported if the evidence of ``prior_misfit`` is far larger with it than as de
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations, product
@@ -30,8 +31,8 @@ from semiparam_ros.diagnosis.setup.prior_misfit import (
     equations,
     evidence,
     independent,
-    misfit,
     nuisances,
+    share_left,
 )
 from semiparam_ros.errors import listed
 
@@ -61,8 +62,8 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
 
     :param samples: as recorded; ``config.setup_samples`` of them, spread over the recording, are looked at.
     """
-    if len(samples) < config.setup_least_samples or np.all(
-            np.ptp(samples.position, axis=0) < config.setup_least_motion):
+    if len(samples) < config.least_working_samples or np.all(
+            np.ptp(samples.position, axis=0) < config.slow_range):
         return []
     if not np.ptp(samples.outputs, axis=0).any():
         return [_constant(body)]
@@ -73,7 +74,7 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
     if any(problem.what == 'clock' for problem in found):
         return found
     usable = np.flatnonzero(~excluded(samples, config))
-    if len(usable) < config.setup_least_samples:
+    if len(usable) < config.least_working_samples:
         return found
     at_hand = right[_spread(usable, config)] if samples.acceleration.any() else _smoothed(samples, right, config)
     layout = layout_problems(body, at_hand, config)
@@ -100,7 +101,7 @@ def _confirmed(body: RigidBody, samples: Samples, right: Samples, layout: list[S
     Those at hand may be filtered as samples came: of fast motion at a low rate, neither says what the arm did.
     """
     smoothed = _smoothed(samples, right, config)
-    if len(smoothed) < config.setup_least_samples or not samples.acceleration.any():
+    if len(smoothed) < config.least_working_samples or not samples.acceleration.any():
         return layout
     again = layout_problems(body, smoothed, config)
     return layout if any(problem.what == NO_MATCH for problem in again) else again
@@ -139,7 +140,7 @@ def _mostly_zero(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> 
 def motion_problems(body: RigidBody, samples: Samples,
                     config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
     """Contradictions between positions, velocities, accelerations and stamps, and the corrected samples."""
-    joints, moving = body.joints, np.ptp(samples.position, axis=0) > config.setup_least_motion
+    joints, moving = body.joints, np.ptp(samples.position, axis=0) > config.slow_range
     problems, right = _put_right(body, samples, samples, _other_belongings(joints, samples, moving, config), config)
     changes, integrals = _spans(right.time, right.position, right.velocity, config)
     ratios = [_ratio(changes[:, joint], integrals[:, joint], config) if moving[joint]
@@ -192,7 +193,7 @@ def _put_right(body: RigidBody, samples: Samples, right: Samples, belongings: It
         velocities, positions = belonging.with_velocities(right, config=config), belonging.with_positions(right)
         ready = [_smoothed(samples, one, config) for one in (velocities, positions)]
         likely = [evidence(equations(body, one, config), one.outputs).log for one in ready] \
-            if len(ready[0]) >= config.setup_least_samples else [0.0, 0.0]
+            if len(ready[0]) >= config.least_working_samples else [0.0, 0.0]
         right = positions if likely[1] > likely[0] else velocities
         problems.append(belonging.of_position if likely[1] > likely[0] else belonging.of_velocity)
     return problems, right
@@ -211,10 +212,10 @@ def _other_belongings(joints: Sequence[str], samples: Samples, moving: Array,
     ratio = np.linalg.norm(integrals, axis=0) / np.maximum(sizes, 1e-100)[:, None]
     as_declared, least = 1.0 + ratio**2 - 2.0 * ratio * likeness, 1.0 - config.own_correlation**2
     cost = np.minimum(0.5 * number * np.log(np.maximum(as_declared, least)),
-                      0.5 * number * np.log(np.maximum(1.0 - likeness**2, least)) + config.setup_evidence)
+                      0.5 * number * np.log(np.maximum(1.0 - likeness**2, least)) + math.log(config.odds))
     cost = cost[np.ix_(moving, moving)]
     chosen = linear_sum_assignment(cost)[1]
-    if np.trace(cost) - cost[range(len(chosen)), chosen].sum() < config.setup_evidence:
+    if np.trace(cost) - cost[range(len(chosen)), chosen].sum() < math.log(config.odds):
         return
     order = np.arange(len(joints))
     order[moving] = order[moving][chosen]
@@ -369,9 +370,9 @@ def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) 
         best = _best_alternative(body, samples, config)
         if best is None:
             break
-        found += [best.problem, *best.further]
+        found.append(best.problem)
         body, samples = best.body or body, best.samples
-    left = misfit(equations(body, samples, config), samples.outputs, body.outputs == 'wrench').left
+    left = share_left(equations(body, samples, config), samples.outputs)
     return [_no_match(body, left)] if left > config.no_match_share else found
 
 
@@ -389,7 +390,6 @@ class Alternative(NamedTuple):
     samples: Samples
     problem: SetupProblem
     body: RigidBody | None = None
-    further: tuple[SetupProblem, ...] = ()
 
 
 def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Alternative | None:
@@ -404,7 +404,7 @@ def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig
     best = max(_alternatives(body, samples, config), key=lambda alternative: evidence(*of(alternative)).log)
     share = independent(*of(best), evidence(*of(best)).change)
     gain = evidence(*of(best), share).log - evidence(equal, samples.outputs, share).log
-    return best if gain > config.setup_evidence else None
+    return best if gain > math.log(config.odds) else None
 
 
 def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
@@ -413,14 +413,12 @@ def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) ->
         yield from _other_axes(body, samples)
     else:
         yield from _other_effort_signs(body, samples)
-        yield from _opposite_efforts(body, samples, config)
     for mounted, problem in other_mountings(body, config.same_gravity_cosine):
         yield Alternative(samples, problem, mounted)
     yield from _other_directions(body, samples)
     yield from _other_orders(body, samples)
     yield from _exchanged_outputs(body, samples)
-    if np.abs(samples.position).max() > config.degrees_beyond:
-        yield _radians(samples)
+    yield _radians(samples)
 
 
 def _other_axes(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
@@ -459,30 +457,6 @@ def _other_effort_signs(body: RigidBody, samples: Samples) -> Iterator[Alternati
         yield Alternative(negated, SetupProblem('effort_sign', name, (
             f"The effort of '{name}' fits the robot description far better with the opposite sign: negate it in the "
             'driver.')))
-
-
-def _opposite_efforts(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
-    """The efforts that oppose the description's prediction while most others follow it, all negated at once."""
-    likeness = effort_likeness(body, samples, config)
-    opposed, agreed = likeness < -config.opposed_effort, likeness > config.opposed_effort
-    if not opposed.any() or opposed.sum() > agreed.sum():
-        return
-    problems = [SetupProblem('effort_sign', name, (
-        f"The effort of '{name}' opposes what the robot description predicts (correlation {like:.2f}), while those of "
-        'most other joints follow it: negate it in the driver.'))
-        for name, like, flag in zip(body.output_names, likeness, opposed, strict=True) if flag]
-    negated = replace(samples, outputs=samples.outputs * np.where(opposed, -1.0, 1.0))
-    yield Alternative(negated, problems[0], further=tuple(problems[1:]))
-
-
-def effort_likeness(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Array:
-    """(n,) correlation of each effort with the description's prediction, friction and rotors taken off both."""
-    free = nuisances(body, samples, config)
-    measured, predicted = (_without(free, values) for values in (
-        samples.outputs, body.regressors(samples) @ body.base_parameters))
-    size = np.linalg.norm(measured, axis=0) * np.linalg.norm(predicted, axis=0)
-    inner = np.sum(measured * predicted, axis=0)
-    return np.asarray(np.divide(inner, size, out=np.zeros_like(inner), where=size > 0.0))
 
 
 def other_mountings(body: RigidBody, same_cosine: float) -> Iterator[tuple[RigidBody, SetupProblem]]:

@@ -14,9 +14,10 @@ MOST_GAPS_NAMED = 3
 
 
 def unidentifiable(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
-    """Sentences about joints that do not move, gaps, too short recordings, and bodies whose inertias do not show."""
+    """Sentences about joints that do not move or all move as one, gaps, too short recordings, and bodies whose inertias
+    do not show."""
     notes = _short(samples, config) + _still(body, samples, config) + _dead(body, samples) + _gaps(samples, config)
-    return notes + _unseen(body, samples, config) if len(samples) > 1 else notes
+    return notes + _together(samples, config) + _unseen(body, samples, config) if len(samples) > 1 else notes
 
 
 def _short(samples: Samples, config: DiagnosisConfig) -> list[str]:
@@ -36,6 +37,19 @@ def _still(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[s
     if slow:
         notes.append(f'{_listed(slow)} hardly moved: what is said of {_it(slow)} is uncertain.')
     return notes
+
+
+def _together(samples: Samples, config: DiagnosisConfig) -> list[str]:
+    """Joints that all follow one sine: position and velocity of that one are all directions of their motion."""
+    moving = np.ptp(samples.position, axis=0) > config.slow_range
+    position = samples.position[:, moving]
+    sizes = np.linalg.svd(position - position.mean(axis=0), compute_uv=False)
+    directions, count = int(np.sum(sizes > config.direction_share * sizes.max(initial=0.0))), int(moving.sum())
+    if directions > 2 or count <= directions + 1:
+        return []
+    how = 'one direction' if directions == 1 else f'{directions} directions'
+    return [f'The {count} joints move along {how} only, as one sine for all of them would: what one joint lacks looks '
+            'like what another lacks. Record motion in which each joint has frequencies of its own.']
 
 
 def _dead(body: RigidBody, samples: Samples) -> list[str]:
@@ -59,7 +73,7 @@ def _gaps(samples: Samples, config: DiagnosisConfig) -> list[str]:
 
 
 def _unseen(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[str]:
-    rows = np.unique(np.linspace(0, len(samples) - 1, config.identifiability_samples).astype(int))
+    rows = np.unique(np.linspace(0, len(samples) - 1, config.setup_samples).astype(int))
     names = unseen_bodies(body, samples[rows], config)
     if not names:
         return []

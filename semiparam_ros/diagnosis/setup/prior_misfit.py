@@ -1,17 +1,11 @@
-"""How badly a recording fits a robot description, when its inertias may be wrong by a third but not absurd.
+"""Evidence of a recording under one labelling, when inertias may be wrong by a third but not absurd.
 
-Base parameters alone can absorb a wrong sign or a mirrored joint: with absurd masses. So the misfit is what least
-squares leaves of the outputs, in variances, plus a price for every third that an inertial parameter moves away from the
-robot description:
-
-    J = min over theta, eta of  mean ((y - psi theta - N eta) / scale)^2  +  price |W (theta - theta_urdf)|^2
-
-with free nuisances N: the sensor's offset, or each joint's offset, friction and rotor inertia.
-
-Two labellings of one recording compare by their evidence, the likelihood with theta ~ N(theta_urdf, W^-2) and the
-nuisances integrated out, at the number of samples whose residuals are independent. The noise of each channel has its
-most likely size, beside a share of the channel's variance by which any description is wrong. Friction takes energy out
-of a joint, but for what that share could put in: that is part of the prior.
+Base parameters alone can absorb a wrong sign or a mirrored joint: with absurd masses. So two labellings
+compare by their evidence: the likelihood with theta ~ N(theta_urdf, W^-2) and free nuisances (the sensor's offset, or
+each joint's offset, friction, rotor inertia and spring) integrated out, at the number of samples whose residuals are
+independent. The noise of each channel has its most likely size, beside a share of the channel's variance
+by which any description is wrong. Friction takes energy out of a joint, but for what that share could put in: that is
+part of the prior.
 """
 
 from __future__ import annotations
@@ -39,7 +33,6 @@ class Equations:
     columns: Array  # (N, n, c) psi beside the nuisances
     mean: Array  # (c,) the description's base parameters, then zeros
     precision: Array  # (c, c) of the parameters about the mean; zero for the nuisances
-    price: float  # of one deviation from the mean, as a share of the outputs' variance
     wrong: float  # share of an output's variance by which the description may be wrong
     rounds: int  # in which the noise is fitted
     speed: Array  # (n,) root mean square speed of the joints; (0,) of a wrench
@@ -62,13 +55,6 @@ class Equations:
         return self.scaled.transpose(0, 2, 1) @ self.scaled
 
 
-class Misfit(NamedTuple):
-    """J, and the part of it that the outputs leave [mean share of variance]."""
-
-    total: float
-    left: float
-
-
 def equations(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Equations:
     """What the inputs of ``samples`` predict."""
     own, free = body.n_parameters, nuisances(body, samples, config)
@@ -76,34 +62,14 @@ def equations(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Equ
     mean, precision = np.zeros(columns.shape[2]), np.zeros((columns.shape[2],) * 2)
     mean[:own], precision[:own, :own] = body.base_parameters, _precision(body, config.inertia_deviation)
     if body.outputs == 'wrench':
-        return Equations(columns, mean, precision, config.wrench_price, config.model_error, config.noise_rounds,
+        return Equations(columns, mean, precision, config.model_error, config.noise_rounds,
                          np.zeros(0), np.zeros((0, len(mean))))
     count, power = body.n_outputs, np.zeros((body.n_outputs, len(mean)))
     moved = samples.velocity[:, body.output_index]
     friction = slice(own + count, own + 3 * count)  # viscous, then dry
     power[:, friction] = np.mean(columns[:, :, friction] * moved[:, :, None], axis=0)
-    return Equations(columns, mean, precision, config.effort_price, config.model_error, config.noise_rounds,
+    return Equations(columns, mean, precision, config.model_error, config.noise_rounds,
                      np.sqrt(np.mean(moved**2, axis=0)), power)
-
-
-def misfit(equal: Equations, outputs: Array, wrench: bool) -> Misfit:
-    """J for outputs (N, n)."""
-    change, residual = _solved(equal, outputs, wrench)
-    squares = float(residual @ residual)
-    return Misfit(squares + equal.price * float(change @ equal.precision @ change), squares)
-
-
-def _solved(equal: Equations, outputs: Array, wrench: bool) -> tuple[Array, Array]:
-    """(c,) the least squares' departure from the mean, and (N n,) what it leaves, whose squares sum to a share."""
-    scale = channel_scale(outputs, wrench)
-    weight = 1.0 / np.sqrt(outputs.size)
-    rows = (equal.columns * (weight / scale)[:, None]).reshape(-1, equal.columns.shape[2])
-    left = ((outputs - equal.columns @ equal.mean) * (weight / scale)).ravel()
-    normal = rows.T @ rows + equal.price * equal.precision
-    size = 1.0 / np.sqrt(np.diag(normal) + 1e-300)
-    factor = cho_factor(normal * np.outer(size, size) + RIDGE * np.eye(len(size)))
-    change = cho_solve(factor, (rows.T @ left) * size) * size
-    return change, left - rows @ change
 
 
 class MisfitEvidence(NamedTuple):
@@ -132,6 +98,13 @@ def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvid
     likelihood = -share * count * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
     likelihood += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(factor[0]) * size).sum())
     return MisfitEvidence(likelihood + _braking(equal, change, deviation, factor, size), change)
+
+
+def share_left(equal: Equations, outputs: Array) -> float:
+    """Share of the variance of outputs (N, n) that the likeliest inertias and nuisances leave, mean of the channels."""
+    left = outputs - equal.columns @ (equal.mean + evidence(equal, outputs).change)
+    telling = np.ptp(outputs, axis=0) > 0.0
+    return float(np.mean((left / channel_scale(outputs, not len(equal.power)))[:, telling] ** 2))
 
 
 def independent(equal: Equations, outputs: Array, change: Array) -> float:
