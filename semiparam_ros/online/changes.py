@@ -759,9 +759,8 @@ class ChangeDetector:
         kappa, which = np.unique(kappa, return_inverse=True)
         own = np.array([block.own for block in self._blocks])
         wrenches = [block.wrench for block in self._blocks]
-        each = wandering(
-            *edge_sums(own), np.square(self._felt_scale)[:, None], kappa[:, None]
-        ).sum(axis=-1)
+        each = wandering(*edge_sums(own), np.square(self._felt_scale)[:, None], kappa[:, None])
+        each = (np.logaddexp(each, 0.0) - log(2.0)).sum(axis=-1)  # each output feels it or not
         at_hand = wandering(
             np.array([gram for gram, _ in wrenches]),
             np.array([moment for _, moment in wrenches]),
