@@ -273,6 +273,83 @@ class Judged(NamedTuple):
     evidence: float
 
 
+class CauseFit(NamedTuple):
+    """One cause over windows: the eigenvalues (S, k) and eigenvectors (S, k, k) of A, and h (S, k)
+    along these."""
+
+    cause: Cause
+    values: Array
+    vectors: Array
+    along: Array
+
+    @classmethod
+    def of(cls, cause: Cause, grams: Array, sums: Array) -> CauseFit:
+        """Take the part of a cause from the A (S, K, K) and h (S, K) of all."""
+        values, vectors = np.linalg.eigh(grams[:, cause.part, cause.part])
+        along = np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
+        return cls(cause, np.maximum(values, 0.0), vectors, along)
+
+    @property
+    def explained(self) -> Array:
+        """(S,) squares that the cause explains at its best."""
+        share = (self.values + 2.0) / (self.values + 1.0) ** 2
+        return np.asarray((self.along**2 * share).sum(axis=1))
+
+    def evidence(self, kappa: Array) -> Array:
+        """(S,) log evidence over none, the noise being kappa (S,)."""
+        whole = self.values + kappa[:, None]
+        explained = (self.along**2 / whole).sum(axis=1) / kappa
+        return np.asarray(0.5 * (explained - np.log(whole / kappa[:, None]).sum(axis=1)))
+
+    def theta(self, kappa: Array) -> Array:
+        """(S, k) coefficients, in units of their prior."""
+        whole = self.values + kappa[:, None]
+        return np.asarray(np.einsum('skj,sj->sk', self.vectors, self.along / whole))
+
+    def covariance(self, kappa: Array) -> Array:
+        """(S, k, k) of the coefficients."""
+        root = self.vectors / np.sqrt(self.values + kappa[:, None])[:, None]
+        return np.asarray(kappa[:, None, None] * root @ root.swapaxes(1, 2))
+
+
+def _beside(
+    fits: Sequence[CauseFit], alone: Array, rival: Array, counts: Indices
+) -> list[Array]:
+    """(S,) evidence of each cause over that of the likeliest ``rival`` (S,) which is no change, and
+    of all other causes as long as they tell little."""
+    found = []
+    for number, fit in enumerate(fits):
+        others = np.delete(alone, number, axis=0).max(axis=0) if fit.cause.kind else np.inf
+        found.append(alone[number] - np.where(counts < LASTING, np.maximum(rival, others), rival))
+    return found
+
+
+def _judged(
+    fit: CauseFit, evidence: Array, kappa: Array, counts: Indices, grams: Array, sums: Array
+) -> Judged:
+    """Where a cause is likeliest, by its evidence (S,) beside all else over so many blocks each.
+
+    :param grams: (S, K, K) and :param sums: (S, K) of the later half of each window, of which what
+        is over explains nothing.
+    """
+    part, theta = fit.cause.part, fit.theta(kappa)
+    evidence = np.where(_explains(theta, grams[:, part, part], sums[:, part]), evidence, -np.inf)
+    if fit.cause.kind == Payload.kind:  # it has a mass; what was put down was in the hand before
+        mass, variance = theta[:, 0], fit.covariance(kappa)[:, 0, 0]
+        evidence = np.where(mass < 0.0, evidence - log(RARE), evidence)
+        evidence = np.where(mass**2 > MASS_SHOWS**2 * variance, evidence, -np.inf)
+    at = int(evidence.argmax())
+    same = np.full(len(kappa), kappa[at])
+    since = int(fit.evidence(same).argmax())
+    return Judged(
+        fit.cause,
+        int(counts[since]),
+        fit.theta(same)[since],
+        fit.covariance(same)[since],
+        float(evidence[at]),
+    )
+
+
 class Followed:
     """A change that was told, with the sums of all blocks since it began: its coefficients, in
     units of their prior."""
@@ -638,68 +715,25 @@ class ChangeDetector:
             return None, False
         starts = len(self._blocks) - counts
         blocks, moments = np.array([block.gram for block in self._blocks]), self._left(followed)
-        grams, sums = _since(blocks, starts), _since(moments, starts)
-        late = starts + (counts + 1) // 2
-        late_grams, late_sums = _since(blocks, late), _since(moments, late)
         power = np.array([block.own[-1].sum() for block in self._blocks]) - self._gained(followed)
-        spectra = [np.linalg.eigh(grams[:, cause.part, cause.part]) for cause in self.causes]
-        along = [
-            np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
-            for (_, vectors), cause in zip(spectra, self.causes, strict=True)
-        ]
-        # what a cause leaves of the squares at its best
+        grams, sums = _since(blocks, starts), _since(moments, starts)
+        fits = [CauseFit.of(cause, grams, sums) for cause in self.causes]
         learnt, gained, volume = self._learning(grams, sums)
-        left = _since(power, starts) - np.max(
-            [
-                learnt,
-                *(
-                    (each**2 * (values + 2.0) / (values + 1.0) ** 2).sum(axis=1)
-                    for (values, _), each in zip(spectra, along, strict=True)
-                ),
-            ],
-            axis=0,
-        )
+        left = _since(power, starts) - np.max([learnt, *(fit.explained for fit in fits)], axis=0)
         growth = np.maximum(left / (np.median(self._power) * counts), 1.0)
         kappa = self.noise * STEP ** np.round(np.log(growth) / log(STEP))
         learning, touched = 0.5 * (gained / kappa - volume), self._touched(kappa, starts)
         known = self._known(starts, power, followed) / (2.0 * kappa)
-        rival = np.max([learning, touched, known], axis=0)
-        most = max(float(touched.max()), float(known.max()))
-        alone = np.array(
-            [
-                _evidence(values, each, kappa) - cause.price
-                for (values, _), each, cause in zip(spectra, along, self.causes, strict=True)
-            ]
-        )
-        most = max(most, float(alone.max()))
-        best: Judged | None = None
-        for number, ((values, vectors), each, cause) in enumerate(
-            zip(spectra, along, self.causes, strict=True)
-        ):
-            others = np.delete(alone, number, axis=0).max(axis=0) if cause.kind else np.inf
-            evidence = alone[number] - np.where(
-                counts < LASTING, np.maximum(rival, others), rival
-            )
-            whole = np.maximum(values, 0.0) + kappa[:, None]
-            if cause.kind == Payload.kind:
-                evidence = self._of_load(evidence, values, vectors, each, kappa)
-            theta, part = np.einsum('skj,sj->sk', vectors, each / whole), cause.part
-            later = _explains(theta, late_grams[:, part, part], late_sums[:, part])
-            evidence[~later] = -np.inf  # what is over explains nothing of the later half
-            at = int(evidence.argmax())
-            if best is None or evidence[at] > best.evidence:
-                noise = kappa[at]
-                since = int(_evidence(values, each, np.full(len(kappa), noise)).argmax())
-                whole = np.maximum(values[since], 0.0) + noise
-                root = vectors[since] / np.sqrt(whole)
-                best = Judged(
-                    cause,
-                    int(counts[since]),
-                    vectors[since] @ (each[since] / whole),
-                    noise * root @ root.T,
-                    float(evidence[at]),
-                )
-        return best, float(learning.max()) >= most
+        alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
+        most = max(float(each.max()) for each in (touched, known, alone))
+        late = starts + (counts + 1) // 2
+        later = _since(blocks, late), _since(moments, late)
+        beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
+        judged = [
+            _judged(fit, evidence, kappa, counts, *later)
+            for fit, evidence in zip(fits, beside, strict=True)
+        ]
+        return max(judged, key=lambda each: each.evidence), float(learning.max()) >= most
 
     def _known(self, starts: Indices, power: Array, followed: Followed | None) -> Array:
         """(S,) the squares that the best of the known effects explains of the blocks from each of
@@ -740,18 +774,6 @@ class ChangeDetector:
         gained = np.asarray((sums * theta).sum(axis=1))
         explained = 2.0 * gained - np.einsum('sk,skj,sj->s', theta, grams, theta)
         return np.asarray(explained), gained, np.linalg.slogdet(whole)[1]
-
-    def _of_load(
-        self, evidence: Array, values: Array, vectors: Array, along: Array, kappa: Array
-    ) -> Array:
-        """(S,) that of a load, which has a mass; what was put down was in the hand before."""
-        whole, of_mass = np.maximum(values, 0.0) + kappa[:, None], vectors[:, 0]
-        mass, variance = (
-            (of_mass * along / whole).sum(axis=1),
-            kappa * (of_mass**2 / whole).sum(axis=1),
-        )
-        evidence = np.where(mass < 0.0, evidence - log(RARE), evidence)
-        return np.where(mass**2 > MASS_SHOWS**2 * variance, evidence, -np.inf)
 
     def _touched(self, kappa: Array, starts: Indices) -> Array:
         """(S,) log evidence of a contact that began at any block since each of some starts, with
@@ -822,14 +844,6 @@ class ChangeDetector:
         self.touched, self.followed = False, Followed(change, judged, blocks)
         self._compared = np.zeros(3)
         return change
-
-
-def _evidence(values: Array, along: Array, kappa: Array) -> Array:
-    """(S,) log evidence over none of coefficients with a unit prior, by the eigenvalues (S, k) of A
-    and h (S, k) along its eigenvectors, the noise being kappa (S,)."""
-    whole = np.maximum(values, 0.0) + kappa[:, None]
-    explained = (along**2 / whole).sum(axis=1) / kappa
-    return np.asarray(0.5 * (explained - np.log(whole / kappa[:, None]).sum(axis=1)))
 
 
 def _explains(theta: Array, grams: Array, moments: Array) -> Mask:
