@@ -104,7 +104,7 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
         def decided(what):
             return [record for record in records() if [last['what'] for last in record['decisions'][-1:]] == [what]]
 
-        named = LOADED + 350  # ten times as fast as the robot: it waits until the load has its name
+        named = LOADED + 450  # ten times as fast as the robot: it waits until the load has its name
         play(client, samples[:named])
         client.wait(lambda: decided('tried beside the model'), 'the load to be tried')
         record = decided('tried beside the model')[-1]['named']
