@@ -108,6 +108,10 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
         play(client, samples[:named])
         client.wait(lambda: decided('tried beside the model'), 'the load to be tried')
         record = decided('tried beside the model')[-1]['named']
+        client.wait(
+            lambda: any('It was tried' in each.status[0].message for each in client.heard['change']),
+            'the trial to be told',
+        )
         assert record['effect']['kind'] == 'payload'
         assert abs(record['effect']['start_stamp_s'] - samples[LOADED].stamp * 1e-9) < 0.2
         *_, told = (
