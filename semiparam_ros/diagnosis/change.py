@@ -154,7 +154,8 @@ def name_change(
 def _ranked(
     fit: Fit, known: Sequence[Effect], since_s: float, ended_s: float | None
 ) -> list[Move]:
-    """Every effect that may have begun, and every one that is known and may be over, the likeliest first."""
+    """Every effect that may have begun, and every one that is known and may be over, the likeliest
+    first."""
     found = [
         trial
         for effect in _candidates(fit)

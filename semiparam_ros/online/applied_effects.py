@@ -73,7 +73,7 @@ class KnownEffect:
     since: int = 0
     """[ns] when g was last zero."""
     begun: int = 0
-    """[ns] when it was applied."""
+    """[ns] when it was applied; 0 where that was long ago, or before a jump of the clock."""
     tried_s: float = 0.0
     reference: Array | None = None
     """(p,) coefficients of the model from before it was applied."""
@@ -143,7 +143,7 @@ class AppliedEffects:
         self._memory = None
         self.assume(None)
         for trial in self.trials:
-            trial.score = 0.0
+            trial.score, trial.begun = 0.0, 0
 
     def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
         """The sample without what is applied, and that (n,); None where nothing is."""

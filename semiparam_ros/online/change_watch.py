@@ -59,7 +59,8 @@ QUIET = (*STATES[:3], STATES[5])
 NAMED_TWICE = 2
 """Namings without an effect after which a change is learnt."""
 HELD_S = 30.0
-"""[s of motion] What stands out is kept from being learnt no longer."""
+"""[s of motion] What stands out is kept from being learnt no longer; and so long nothing is told of
+what no effect explains, while it is learnt."""
 MORE_MOTION = 1.5
 """A load that has no name yet is estimated anew after so many times as much motion."""
 
@@ -385,14 +386,17 @@ class ChangeWatch:
 
     def _hold(self, detector: ChangeDetector) -> None:
         """Keep what stands out from being learnt until it is known what it is."""
-        followed = detector.followed
+        if not self.applies:  # all is learnt, and told
+            self.holds, self._held_s, self._learns_s = False, 0.0, 0.0
+            return
         if self._learns_s > 0.0:
             self._learns_s -= BLOCK_S
             if detector.stands_out:
                 detector.reset()  # what the model learns is no other change
             return
+        followed = detector.followed
         waits = followed is not None and self._waits(followed.change.number)
-        if not self.applies or not (detector.stands_out or waits):
+        if not (detector.stands_out or waits):
             self.holds, self._held_s = False, 0.0
         elif followed is None or waits:
             self.holds = self._held_s < HELD_S
@@ -403,7 +407,7 @@ class ChangeWatch:
 
     def _learn(self) -> None:
         """Let the model learn what no effect of the robot explains."""
-        self.holds, self._held_s, self._learns_s = False, 0.0, HELD_S * self.applies
+        self.holds, self._held_s, self._learns_s = False, 0.0, HELD_S
 
     def _with_provisional(self, prediction: Prediction, model: Model) -> tuple[Prediction, Model]:
         """What the detector judges: it follows a load itself until that is named."""

@@ -125,6 +125,37 @@ def test_what_no_effect_explains_is_learnt_and_told_no_more(monkeypatch, stiffne
     assert np.mean(learning[samples.time[: len(learning)] > 120.0] > 0) > 0.95
 
 
+def test_an_offset_that_came_for_seconds_is_remembered_no_more_and_one_that_stayed_is():
+    """After a jump of the clock back nobody knows how long it was there: it stays known."""
+    body, _ = free()
+    applied, effect = AppliedEffects(body), effect_from_text('sensor_offset{"start_s": 1.0}')
+
+    def there(start, end, jump=False):
+        applied.clear()
+        applied.offer(1, effect, np.ones(body.n_outputs), np.ones(body.n_outputs), start)
+        applied.switch(applied.trials[0], start * 10**9)
+        if jump:
+            applied.reset()
+        applied.switch(applied.trials[0], end * 10**9)
+        return [trial.remembered for trial in applied.trials]
+
+    assert there(100, 103) == []
+    assert there(100, 120) == [True]
+    assert there(100, 10, jump=True) == [True]
+
+
+def test_what_is_learnt_is_told_again_as_soon_as_nothing_is_applied():
+    """With ``report`` nothing is kept from being learnt, so nothing is kept from being told."""
+    body, samples = free()
+    jump = 0.5 * samples.outputs.std(axis=0) * (samples.time >= 76.0)[:, None]
+    jumped = replace(samples, outputs=samples.outputs + jump)
+    stage = offered(body, jumped[samples.time < 75.0], diagnosis_auto='apply')
+    stage.learner.changes._learn()  # as when no effect explained what stood out
+    stage.learner.settings = replace(stage.learner.settings, diagnosis_auto='report')
+    stage.offer(jumped[(samples.time >= 75.0) & (samples.time < 90.0)])
+    assert [record.change.kind for record in stage.changes][-1:] == ['sensor_offset']
+
+
 def test_a_push_is_not_applied_and_not_learnt():
     body, samples = pushed()
     stage = offered(body, samples[samples.time < 90.0], diagnosis_auto='apply')
