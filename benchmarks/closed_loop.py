@@ -6,9 +6,11 @@ Simulated arms (the iCub's with its sensor, and each URDF by its joint efforts, 
 every joint) move for four minutes at 100 Hz (iCub: 20 Hz). DATA holds the measured recordings of a
 UR3, a Franka and an iCub, already converted (``id1.mcap id2.mcap panda.mcap train.mcap
 test.mcap``). Into each come, by recursive Newton-Euler and Jacobians that the package's models do
-not share: a load in the hand, off and on again; an offset of one effort, or of the sensor; dry
-friction of one joint; a hand that pushes three times for 5 s; and nothing. Seeds choose masses,
-joints and directions.
+not share: a load in the hand, off and on again; a tool in place of another one; an offset of one
+effort, or of the sensor; dry friction of one joint; a base that is knocked by two degrees; a zero
+of one joint that slips by two to four; a cable's spring that catches the hand; a torque of no
+listed kind; a hand that pushes three times for 5 s; and nothing. Seeds choose masses, joints and
+directions.
 
 *Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it
 has the right effect, 30 s after it or when it ends. *Back*: within 30 s of the change, the
@@ -48,14 +50,26 @@ from semiparam_ros.settings import Settings
 from semiparam_ros.settings.robot_description import moving_joints, robot_description
 from semiparam_ros.simulation.arm import Arm
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
-from semiparam_ros.simulation.simulate import simulate
+from semiparam_ros.simulation.simulate import simulate, true_arm
 
 SECONDS, AT = 240.0, (0.55, 0.7, 0.85)
 """Of a simulated recording; changes as shares of a recording."""
 NOTICED_S, NAMED_S, PUSH_S = 3.0, 30.0, 5.0
+KNOCKED_RAD, SLIPPED_RAD = np.deg2rad(2.0), np.deg2rad([2.0, 4.0])
 BACK, BACK_S = 1.3, 5.0
 """So near its floor, for so long at least, an error is back."""
-CHANGES = ('load', 'offset', 'friction', 'push', 'none')
+CHANGES = (
+    'load',
+    'tool',
+    'offset',
+    'friction',
+    'base',
+    'zero',
+    'cable',
+    'unlisted',
+    'push',
+    'none',
+)
 MEASURED = {
     'UR3 measured': (('id1', 'id2'), Settings(outputs='effort')),
     'Franka measured': (
@@ -78,6 +92,11 @@ MEASURED = {
 }
 NAMES = {
     'load': ('payload',),
+    'tool': ('payload',),
+    'base': ('gravity_tilt',),
+    'zero': ('joint_offset',),
+    'cable': ('cable_spring',),
+    'unlisted': (),
     'offset': ('sensor_offset', 'effort_offset'),
     'friction': ('coulomb_friction', 'viscous_friction'),
 }
@@ -121,21 +140,20 @@ def simulated(urdf: str | None, seed: int) -> Robot:
     """An arm in a mixture of circles, Fourier motion and reaching."""
     rate, effects = (20.0, ()) if urdf is None else (100.0, _friction(urdf))
     joints = None if urdf is None else tuple(dict.fromkeys(str(effect.where) for effect in effects))
-    found = simulate(
-        Scenario(
-            motion='mixed',
-            samples=round(SECONDS * rate),
-            rate_hz=rate,
-            seed=seed,
-            urdf=urdf,
-            joints=joints,
-            outputs='wrench' if urdf is None else 'effort',
-            effects=effects,
-            baseline='bundled' if urdf is None else 'none',
-            accelerations=False,
-            noise_correlation_s=0.05,
-        )
+    scenario = Scenario(
+        motion='mixed',
+        samples=round(SECONDS * rate),
+        rate_hz=rate,
+        seed=seed,
+        urdf=urdf,
+        joints=joints,
+        outputs='wrench' if urdf is None else 'effort',
+        effects=effects,
+        baseline='bundled' if urdf is None else 'none',
+        accelerations=False,
+        noise_correlation_s=0.05,
     )
+    found = simulate(scenario)
     settings = Settings(
         robot_description=found.urdf,
         joints=found.joint_names,
@@ -158,7 +176,7 @@ def simulated(urdf: str | None, seed: int) -> Robot:
         found.outputs,
         int(found.stamps[0]),
     )
-    return Robot(settings, samples, arm_of(settings, found.urdf), 0.3 if urdf is None else 0.6)
+    return Robot(settings, samples, true_arm(scenario), 0.3 if urdf is None else 0.6)
 
 
 def _friction(urdf: str) -> tuple[EffectRequest, ...]:
@@ -224,6 +242,13 @@ def case_of(robot: Robot, change: str, seed: int) -> Case:
         always = np.zeros_like(added)
         always[:, joint] = 0.3 * spread[joint] * np.tanh(samples.velocity[:, joint] / 0.02)
         added, times = (time >= times[0])[:, None] * always, times[:1]
+    elif change == 'tool':
+        before, always = (weight(robot, robot.mass * rng.uniform(0.6, 1.4), rng) for _ in range(2))
+        times = times[:1]
+        added = np.where((time >= times[0])[:, None], always, before)
+    elif change in ONCE:
+        always, times = ONCE[change](robot, rng), times[:1]
+        added = (time >= times[0])[:, None] * always
     elif change == 'push':
         added, times = pushes(robot, times, rng), ()
     else:
@@ -257,6 +282,56 @@ def pushes(robot: Robot, times: tuple[float, ...], rng: np.random.Generator) -> 
         sway = 1.0 + 0.2 * np.sin(4.4 * (time - start) + rng.uniform(0.0, 6.3))
         force += newton * (shape * sway)[:, None] * direction / np.linalg.norm(direction)
     return robot.arm.load_of_force(robot.arm.pose(robot.arm.tip, position), force, position)
+
+
+def knocked(robot: Robot, rng: np.random.Generator) -> Array:
+    """(N, n) what a base adds that is turned by two degrees about a horizontal axis."""
+    about = rng.uniform(0.0, 2.0 * np.pi)
+    turn = pin.exp3(KNOCKED_RAD * np.array([np.cos(about), np.sin(about), 0.0]))
+    states = robot.samples.position, robot.samples.velocity, robot.samples.acceleration
+    level = robot.arm.model.gravity.linear
+    tilted = robot.arm.with_gravity(turn.T @ level)
+    return tilted.evaluate(*states) - robot.arm.evaluate(*states)
+
+
+def slipped(robot: Robot, rng: np.random.Generator) -> Array:
+    """(N, n) what a joint adds whose true angle is another than its encoder's, one that the weight
+    of the arm turns."""
+    position, velocity, acceleration = (
+        getattr(robot.samples, name) for name in ('position', 'velocity', 'acceleration')
+    )
+    level = robot.arm.evaluate(position, velocity, acceleration)
+    found = []
+    for joint in range(position.shape[1]):
+        true = position.copy()
+        true[:, joint] += rng.choice([-1.0, 1.0]) * rng.uniform(*SLIPPED_RAD)
+        found.append(robot.arm.evaluate(true, velocity, acceleration) - level)
+    spread = robot.samples.outputs.std(axis=0)
+    felt = np.array([np.sqrt(np.mean((each / spread) ** 2)) for each in found])
+    return found[rng.choice(np.flatnonzero(felt >= 0.3 * felt.max()))]
+
+
+def caught(robot: Robot, rng: np.random.Generator) -> Array:
+    """(N, n) what a spring adds from the tip to a place near its path, of ten newtons or so."""
+    pose = robot.arm.pose(robot.arm.tip, robot.samples.position)
+    stretched = pose.place - pose.place.mean(axis=0) + rng.uniform(-0.3, 0.3, 3)
+    stiffness = 10.0 / np.sqrt(np.mean(np.sum(stretched**2, axis=1)))
+    return robot.arm.load_of_force(pose, -stiffness * stretched, robot.samples.position)
+
+
+def unlisted(robot: Robot, rng: np.random.Generator) -> Array:
+    """(N, n) a smooth function of two positions, in one output."""
+    position, n = robot.samples.position, robot.samples.outputs.shape[1]
+    first, second = rng.choice(position.shape[1], 2, replace=False)
+    output = int(rng.integers(n))
+    added = np.zeros((len(position), n))
+    added[:, output] = np.sin(
+        3.0 * position[:, first] - 2.0 * position[:, second] + rng.uniform(0.0, 6.3)
+    )
+    return 0.3 * robot.samples.outputs.std(axis=0) * added
+
+
+ONCE = {'base': knocked, 'zero': slipped, 'cable': caught, 'unlisted': unlisted}
 
 
 def run(robot: Robot, samples: Samples) -> tuple[list[ChangeRecord], Array, Array]:
@@ -328,7 +403,7 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
             for record in near
             if record.effect is not None and record.effect.kind in NAMES[change]
         ]
-        named += bool(found)
+        named += bool(found) if NAMES[change] else not any(record.effect for record in near)
         if found and found[-1].named is not None:
             last = found[-1].named
             errors += (

@@ -124,7 +124,7 @@ def name_change(
     """
     fit, inputs, changed = _first_fit(body, samples, effects, since_s, inputs, config)
     tried = _ranked(fit, fit.effects[: len(effects)], since_s, ended_s)
-    best = tried[0] if tried and tried[0].good else None
+    best = _likeliest(tried)
     after, parameters = fit, dict[str, Quantity]()
     if best is not None:
         after, parameters = best.after, _parameters(best, inputs, samples)
@@ -134,11 +134,11 @@ def name_change(
     step = float(np.median(np.diff(fit.samples.time)))
     return NamedChange(
         effect=None if best is None else best.added[0],
-        gain=tried[0].gain if tried else Gain(0.0, 0.0),
-        price=tried[0].price if tried else 0.0,
+        gain=(best or tried[0]).gain if tried else Gain(0.0, 0.0),
+        price=(best or tried[0]).price if tried else 0.0,
         rivals=tuple(
             ChangeRival(other.added[0].kind, other.added[0].where, best.net - other.net)
-            for other in tried[1:4]
+            for other in [other for other in tried if other is not best][:3]
         )
         if best
         else (),
@@ -167,6 +167,25 @@ def _ranked(
         if effect.changes and not effect.ends and ended_s is None
     ]
     return sorted(found, key=lambda trial: -trial.net)
+
+
+def _likeliest(tried: Sequence[Move]) -> Move | None:
+    """The foremost, unless one that is likelier beforehand is surpassed by chance; None where it is
+    not worth its price."""
+    if not tried or not tried[0].good:
+        return None
+    best = tried[0]
+    return next((other for other in tried if other.good and not _surpasses(best, other)), best)
+
+
+def _surpasses(best: Move, other: Move) -> bool:
+    """Whether a move is better than another one by more than what is against it beforehand, and by
+    more than chance."""
+    if other is best or other.price >= best.price:
+        return True
+    times = set(best.added[0].span.values.values()) ^ set(other.added[0].span.values.values())
+    beyond = gain(other.after, best.after, times)
+    return beyond.exceeds(best.price - other.price, best.after.config.sure)
 
 
 def gain_since(
@@ -238,19 +257,31 @@ def _dry(joint: str, speed: float) -> Effect:
 
 
 def _candidates(fit: Fit) -> list[Effect]:
-    """Every effect that may begin, those of links at the last one alone."""
-    body, link = fit.body, list(loaded_links(fit.body))[-1]
-    found: list[Effect] = []
-    for kind in kinds(body.outputs).values():
-        if kind.may_start or kind.must_start or kind.may_come:
-            places = [link] if link in kind.places(body) else kind.places(body)
-            found += [
-                kind.from_values(where, kind.searches(body, fit.samples, where, fit.residual)[0])
-                for where in places
-            ]
+    """Every effect that may begin."""
+    body, reference = fit.body, _rigid(fit)
+    found: list[Effect] = [
+        kind.from_values(
+            where, kind.searches(body, fit.samples, where, fit.residual)[0], reference
+        )
+        for kind in kinds(body.outputs).values()
+        if kind.may_start or kind.must_start or kind.may_come
+        for where in _places(kind, body)
+    ]
     for joint in body.output_names if body.outputs == 'effort' else ():
         found += [ViscousFriction(joint), _dry(joint, TURN_SPEEDS[-1])]
     return found
+
+
+def _rigid(fit: Fit) -> tuple[float, ...]:
+    """(p,) base parameters of a fit."""
+    return tuple(fit.theta[fit.assembly.blocks['rigid_body']].tolist())
+
+
+def _places(kind: type[Effect], body: RigidBody) -> Sequence[str | None]:
+    """Where an effect may begin; at links the last one alone."""
+    places = kind.permitted(body) if kind.may_come else kind.places(body)
+    link = list(loaded_links(body))[-1]
+    return [link] if link in places else places
 
 
 def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> Move | None:
@@ -258,7 +289,7 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> M
     it cannot have."""
     spans = [Span(start_s=since_s, end_s=ended_s)]
     known = any(each.is_load and not each.ends for each in fit.effects)
-    if effect.is_load and ended_s is None and not known:
+    if effect.is_body and ended_s is None and not known:
         spans.append(Span(end_s=since_s))  # what was in the hand before, and the model has learnt
     best: Move | None = None
     for span in spans:
@@ -266,6 +297,9 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> M
         for name, time_s in span.values.items():
             acting = with_best_edge(fit, acting, name, _near(fit, time_s))
         after = refit_weights(with_effects(fit, [*fit.effects, acting]))
+        if acting.needs_reference:  # that of all samples has a part of the change
+            acting = replace(acting, reference=_rigid(after))
+            after = refit_weights(with_effects(fit, [*fit.effects, acting]))
         if effect.is_load and not plausible(after, len(fit.effects)):
             continue
         times = acting.span.values.values()
@@ -294,9 +328,9 @@ def _price(effect: Effect, fit: Fit) -> float:
     """[nat] minus the log of its prior probability: a load may have come or gone at any time near;
     the rest is as unlikely as a diagnosis takes it to be (``search.prior_odds``)."""
     times = math.log(fit.config.start_grid) * len(effect.span.values)
-    if effect.is_load:
+    if effect.is_body:
         return times
-    return times + math.log(fit.config.odds * max(len(effect.places(fit.body)), 1))
+    return times + math.log(fit.config.odds * len(_places(type(effect), fit.body)))
 
 
 def _parameters(best: Move, inputs: Inputs, samples: Samples) -> dict[str, Quantity]:

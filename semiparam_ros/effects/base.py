@@ -149,6 +149,8 @@ class Effect(ColumnBlock):
     from_outside: ClassVar[bool] = False
     """Mark of what others do to the robot, as a push: told, but no part of the robot."""
     refine_link: ClassVar[bool] = False
+    is_body: ClassVar[bool] = False
+    """Mark of a load that is one body, as it is picked up and put down; else it is a difference of two."""
     bounded_by_weight: ClassVar[bool] = False
     """Mark of a load that the arm must bear: much more than its own weight is no finding."""
     needs_reference: ClassVar[bool] = False

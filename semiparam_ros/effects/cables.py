@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import Memory
-from semiparam_ros.core.robot.frames import frame_motion
+from semiparam_ros.core.robot.frames import frame_motion, observed_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -48,7 +48,10 @@ class _Cable(AtPoint):
 
 
 class CableSpring(_Cable):
-    """A spring: at a link its force is affine in position, along a joint its wrench is linear in the angle."""
+    """A spring: at a link its force is affine in position, along a joint its wrench is linear in the angle.
+
+    Springs of joints explain much of that to an arm of joint efforts; there it is sought when it comes alone.
+    """
 
     kind: ClassVar[str] = 'cable_spring'
     shows_against: ClassVar[Axis] = 'position'
@@ -56,6 +59,15 @@ class CableSpring(_Cable):
     may_come: ClassVar[bool] = True
     mistaken_for: ClassVar[tuple[str, ...]] = ('cable_hysteresis', 'external_force', 'gravity_tilt')
     separated_by: ClassVar[str] = 'slow motion over the whole workspace, where inertia plays no part'
+    outputs: ClassVar[tuple[str, ...]] = ('wrench', 'effort')
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        return super().places(body) if body.outputs == 'wrench' else ()
+
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return super().permitted(body) if body.outputs == 'wrench' else observed_links(body)
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         if self.where in body.joints:

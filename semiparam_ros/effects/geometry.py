@@ -11,9 +11,10 @@ import pinocchio as pin
 
 from semiparam_ros.core.columns import Absent, Memory
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
+from semiparam_ros.core.robot.small_turns import small_turns
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
-from semiparam_ros.effects.base import Axis, Coefficient, Effect, joint_index
+from semiparam_ros.effects.base import CALIBRATED, Axis, Coefficient, Effect, joint_index
 
 MOST_TURN = 0.8
 """Angle [rad] beyond which a zero or a base is not off but another one: half a right angle."""
@@ -64,6 +65,68 @@ class GravityTilt(Effect):
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
         turn = pin.exp3(np.array([self.value('tilt_x'), self.value('tilt_y'), 0.0]))
         return body.with_gravity(turn.T @ GRAVITY), samples, None
+
+
+class _SmallTurn(Effect):
+    """A turn that came while the robot worked: what it adds to the reference model's outputs, to first order."""
+
+    may_come: ClassVar[bool] = True
+    needs_reference: ClassVar[bool] = True
+    shows_against: ClassVar[Axis] = 'position'
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        """Return no place: in a whole recording the calibration of the same cause is searched."""
+        return ()
+
+    def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
+        return float(np.abs(coefficients).max()) < MOST_TURN
+
+    def prior_scale(self, body: RigidBody) -> Array:
+        return np.full(len(self.coefficients(body)), CALIBRATED['rad'])
+
+    def model(self, body: RigidBody) -> Array:
+        """(p,) base parameters of the reference model, or of the description without one."""
+        return np.array(self.reference) if self.reference else body.base_parameters
+
+
+class BaseShift(_SmallTurn):
+    """A base that was knocked: a small turn about its horizontal axes."""
+
+    kind: ClassVar[str] = 'base_shift'
+    sentence: ClassVar[str] = 'the base was turned'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('zero_slip', 'external_force')
+    separated_by: ClassVar[str] = 'a turn of the arm about a vertical axis, or a spirit level on the base'
+
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return (None,)
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        return Coefficient('tilt_x', 'rad'), Coefficient('tilt_y', 'rad')
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        return small_turns(body).of_base(samples, self.model(body)), None
+
+
+class ZeroSlip(_SmallTurn):
+    """A joint's zero that slipped: from then on the true angle is the encoder's plus ``offset``."""
+
+    kind: ClassVar[str] = 'zero_slip'
+    sentence: ClassVar[str] = "the joint's zero has slipped"
+    mistaken_for: ClassVar[tuple[str, ...]] = ('base_shift', 'effort_offset', 'payload')
+    separated_by: ClassVar[str] = JointOffset.separated_by
+
+    @classmethod
+    def permitted(cls, body: RigidBody) -> Sequence[str | None]:
+        return body.joints
+
+    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
+        return (Coefficient('offset', 'rad'),)
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        joint = joint_index(body, self.where)
+        return small_turns(body).of_zero(samples, self.model(body), joint)[:, :, None], None
 
 
 class _Past(NamedTuple):

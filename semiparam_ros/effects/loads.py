@@ -33,6 +33,7 @@ class Payload(Effect):
     separated_by: ClassVar[str] = 'fast motion that turns the load about every axis: weight alone is only a force'
     must_start: ClassVar[bool] = True
     is_load: ClassVar[bool] = True
+    is_body: ClassVar[bool] = True
     bounded_by_weight: ClassVar[bool] = True
     parameter_units: ClassVar[Mapping[str, str]] = dict(INERTIAL)
     positive: ClassVar[tuple[str, ...]] = ('mass',)
@@ -78,6 +79,33 @@ class Payload(Effect):
         mass, *moment = coefficients[:4]
         return replace(self, where=nearest_link(body, str(self.where), np.array(moment) / mass)[0]) \
             if mass > 0.0 else self
+
+
+class ToolExchange(Payload):
+    """Another tool in place of one that the model has learnt: the difference of the two bodies, which is none."""
+
+    kind: ClassVar[str] = 'tool_exchange'
+    sentence: ClassVar[str] = 'the arm carries another tool than the one that the model knows'
+    mistaken_for: ClassVar[tuple[str, ...]] = ('payload', 'external_force', 'sensor_offset')
+    must_start: ClassVar[bool] = False
+    may_come: ClassVar[bool] = True
+    is_body: ClassVar[bool] = False
+    positive: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def places(cls, body: RigidBody) -> Sequence[str | None]:
+        """Return no place: a whole recording holds both tools, and one of them is sought."""
+        return ()
+
+    def physical(self, coefficients: Array) -> bool:
+        return True
+
+    def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
+        """Tell whether its mass and its moments are no larger than those of a load may be."""
+        return Effect.conceivable(self, body, coefficients)
+
+    def relocated(self, body: RigidBody, coefficients: Array) -> Effect:
+        return self
 
 
 class ExternalForce(AtPoint):

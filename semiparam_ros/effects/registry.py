@@ -25,9 +25,10 @@ column overflows."""
 SUPERSEDED = ('at_link', 'directions')
 """Values that older files hold and that follow from the place."""
 BUILT_IN: tuple[type[Effect], ...] = (
-    loads.Payload, sensor.SensorOffset, sensor.SensorDrift, sensor.ThermalDrift,
+    loads.Payload, loads.ToolExchange, sensor.SensorOffset, sensor.SensorDrift, sensor.ThermalDrift,
     temperature.TemperatureDrift, sensor.SensorGain, sensor.SensorCrosstalk,
     sensor.SensorMisalignment, geometry.TimeDelay, geometry.JointOffset, geometry.GravityTilt,
+    geometry.BaseShift, geometry.ZeroSlip,
     loads.ExternalForce, loads.ViscousDrag, loads.QuadraticDrag, cables.CableSpring,
     cables.CableHysteresis, periodic.PeriodicDisturbance, friction.ViscousFriction,
     friction.CoulombFriction, friction.StribeckFriction, friction.AsymmetricFriction,

@@ -10,8 +10,9 @@ An innovation r (measured minus predicted, by the rigid body alone) is judged by
 
 The columns of a change are those of C that one cause moves: the ten of a body at the last link (a
 load was picked up or put down), the offsets (of a sensor, of one joint's effort), the friction of
-one joint, or those of the whole rigid body (something else). So products of C and r are all that is
-kept of the samples, for each quarter of a second b of motion, with S = diag(s):
+one joint, or those of the whole rigid body (something else); or the derivatives of the outputs by a
+turn of the base, or of one joint's zero, which stand beside C here. So products of C and r are all
+that is kept of the samples, for each quarter of a second b of motion, with S = diag(s):
 
     A_b = sum L' C' S^-2 C L,    h_b = sum L' C' S^-2 r
 
@@ -61,7 +62,10 @@ from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M, ExternalW
 from semiparam_ros.core.robot.frames import load_transform, loaded_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, reach_of, size_beyond
+from semiparam_ros.core.robot.small_turns import TILTS, SmallTurns
 from semiparam_ros.core.types import Array, Indices, Mask
+from semiparam_ros.effects.base import CALIBRATED
+from semiparam_ros.effects.geometry import BaseShift, ZeroSlip
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.contact_gate import (
     BEYOND,
@@ -115,7 +119,8 @@ block."""
 STEP = 2.0**0.5
 """kappa grows by this factor or a power of it: few are told apart, which costs less."""
 MAPPED_S = 0.02
-"""The arm counts as standing so long, for what a wrench at the hand does to the outputs."""
+"""The arm counts as standing so long, for what a wrench at the hand, or a small turn, does to the
+outputs."""
 
 
 WRENCH = np.repeat([FORCE_N, FORCE_N * LEVER_M], 3)
@@ -177,10 +182,12 @@ class MotionBlock(NamedTuple):
 
 
 def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
-    """What may change on a robot, and the directions L (p, K) of all of them in units of their
-    priors; p: columns of the model without those of effects."""
+    """What may change on a robot, and the directions L (p + t, K) of all of them in units of their
+    priors; p: columns of the model without those of effects, t: small turns."""
     body, blocks = columns.body, columns.blocks
-    own, causes, parts = np.diag(columns.prior_scale[: columns.n_own]), list[Cause](), list[Array]()
+    turns = slice(columns.n_own, columns.n_own + TILTS + len(body.joints))
+    own = np.diag(np.append(columns.prior_scale[: columns.n_own], [CALIBRATED['rad']] * (TILTS + len(body.joints))))
+    causes, parts = list[Cause](), list[Array]()
     rigid, offset, friction = (blocks[name] for name in ('rigid_body', 'offset', 'friction'))
     own[rigid, rigid] = np.diag(base_scale(body))
 
@@ -191,10 +198,11 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
 
     link = list(loaded_links(body))[-1]
     index, transform = load_transform(body, link)
-    load = np.zeros((columns.n_own, transform.shape[1]))
+    load = np.zeros((turns.stop, transform.shape[1]))
     load[rigid] = body.basis[10 * index : 10 * index + 10].T @ transform * load_scale(body, link)
     add(Payload.kind, link, load, 0.0)
-    price = log(RARE * (1 + (2 * body.n_outputs if columns.has_friction else 1)))
+    of_joints = 2 * body.n_outputs if columns.has_friction else 1
+    price = log(RARE * (2 + of_joints + len(body.joints)))
     if body.outputs == 'wrench':
         add('sensor_offset', None, own[:, offset], price)
     for number, joint in enumerate(body.output_names if columns.has_friction else ()):
@@ -205,6 +213,9 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
             own[:, friction.start + number : friction.stop : body.n_outputs],
             price,
         )
+    add(BaseShift.kind, None, own[:, turns.start : turns.start + TILTS], price)
+    for number, joint in enumerate(body.joints, start=turns.start + TILTS):
+        add(ZeroSlip.kind, joint, own[:, [number]], price)
     add('', None, own[:, rigid], price + log(RARE))
     return causes, np.hstack(parts)
 
@@ -388,13 +399,19 @@ class ChangeDetector:
 
     def __init__(self, columns: CoupledColumns, told: int = 0) -> None:
         self.causes, self._directions = causes_of(columns)
-        own = [np.arange(*cause.part.indices(self._directions.shape[1])) for cause in self.causes[1:]]
+        self._n_own = columns.n_own
+        own = [
+            np.arange(*cause.part.indices(self._directions.shape[1]))
+            for cause in self.causes[1:]
+            if self._directions[: self._n_own, cause.part].any()
+        ]
         self._own_part = np.concatenate(own)
         """(q,) the directions that are columns of the model, each in units of its prior."""
         self._own_columns = np.abs(self._directions[:, self._own_part]).argmax(axis=0)
         self._own_scale = self._directions[self._own_columns, self._own_part]
         body = columns.body
         self._hand = ExternalWrench(body, list(loaded_links(body))[-1])
+        self._turns, self._rigid = SmallTurns(body), columns.blocks['rigid_body']
         self._names, self._felt_scale = body.output_names, contact_scale(body)
         self._load_scale = load_scale(body, str(self.causes[0].where))
         self._joints = body.output_index if body.outputs == 'effort' else None
@@ -447,6 +464,7 @@ class ChangeDetector:
         self._gram, self._moment, self._own = np.zeros((p, p)), np.zeros(p), np.zeros((6, n))
         self._wrench = np.zeros((12, 12)), np.zeros(12)
         self._map: Array | None = None
+        self._turned: Array = np.zeros((n, 0))
         self._mapped_at, self._moved = 0.0, self._own.copy()
         self._added = np.zeros((0, 2, n))
         self._seconds, self._start = 0.0, 0
@@ -526,15 +544,18 @@ class ChangeDetector:
     def _add(
         self, prediction: Prediction, reference: Array, weight: Array, added: Array | None
     ) -> None:
-        columns = prediction.columns
-        rows = columns[:, : len(self._directions)] * weight[:, None]
-        left = (prediction.sample.outputs - columns @ reference) * weight
-        self._gram += rows.T @ rows
-        self._moment += left @ rows
+        columns, sample = prediction.columns, prediction.sample
         if self._map is None or self._seconds - self._mapped_at > MAPPED_S - 1e-6:
             self._move_to_hand()
-            self._map = self._hand.along_base(prediction.sample.position)
+            self._map = self._hand.along_base(sample.position)
+            self._turned = self._turns.one(
+                sample.position, sample.velocity, sample.acceleration, reference[self._rigid]
+            )
             self._mapped_at = self._seconds
+        rows = np.hstack([columns[:, : self._n_own], self._turned]) * weight[:, None]
+        left = (sample.outputs - columns @ reference) * weight
+        self._gram += rows.T @ rows
+        self._moment += left @ rows
         time = self._seconds / BLOCK_S
         squares, pulls = weight * weight, weight * left
         self._own += (
@@ -565,7 +586,8 @@ class ChangeDetector:
         directions = self._directions
         self._move_to_hand()
         assert self._reference is not None
-        learnt = (theta - self._reference)[: len(directions)]
+        learnt = np.zeros(len(directions))
+        learnt[: self._n_own] = (theta - self._reference)[: self._n_own]
         live = float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
         block = MotionBlock(
             self._start,
@@ -838,8 +860,8 @@ class ChangeDetector:
         )
         if followed is not None and not again and self._reference is not None:
             # what was told before is part of the robot now
-            known = self._directions[:, followed.cause.part] @ followed.theta
-            self._reference[: len(known)] += known
+            known = self._directions[: self._n_own, followed.cause.part] @ followed.theta
+            self._reference[: self._n_own] += known
             blocks = []
         self.touched, self.followed = False, Followed(change, judged, blocks)
         self._compared = np.zeros(3)

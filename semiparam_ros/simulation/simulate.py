@@ -122,8 +122,8 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
     """
     check(scenario)
     moving, measuring, causing, inside, heating = np.random.default_rng(scenario.seed).spawn(5)
-    building, inheriting, mounting = robot_generators(scenario)
-    arm = varied(arm_of(scenario), building)
+    _, inheriting, mounting = robot_generators(scenario)
+    arm = true_arm(scenario)
     homes = homes_of(scenario, arm)
     plain = moved(arm, scenario.motion, scenario.samples, scenario.rate_hz, homes, moving)
     scale = output_scale(plain)
@@ -139,6 +139,11 @@ def simulate(scenario: Scenario) -> SimulatedRecording:
     found = measured(scenario, world, offset, scale, measuring, truth, extra)
     return found if world.temperature is None else replace(
         found, temperature=readings(world.temperature, world.times, scenario.encoder_noise, heating))
+
+
+def true_arm(scenario: Scenario) -> Arm:
+    """The arm as it is, whose bodies are not those of its description."""
+    return varied(arm_of(scenario), robot_generators(scenario)[0])
 
 
 def robot_generators(scenario: Scenario) -> list[np.random.Generator]:

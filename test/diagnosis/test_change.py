@@ -1,11 +1,15 @@
 """What has changed at a known time is named."""
 
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
 import pytest
 
 from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
-from semiparam_ros.simulation.simulate import simulate
+from semiparam_ros.simulation.simulate import simulate, true_arm
 
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 PICKED_UP_S = 42.0
@@ -26,3 +30,52 @@ def test_a_load_is_named_where_the_dry_friction_of_the_joints_sticks(seed):
     assert named.effect.kind == 'payload'
     mass, true = named.parameters['mass'], found.truth[-1]['parameters']['mass']['value']
     assert abs(mass.value - true) < 3.0 * mass.std
+
+
+def came(outputs: str, cause: str, seed: int):
+    """A robot's samples with a cause that came, by the simulator's own arm; and its body."""
+    scenario = Scenario(
+        outputs=outputs, motion='mixed', samples=1000, seed=seed
+    )
+    found = simulate(scenario)
+    body, samples = body_of(found), samples_of(found)
+    arm = true_arm(scenario)
+    states = samples.position, samples.velocity, samples.acceleration
+    level, rng = arm.evaluate(*states), np.random.default_rng(seed)
+    if cause == 'base_shift':
+        turn = pin.exp3(np.deg2rad([2.5, -1.5, 0.0]))
+        added = arm.with_gravity(turn.T @ arm.model.gravity.linear).evaluate(*states) - level
+    elif cause == 'zero_slip':
+        turned = samples.position + np.deg2rad([0.0, 4.0, 0.0, 0.0])
+        added = arm.evaluate(turned, *states[1:]) - level
+    elif cause == 'cable_spring':
+        pose = arm.pose(arm.tip, samples.position)
+        force = -40.0 * (pose.place - pose.place.mean(axis=0) - rng.uniform(-0.2, 0.2, 3))
+        added = arm.load_of_force(pose, force, samples.position)
+    else:
+        frame = arm.distal_frames()[-1]
+        tools = [
+            pin.Inertia(mass, np.array(centre), 1e-3 * np.eye(3))
+            for mass, centre in ((0.5, [0.03, 0.0, 0.05]), (0.4, [0.0, -0.04, 0.1]))
+        ]
+        before, after = (arm.with_body(frame, tool).evaluate(*states) - level for tool in tools)
+        samples = replace(samples, outputs=samples.outputs + before)
+        added = after - before
+    late = (samples.time >= PICKED_UP_S)[:, None]
+    return body, replace(samples, outputs=samples.outputs + late * added)
+
+
+@pytest.mark.parametrize('cause', ['base_shift', 'zero_slip', 'cable_spring', 'tool_exchange'])
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_what_came_is_named(outputs, cause):
+    """Another tool was a force, which is from outside; a turn of the base or of a zero was nothing."""
+    body, samples = came(outputs, cause, seed=5)
+    named = name_change(body, samples, [], PICKED_UP_S + 0.3)
+    assert named.effect is not None
+    assert (named.effect.kind, named.effect.start_s) == (cause, pytest.approx(PICKED_UP_S, abs=0.2))
+    if cause == 'zero_slip':
+        assert named.effect.where == JOINTS[1]
+        assert named.parameters['offset'].value == pytest.approx(np.deg2rad(4.0), rel=0.1)
+    if cause == 'base_shift':
+        found = [named.parameters[name].value for name in ('tilt_x', 'tilt_y')]
+        assert found == pytest.approx(np.deg2rad([2.5, -1.5]), abs=np.deg2rad(0.3))

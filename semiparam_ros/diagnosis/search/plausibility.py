@@ -41,7 +41,9 @@ def plausible(fit: Fit, index: int) -> bool:
     theta = fit.theta[block]
     if not effect.conceivable(fit.body, theta):
         return False
-    return not effect.is_load or (_weighs(fit, theta, block) and _is_a_body(fit, theta, block))
+    if effect.is_body and not _is_a_body(fit, theta, block):
+        return False
+    return not effect.is_load or _weighs(fit, theta, block)
 
 
 def _weighs(fit: Fit, theta: Array, block: slice) -> bool:
