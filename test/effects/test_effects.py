@@ -17,6 +17,7 @@ import pytest
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.frames import nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.small_turns import SmallTurns
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import added_columns
@@ -24,6 +25,7 @@ from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, effe
 from semiparam_ros.effects.application_point import AtPoint
 from semiparam_ros.effects.base import CHANNELS, Coefficient, Span
 from semiparam_ros.effects.friction import JointEffect
+from semiparam_ros.effects.geometry import BaseShift, GravityTilt, JointOffset, ZeroSlip
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report.documented_effects import BEGIN, END, with_tables
@@ -35,7 +37,7 @@ from support.effect_cases import BODIES, CASES, MOTION, NAMES
 
 UNITS = {'N', 'm', 'kg', 's', 'rad', 'Hz', 'K', 'or'}
 START_S = 1.0
-SMALL = 0.01
+SMALL, TURN = 0.01, 0.002
 UNSEEN = ('joint_offset', 'lift')
 """No effort tells where a sliding joint stands on the fixed base."""
 
@@ -150,10 +152,10 @@ def disturbed(effect: Effect) -> Effect:
 
 def test_both_outputs_have_the_kinds_that_the_design_lists():
     both = {'payload', 'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'periodic_disturbance',
-            'terms', 'gear_coupling', 'velocity_filter'}
+            'terms', 'gear_coupling', 'velocity_filter', 'tool_exchange', 'base_shift', 'zero_slip', 'cable_spring'}
     assert set(kinds('wrench')) == both | {
         'sensor_offset', 'sensor_drift', 'thermal_drift', 'temperature_drift', 'sensor_gain', 'sensor_crosstalk',
-        'sensor_misalignment', 'viscous_drag', 'quadratic_drag', 'cable_spring', 'cable_hysteresis'}
+        'sensor_misalignment', 'viscous_drag', 'quadratic_drag', 'cable_hysteresis'}
     assert set(kinds('effort')) == both | {
         'viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmetric_friction', 'load_friction',
         'rotor_inertia', 'joint_spring', 'effort_offset', 'effort_gain', 'transmission_ripple', 'backlash',
@@ -229,7 +231,8 @@ def test_only_kinds_that_need_a_reference_keep_one():
         effect = effect_from_text(name + '{"reference": [1, 2.5]}')
         assert effect.reference == ((1.0, 2.5) if kind.needs_reference else ())
         assert kind.from_values(None, {}, (1.0, 2.5)) == effect
-    assert [name for name, kind in kinds().items() if kind.needs_reference] == ['load_friction', 'sensor_nonlinearity']
+    needing = {name for name, kind in kinds().items() if kind.needs_reference}
+    assert needing == {'load_friction', 'sensor_nonlinearity', 'base_shift', 'zero_slip'}
 
 
 def test_a_reference_model_stands_once_beside_the_texts():
@@ -782,6 +785,25 @@ def test_accelerations_of_a_whole_recording_are_interpolated_as_exactly_as_they_
     _, delayed, _ = kinds()['time_delay'](None, {'delay_s': 0.02}).correct(BODIES['effort'], samples, None)
     off = delayed.acceleration[:, 0] + 36.0 * np.sin(6.0 * (time - 0.02))
     assert np.abs(off[5:-5]).max() < 1e-4 * 36.0
+
+
+@pytest.mark.parametrize('outputs', BODIES)
+def test_a_turn_that_comes_adds_what_its_calibration_changes(outputs):
+    """To first order, and the same of one state as of many."""
+    body, rng = BODIES[outputs], np.random.default_rng(0)
+    reference = body.base_parameters * rng.uniform(0.7, 1.3, body.n_parameters)
+    theta, level = tuple(reference.tolist()), body.outputs_of(MOTION, reference)
+    pairs = [(ZeroSlip(joint, reference=theta), JointOffset(joint, {'offset': TURN})) for joint in body.joints]
+    tilts = [GravityTilt(None, {name: TURN}) for name in ('tilt_x', 'tilt_y')]
+    columns = [effect.columns(body, MOTION, None)[0][..., 0] for effect, _ in pairs]
+    columns += list(np.moveaxis(BaseShift(reference=theta).columns(body, MOTION, None)[0], 2, 0))
+    for column, calibration in zip(columns, [other for _, other in pairs] + tilts, strict=True):
+        turned, inputs, _ = calibration.correct(body, MOTION, None)
+        change = turned.outputs_of(inputs, reference) - level
+        assert TURN * column == pytest.approx(change, abs=0.02 * np.abs(change).max() + 1e-9)
+    state = MOTION.position[7], MOTION.velocity[7], MOTION.acceleration[7]
+    one = SmallTurns(body).one(*state, reference)
+    assert one == pytest.approx(np.stack(columns[-2:] + columns[:-2], axis=-1)[7], abs=1e-5 * np.abs(one).max())
 
 
 def test_the_gain_that_all_channels_share_is_no_finding():

@@ -16,7 +16,7 @@ from semiparam_ros.online.changes import MotionBlock
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning
-from support.changing_arm import LOADED_S, caught, free, loaded, offered, pushed
+from support.changing_arm import LOADED_S, caught, exchanged, free, loaded, offered, pushed, turned
 
 FLOOR_S = 40.0, 70.0
 
@@ -103,14 +103,25 @@ def test_a_load_that_comes_again_is_known_at_once(carried):
     assert between(both[both.time < 120.0], left, 114.0, 120.0) < 1.1 * floor
 
 
-def test_a_cable_that_catches_is_named_and_applied():
-    body, samples = caught()
+@pytest.mark.parametrize(
+    ('changed', 'kind'),
+    [(caught, 'cable_spring'), (exchanged, 'tool_exchange'), (turned, 'base_shift')],
+)
+def test_what_came_is_named_and_applied(tmp_path, changed, kind):
+    body, samples = changed()
     stage = offered(body, samples[samples.time < 110.0], diagnosis_auto='apply')
     (record,) = {change.change.number: change for change in stage.changes}.values()
-    assert (record.effect.kind, record.decisions[-1].what) == ('cable_spring', APPLIED)
+    assert (record.effect.kind, record.decisions[-1].what) == (kind, APPLIED)
     left = errors(stage, samples[samples.time < 110.0])
     floor = between(samples[samples.time < 110.0], left, *FLOOR_S)
     assert between(samples[samples.time < 110.0], left, 85.0, 110.0) < 1.5 * floor
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    again = state_file.load(tmp_path / 's.npz', stage.learner.settings, body).applied
+    other = AppliedEffects(body)
+    other.restore(again)
+    (trial,), (known,) = other.applied, stage.learner.changes.applied.applied
+    assert trial.effect == known.effect
+    np.testing.assert_array_equal(trial.coefficients, known.coefficients)
 
 
 @pytest.mark.parametrize('stiffness', [20.0, 40.0])

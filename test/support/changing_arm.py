@@ -11,7 +11,7 @@ from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.settings import Settings
 from semiparam_ros.simulation.arm import Arm
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
-from semiparam_ros.simulation.simulate import simulate
+from semiparam_ros.simulation.simulate import simulate, true_arm
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 
@@ -22,10 +22,12 @@ LOADED_S = 70.0, 100.0
 
 @lru_cache(maxsize=4)
 def _recording(load: bool, seed: int):
+    return simulate(_scenario(load, seed))
+
+
+def _scenario(load: bool, seed: int):
     effects = (EffectRequest('payload', size=2.0, start_s=0.0),) if load else ()
-    return simulate(
-        Scenario(motion='mixed', samples=round(SECONDS * 20), seed=seed, effects=effects)
-    )
+    return Scenario(motion='mixed', samples=round(SECONDS * 20), seed=seed, effects=effects)
 
 
 def free(seed=3):
@@ -61,6 +63,31 @@ def caught(start=70.0, stiffness=20.0, seed=3):
     force = -stiffness * (pose.place - pose.place.mean(axis=0) - np.array([0.2, -0.1, 0.1]))
     change = arm.load_of_force(pose, force * (samples.time >= start)[:, None], samples.position)
     return body, replace(samples, outputs=samples.outputs + change)
+
+
+def turned(start=70.0, degrees=(4.0, -3.0, 0.0), seed=3):
+    """The same with a base that is turned from a time [s] on."""
+    (body, samples), arm = free(seed), true_arm(_scenario(False, seed))
+    states = samples.position, samples.velocity, samples.acceleration
+    turn = pin.exp3(np.deg2rad(degrees))
+    tilted = arm.with_gravity(turn.T @ arm.model.gravity.linear)
+    change = tilted.evaluate(*states) - arm.evaluate(*states)
+    late = (samples.time >= start)[:, None]
+    return body, replace(samples, outputs=samples.outputs + late * change)
+
+
+def exchanged(start=70.0, seed=3):
+    """The same with a tool, and another one in its place from a time [s] on."""
+    (body, samples), arm = free(seed), true_arm(_scenario(False, seed))
+    states = samples.position, samples.velocity, samples.acceleration
+    tools = [
+        pin.Inertia(mass, np.array(centre), 1e-3 * np.eye(3))
+        for mass, centre in ((0.5, [0.03, 0.0, 0.05]), (0.4, [0.0, -0.04, 0.1]))
+    ]
+    frame, level = arm.distal_frames()[-1], arm.evaluate(*states)
+    before, after = (arm.with_body(frame, tool).evaluate(*states) - level for tool in tools)
+    late = (samples.time >= start)[:, None]
+    return body, replace(samples, outputs=samples.outputs + np.where(late, after, before))
 
 
 def elbow_rests(until=70.0, seed=4):
