@@ -58,15 +58,18 @@ import numpy as np
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M, ExternalWrench
-from semiparam_ros.core.robot.frames import load_transform, loaded_links
-from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import base_scale, reach_of, size_beyond
-from semiparam_ros.core.robot.small_turns import TILTS, SmallTurns
-from semiparam_ros.core.types import Array, Indices, Mask
-from semiparam_ros.effects.base import CALIBRATED
-from semiparam_ros.effects.geometry import BaseShift, ZeroSlip
+from semiparam_ros.core.robot.external_wrench import ExternalWrench
+from semiparam_ros.core.robot.frames import loaded_links
+from semiparam_ros.core.robot.small_turns import SmallTurns
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.effects.loads import Payload
+from semiparam_ros.online.change_causes import (
+    CauseFit,
+    Judged,
+    causes_of,
+    likeliest_window,
+    load_scale,
+)
 from semiparam_ros.online.contact_gate import (
     BEYOND,
     JUST_BEYOND,
@@ -76,6 +79,7 @@ from semiparam_ros.online.contact_gate import (
     Tail,
 )
 from semiparam_ros.online.identified_parameters import Load
+from semiparam_ros.online.wandering_contact import WRENCH, contact_scale, edge_sums, wandering
 
 BLOCK_S = 0.25
 LENGTHS = (2, 4, 8, 16, 32)
@@ -91,19 +95,12 @@ CONTACT_S = 6.0
 LASTING = round(CONTACT_S / BLOCK_S)
 """[blocks] What has lasted so long is told, though other causes may be as likely; what no known kind
 explains not before."""
-MASS_SHOWS = 2.5
-"""[standard deviations] A load has a mass that is so sure at least."""
 CALM = 0.5
 """Below this share of what stands out, nothing does."""
 PER_HOUR = 0.1
 """[1/h] So often anything may stand out of free motion."""
 SURE = 12.0
 """[nat] Odds of 160 000 to 1, as a diagnosis asks of an effect."""
-RARE = 1e4
-"""A load is picked up or put down so many times as often as anything else changes; and that as
-often as something of which the kind is not known."""
-HAND_M = 0.15
-"""[m] How far from the last link the centre of a load may be, and how large it is."""
 SETTLED = 8
 """[blocks] The newest ones say whether a change goes on; the older ones say how large it is."""
 JUDGED_ANEW = 32
@@ -113,29 +110,12 @@ COMPARED, LEAST_COMPARED = 1.0 - 1.0 / 80.0, 40.0 * (1.0 - 1.0 / 80.0)
 over the last twenty seconds in which nothing does, ten at least."""
 RELEASED = 3
 """A contact is over when nothing stands out over the first so many lengths."""
-WANDERS = (0.3, 0.1, 0.03)
-"""[shares of its prior's standard deviation] What acts in a contact changes so much from block to
-block."""
 STEP = 2.0**0.5
 """kappa grows by this factor or a power of it: few are told apart, which costs less."""
 MAPPED_S = 0.02
 """The arm counts as standing so long, for what a wrench at the hand, or a small turn, does to the
 outputs."""
-
-
-WRENCH = np.repeat([FORCE_N, FORCE_N * LEVER_M], 3)
-"""[N, N m] (6,) standard deviation of what acts at the hand in a contact."""
 ROUNDED = 1e-11
-
-
-class Cause(NamedTuple):
-    """What may change: its kind and place as effects have them ('' for no known kind), its part of
-    the directions, and minus the log of its prior probability [nat]."""
-
-    kind: str
-    where: str | None
-    part: slice
-    price: float
 
 
 class Change(NamedTuple):
@@ -181,58 +161,6 @@ class MotionBlock(NamedTuple):
     """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
 
 
-def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
-    """What may change on a robot, and the directions L (p + t, K) of all of them in units of their
-    priors; p: columns of the model without those of effects, t: small turns."""
-    body, blocks = columns.body, columns.blocks
-    turns = slice(columns.n_own, columns.n_own + TILTS + len(body.joints))
-    own = np.diag(np.append(columns.prior_scale[: columns.n_own], [CALIBRATED['rad']] * (TILTS + len(body.joints))))
-    causes, parts = list[Cause](), list[Array]()
-    rigid, offset, friction = (blocks[name] for name in ('rigid_body', 'offset', 'friction'))
-    own[rigid, rigid] = np.diag(base_scale(body))
-
-    def add(kind: str, where: str | None, directions: Array, price: float) -> None:
-        start = sum(part.shape[1] for part in parts)
-        causes.append(Cause(kind, where, slice(start, start + directions.shape[1]), price))
-        parts.append(directions)
-
-    link = list(loaded_links(body))[-1]
-    index, transform = load_transform(body, link)
-    load = np.zeros((turns.stop, transform.shape[1]))
-    load[rigid] = body.basis[10 * index : 10 * index + 10].T @ transform * load_scale(body, link)
-    add(Payload.kind, link, load, 0.0)
-    of_joints = 2 * body.n_outputs if columns.has_friction else 1
-    price = log(RARE * (2 + of_joints + len(body.joints)))
-    if body.outputs == 'wrench':
-        add('sensor_offset', None, own[:, offset], price)
-    for number, joint in enumerate(body.output_names if columns.has_friction else ()):
-        add('effort_offset', joint, own[:, [offset.start + number]], price)
-        add(
-            'friction',
-            joint,
-            own[:, friction.start + number : friction.stop : body.n_outputs],
-            price,
-        )
-    add(BaseShift.kind, None, own[:, turns.start : turns.start + TILTS], price)
-    for number, joint in enumerate(body.joints, start=turns.start + TILTS):
-        add(ZeroSlip.kind, joint, own[:, [number]], price)
-    add('', None, own[:, rigid], price + log(RARE))
-    return causes, np.hstack(parts)
-
-
-def load_scale(body: RigidBody, link: str) -> Array:
-    """(10,) what the inertial parameters of a load in the hand may be."""
-    mass = float(Payload(link).prior_scale(body)[0])
-    return mass * np.repeat([1.0, HAND_M, HAND_M**2], (1, 3, 6))
-
-
-def contact_scale(body: RigidBody) -> Array:
-    """(n,) standard deviation of what an output feels of a contact anywhere."""
-    if body.outputs == 'wrench':
-        return FORCE_N * np.repeat([1.0, reach_of(body)], 3)
-    return FORCE_N * np.array([size_beyond(body, joint).length for joint in body.output_names])
-
-
 class Usual:
     """What causes explain in free motion over windows of one length, and which ratio to that stands
     out.
@@ -273,59 +201,7 @@ class Usual:
         return float((np.sqrt(explained / self.mean) / thresholds).max())
 
 
-class Judged(NamedTuple):
-    """A hypothesis: its cause, how many of the last blocks it explains, its coefficients in units
-    of their prior, their covariance, and its evidence [nat] over what is next likely."""
-
-    cause: Cause
-    blocks: int
-    theta: Array
-    covariance: Array
-    evidence: float
-
-
-class CauseFit(NamedTuple):
-    """One cause over windows: the eigenvalues (S, k) and eigenvectors (S, k, k) of A, and h (S, k)
-    along these."""
-
-    cause: Cause
-    values: Array
-    vectors: Array
-    along: Array
-
-    @classmethod
-    def of(cls, cause: Cause, grams: Array, sums: Array) -> CauseFit:
-        """Take the part of a cause from the A (S, K, K) and h (S, K) of all."""
-        values, vectors = np.linalg.eigh(grams[:, cause.part, cause.part])
-        along = np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
-        return cls(cause, np.maximum(values, 0.0), vectors, along)
-
-    @property
-    def explained(self) -> Array:
-        """(S,) squares that the cause explains at its best."""
-        share = (self.values + 2.0) / (self.values + 1.0) ** 2
-        return np.asarray((self.along**2 * share).sum(axis=1))
-
-    def evidence(self, kappa: Array) -> Array:
-        """(S,) log evidence over none, the noise being kappa (S,)."""
-        whole = self.values + kappa[:, None]
-        explained = (self.along**2 / whole).sum(axis=1) / kappa
-        return np.asarray(0.5 * (explained - np.log(whole / kappa[:, None]).sum(axis=1)))
-
-    def theta(self, kappa: Array) -> Array:
-        """(S, k) coefficients, in units of their prior."""
-        whole = self.values + kappa[:, None]
-        return np.asarray(np.einsum('skj,sj->sk', self.vectors, self.along / whole))
-
-    def covariance(self, kappa: Array) -> Array:
-        """(S, k, k) of the coefficients."""
-        root = self.vectors / np.sqrt(self.values + kappa[:, None])[:, None]
-        return np.asarray(kappa[:, None, None] * root @ root.swapaxes(1, 2))
-
-
-def _beside(
-    fits: Sequence[CauseFit], alone: Array, rival: Array, counts: Indices
-) -> list[Array]:
+def _beside(fits: Sequence[CauseFit], alone: Array, rival: Array, counts: Indices) -> list[Array]:
     """(S,) evidence of each cause over that of the likeliest ``rival`` (S,) which is no change, and
     of all other causes as long as they tell little."""
     found = []
@@ -333,32 +209,6 @@ def _beside(
         others = np.delete(alone, number, axis=0).max(axis=0) if fit.cause.kind else np.inf
         found.append(alone[number] - np.where(counts < LASTING, np.maximum(rival, others), rival))
     return found
-
-
-def _judged(
-    fit: CauseFit, evidence: Array, kappa: Array, counts: Indices, grams: Array, sums: Array
-) -> Judged:
-    """Where a cause is likeliest, by its evidence (S,) beside all else over so many blocks each.
-
-    :param grams: (S, K, K) and :param sums: (S, K) of the later half of each window, of which what
-        is over explains nothing.
-    """
-    part, theta = fit.cause.part, fit.theta(kappa)
-    evidence = np.where(_explains(theta, grams[:, part, part], sums[:, part]), evidence, -np.inf)
-    if fit.cause.kind == Payload.kind:  # it has a mass; what was put down was in the hand before
-        mass, variance = theta[:, 0], fit.covariance(kappa)[:, 0, 0]
-        evidence = np.where(mass < 0.0, evidence - log(RARE), evidence)
-        evidence = np.where(mass**2 > MASS_SHOWS**2 * variance, evidence, -np.inf)
-    at = int(evidence.argmax())
-    same = np.full(len(kappa), kappa[at])
-    since = int(fit.evidence(same).argmax())
-    return Judged(
-        fit.cause,
-        int(counts[since]),
-        fit.theta(same)[since],
-        fit.covariance(same)[since],
-        float(evidence[at]),
-    )
 
 
 class Followed:
@@ -752,7 +602,7 @@ class ChangeDetector:
         later = _since(blocks, late), _since(moments, late)
         beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
         judged = [
-            _judged(fit, evidence, kappa, counts, *later)
+            likeliest_window(fit, evidence, kappa, counts, *later)
             for fit, evidence in zip(fits, beside, strict=True)
         ]
         return max(judged, key=lambda each: each.evidence), float(learning.max()) >= most
@@ -868,12 +718,6 @@ class ChangeDetector:
         return change
 
 
-def _explains(theta: Array, grams: Array, moments: Array) -> Mask:
-    """(S,) whether coefficients (S, k) explain blocks with these sums better than none."""
-    gained = theta * (2.0 * moments - np.einsum('skj,sj->sk', grams, theta))
-    return np.asarray(gained.sum(axis=1) > 0.0)
-
-
 def _with_prior(gram: Array) -> Array:
     """A + I for (..., k, k), where I is not so small beside A that it would be lost."""
     largest = np.diagonal(gram, axis1=-2, axis2=-1).max(axis=-1)
@@ -889,44 +733,3 @@ def _since(values: Array, starts: Indices) -> Array:
         if len(starts)
         else values[:0]
     )
-
-
-def edge_sums(own: Array) -> tuple[Array, Array]:
-    """(..., n, 2, 2) and (..., n, 2) sums of E' w E and E' w r with E = [1 - t, t], of sums (..., 6, n)
-    as a block has them."""
-    one, first, second, pulled, late = np.moveaxis(own[..., :5, :], -2, 0)
-    gram = [[one - 2.0 * first + second, first - second], [first - second, second]]
-    return np.moveaxis(np.array(gram), (0, 1), (-2, -1)), np.stack([pulled - late, late], axis=-1)
-
-
-def wandering(grams: Array, moments: Array, variance: Array, kappa: Array) -> Array:
-    """(B, D, ...) log evidence over none of what wanders through the blocks from each on: a random
-    walk, its steps each of D = ``WANDERS``, by the Kalman filter from the last block back.
-
-    :param grams: (B, ..., 2 k, 2 k) of blocks, for values (k,) when they begin and end.
-    :param moments: (B, ..., 2 k). :param variance: (..., k) of its prior. :param kappa: (S, ...)
-        the noise.
-    """
-    k = variance.shape[-1]
-    prior = variance[..., None] * np.eye(k)
-    step = np.square(WANDERS).reshape(-1, *np.ones(kappa.ndim + 2, dtype=int)) * prior
-    shape = np.broadcast_shapes(step.shape[:-2], kappa.shape, moments.shape[1:-1])
-    end = np.broadcast_to(prior, (*shape, k, k))
-    mean = np.zeros((*shape, k, 1))
-    found, total = np.zeros((len(grams), *shape)), np.zeros(shape)
-    for block in reversed(range(len(grams))):
-        gram = grams[block] / kappa[..., None, None]
-        moment = (moments[block] / kappa[..., None])[..., None]
-        begins = np.concatenate([end + step, end], axis=-1)
-        covariance = np.concatenate([begins, np.concatenate([end, end], axis=-1)], axis=-2)
-        old = np.concatenate([mean, mean], axis=-2)
-        whole = np.eye(2 * k) + covariance @ gram
-        solved = np.linalg.solve(
-            whole, np.concatenate([covariance, old + covariance @ moment, old], axis=-1)
-        )
-        now, before = solved[..., -2:-1], solved[..., -1:]
-        gained = moment * now + before * (moment - gram @ old)
-        total = total + 0.5 * (gained.sum(axis=(-2, -1)) - np.linalg.slogdet(whole)[1])
-        found[block] = total
-        mean, end = now[..., :k, :], solved[..., :k, :k]
-    return found

@@ -10,7 +10,8 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
-from semiparam_ros.online.changes import WANDERS, ChangeDetector, wandering
+from semiparam_ros.online.changes import ChangeDetector
+from semiparam_ros.online.wandering_contact import WANDERS, wandering
 from support.changing_arm import LOADED_S, elbow_rests, free, loaded, offered, pushed
 
 

@@ -1,0 +1,171 @@
+"""What may change on a robot, and how well each of that explains innovations.
+
+A cause moves some columns C of the model, by coefficients L theta with theta ~ N(0, I). From the
+products A = sum L' C' S^-2 C L and h = sum L' C' S^-2 r of a window, with noise kappa S^2,
+
+    log evidence over none    h' (kappa I + A)^-1 h / (2 kappa) - log|I + A / kappa| / 2
+    coefficients              (kappa I + A)^-1 h,  with covariance kappa (kappa I + A)^-1
+"""
+
+from __future__ import annotations
+
+from math import log
+from typing import NamedTuple
+
+import numpy as np
+
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.frames import load_transform, loaded_links
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import base_scale
+from semiparam_ros.core.robot.small_turns import TILTS
+from semiparam_ros.core.types import Array, Indices, Mask
+from semiparam_ros.effects.base import CALIBRATED
+from semiparam_ros.effects.geometry import BaseShift, ZeroSlip
+from semiparam_ros.effects.loads import Payload
+
+RARE = 1e4
+"""A load is picked up or put down so many times as often as anything else changes; and that as
+often as something of which the kind is not known."""
+HAND_M = 0.15
+"""[m] How far from the last link the centre of a load may be, and how large it is."""
+MASS_SHOWS = 2.5
+"""[standard deviations] A load has a mass that is so sure at least."""
+
+
+class Cause(NamedTuple):
+    """What may change: its kind and place as effects have them ('' for no known kind), its part of
+    the directions, and minus the log of its prior probability [nat]."""
+
+    kind: str
+    where: str | None
+    part: slice
+    price: float
+
+
+def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
+    """What may change on a robot, and the directions L (p + t, K) of all of them in units of their
+    priors; p: columns of the model without those of effects, t: small turns."""
+    body, blocks = columns.body, columns.blocks
+    turns = slice(columns.n_own, columns.n_own + TILTS + len(body.joints))
+    turn_scale = np.full(turns.stop - turns.start, CALIBRATED['rad'])
+    own = np.diag(np.append(columns.prior_scale[: columns.n_own], turn_scale))
+    causes, parts = list[Cause](), list[Array]()
+    rigid, offset, friction = (blocks[name] for name in ('rigid_body', 'offset', 'friction'))
+    own[rigid, rigid] = np.diag(base_scale(body))
+
+    def add(kind: str, where: str | None, directions: Array, price: float) -> None:
+        start = sum(part.shape[1] for part in parts)
+        causes.append(Cause(kind, where, slice(start, start + directions.shape[1]), price))
+        parts.append(directions)
+
+    link = list(loaded_links(body))[-1]
+    index, transform = load_transform(body, link)
+    load = np.zeros((turns.stop, transform.shape[1]))
+    load[rigid] = body.basis[10 * index : 10 * index + 10].T @ transform * load_scale(body, link)
+    add(Payload.kind, link, load, 0.0)
+    of_joints = 2 * body.n_outputs if columns.has_friction else 1
+    price = log(RARE * (2 + of_joints + len(body.joints)))
+    if body.outputs == 'wrench':
+        add('sensor_offset', None, own[:, offset], price)
+    for number, joint in enumerate(body.output_names if columns.has_friction else ()):
+        add('effort_offset', joint, own[:, [offset.start + number]], price)
+        add(
+            'friction',
+            joint,
+            own[:, friction.start + number : friction.stop : body.n_outputs],
+            price,
+        )
+    add(BaseShift.kind, None, own[:, turns.start : turns.start + TILTS], price)
+    for number, joint in enumerate(body.joints, start=turns.start + TILTS):
+        add(ZeroSlip.kind, joint, own[:, [number]], price)
+    add('', None, own[:, rigid], price + log(RARE))
+    return causes, np.hstack(parts)
+
+
+def load_scale(body: RigidBody, link: str) -> Array:
+    """(10,) what the inertial parameters of a load in the hand may be."""
+    mass = float(Payload(link).prior_scale(body)[0])
+    return mass * np.repeat([1.0, HAND_M, HAND_M**2], (1, 3, 6))
+
+
+class CauseFit(NamedTuple):
+    """One cause over windows: the eigenvalues (S, k) and eigenvectors (S, k, k) of A, and h (S, k)
+    along these."""
+
+    cause: Cause
+    values: Array
+    vectors: Array
+    along: Array
+
+    @classmethod
+    def of(cls, cause: Cause, grams: Array, sums: Array) -> CauseFit:
+        """Take the part of a cause from the A (S, K, K) and h (S, K) of all."""
+        values, vectors = np.linalg.eigh(grams[:, cause.part, cause.part])
+        along = np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
+        return cls(cause, np.maximum(values, 0.0), vectors, along)
+
+    @property
+    def explained(self) -> Array:
+        """(S,) squares that the cause explains at its best."""
+        share = (self.values + 2.0) / (self.values + 1.0) ** 2
+        return np.asarray((self.along**2 * share).sum(axis=1))
+
+    def evidence(self, kappa: Array) -> Array:
+        """(S,) log evidence over none, the noise being kappa (S,)."""
+        whole = self.values + kappa[:, None]
+        explained = (self.along**2 / whole).sum(axis=1) / kappa
+        return np.asarray(0.5 * (explained - np.log(whole / kappa[:, None]).sum(axis=1)))
+
+    def theta(self, kappa: Array) -> Array:
+        """(S, k) coefficients, in units of their prior."""
+        whole = self.values + kappa[:, None]
+        return np.asarray(np.einsum('skj,sj->sk', self.vectors, self.along / whole))
+
+    def covariance(self, kappa: Array) -> Array:
+        """(S, k, k) of the coefficients."""
+        root = self.vectors / np.sqrt(self.values + kappa[:, None])[:, None]
+        return np.asarray(kappa[:, None, None] * root @ root.swapaxes(1, 2))
+
+
+class Judged(NamedTuple):
+    """A hypothesis: its cause, how many of the last blocks it explains, its coefficients in units
+    of their prior, their covariance, and its evidence [nat] over what is next likely."""
+
+    cause: Cause
+    blocks: int
+    theta: Array
+    covariance: Array
+    evidence: float
+
+
+def likeliest_window(
+    fit: CauseFit, evidence: Array, kappa: Array, counts: Indices, grams: Array, sums: Array
+) -> Judged:
+    """Where a cause is likeliest, by its evidence (S,) beside all else over so many blocks each.
+
+    :param grams: (S, K, K) and :param sums: (S, K) of the later half of each window, of which what
+        is over explains nothing.
+    """
+    part, theta = fit.cause.part, fit.theta(kappa)
+    evidence = np.where(_explains(theta, grams[:, part, part], sums[:, part]), evidence, -np.inf)
+    if fit.cause.kind == Payload.kind:  # it has a mass; what was put down was in the hand before
+        mass, variance = theta[:, 0], fit.covariance(kappa)[:, 0, 0]
+        evidence = np.where(mass < 0.0, evidence - log(RARE), evidence)
+        evidence = np.where(mass**2 > MASS_SHOWS**2 * variance, evidence, -np.inf)
+    at = int(evidence.argmax())
+    same = np.full(len(kappa), kappa[at])
+    since = int(fit.evidence(same).argmax())
+    return Judged(
+        fit.cause,
+        int(counts[since]),
+        fit.theta(same)[since],
+        fit.covariance(same)[since],
+        float(evidence[at]),
+    )
+
+
+def _explains(theta: Array, grams: Array, moments: Array) -> Mask:
+    """(S,) whether coefficients (S, k) explain blocks with these sums better than none."""
+    gained = theta * (2.0 * moments - np.einsum('skj,sj->sk', grams, theta))
+    return np.asarray(gained.sum(axis=1) > 0.0)
