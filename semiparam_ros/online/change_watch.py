@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from semiparam_ros.diagnosis.preparation import Inputs
 
 BEFORE_S = 60.0
-"""So much of what came before a change is looked at."""
+"""So much of what came before a change is looked at, pauses not counted."""
 NAMED_AFTER_S = (6.0, 12.0, 25.0, 50.0)
-"""So long after it began a change is named, and named anew."""
+"""[s of motion] So long after it began a change is named, and named anew."""
 MOST_RECORDS = 50
 """The latest changes are kept."""
 
@@ -247,8 +247,10 @@ class ChangeWatch:
         """The change whose load is taken off before it is named, and of how many blocks it is."""
         self._body, self._background, self._told, self._failed = body, background, told, failed
         self._columns: CoupledColumns | None = None
-        self._due: list[tuple[int, int]] = []
-        """When [ns] changes of these numbers are named next."""
+        self._moved_s = 0.0
+        """Motion that was judged so far."""
+        self._due: list[tuple[float, int]] = []
+        """After how much motion [s] changes of these numbers are named next."""
         self._naming = False
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
@@ -312,15 +314,16 @@ class ChangeWatch:
             return
         detector = self._detector_of(estimator.columns)
         change = detector.see(*self._with_provisional(*part), self.applied.added, self.applied.spread)
-        self._now = now = prediction.sample.stamp
+        self._now = prediction.sample.stamp
+        self._moved_s += BLOCK_S * (detector.finished is not None)
         if change is not None:
-            self._record(change, now)
+            self._record(change)
         if detector.finished is not None and detector.knows:
             self._judge(detector, detector.finished)
             self._hold(detector)
             self._assume(detector)
-        if self._due and not self._naming and now >= self._due[0][0]:
-            self._name(self._due.pop(0)[1], history, estimator.columns.effects, now)
+        if self._due and not self._naming and self._moved_s >= self._due[0][0]:
+            self._name(self._due.pop(0)[1], history, estimator.columns.effects)
 
     def _judge(self, detector: ChangeDetector, block: MotionBlock) -> None:
         """Apply what the blocks speak for, take back what they speak against, drop the rest."""
@@ -357,7 +360,7 @@ class ChangeWatch:
         if trial.applied:
             self._told(record)
         else:
-            self._record(record.change._replace(noticed=now, ended=since), now)
+            self._record(record.change._replace(noticed=now, ended=since))
 
     def _record_of(
         self, trial: KnownEffect, known: ChangeRecord | None, number: int, since: int, now: int
@@ -469,7 +472,7 @@ class ChangeWatch:
             self.detector.reset()
         return self.detector
 
-    def _record(self, change: Change, now: int) -> None:
+    def _record(self, change: Change) -> None:
         known = self.records.get(change.number)
         anew = known is None or known.change.since != change.since
         record = replace(known, change=change) if known and not anew else ChangeRecord(change)
@@ -478,23 +481,22 @@ class ChangeWatch:
             del self.records[number]
         if anew or change.ended is not None:
             self._due = [(when, number) for when, number in self._due if number != change.number]
-            times = NAMED_AFTER_S if change.ended is None else (0.0,)
-            begins = change.since if change.ended is None else now
-            self._due += [
-                (begins + round(seconds * NANOSECONDS), change.number) for seconds in times
-            ]
+            followed = None if self.detector is None else self.detector.followed
+            moved_s = 0.0 if followed is None else BLOCK_S * followed.blocks
+            times = NAMED_AFTER_S if change.ended is None else (moved_s,)
+            self._due += [(self._moved_s - moved_s + seconds, change.number) for seconds in times]
         self._due.sort()
         self._told(record)
 
     def _name(
-        self, number: int, history: History, effects: Sequence[ColumnBlock], now: int
+        self, number: int, history: History, effects: Sequence[ColumnBlock]
     ) -> None:
         """Ask the background what it was, beside all else that is known."""
         record = self.records.get(number)
         if record is None:
             return
         change = record.change
-        batch = history.span((now - change.since) / NANOSECONDS + BEFORE_S)
+        batch = history.around(change.since, BEFORE_S)
         others = [
             other.effect
             for key, other in self.records.items()
@@ -517,7 +519,9 @@ class ChangeWatch:
 
     def _named(self, number: int, named: NamedChange | None, error: BaseException | None) -> None:
         self._naming = False
-        if error is not None and not isinstance(error, SemiparamError):
+        if isinstance(error, SemiparamError):  # too little to tell yet
+            self._due = sorted([*self._due, (self._moved_s + NAMED_AFTER_S[0], number)])
+        elif error is not None:
             self._failed('naming a change', error)
         record = self.records.get(number)
         if record is not None and named is not None:

@@ -30,6 +30,10 @@ LONGEST_GAP_NS = LONGEST_PAUSE_NS // 2
 (:mod:`semiparam_ros.core.estimator`)."""
 
 
+LONGEST_STEP_NS = 100_000_000
+"""What a step from one sample to the next counts of a time of motion at most."""
+
+
 class Rows(NamedTuple):
     """N samples in order of time that nobody changes any more."""
 
@@ -271,13 +275,25 @@ class History:
 
     def span(self, seconds: float) -> SampleBatch:
         """The latest samples of so many seconds, learnt or not, since the clock last jumped back."""
-        batch = self.batch()
+        batch = self._since_jump()
         stamps = batch.stamps
-        if not len(stamps):
-            return batch
-        jumps = np.flatnonzero(np.diff(stamps) <= 0)
-        start = int(jumps[-1]) + 1 if len(jumps) else 0
-        return batch.part(start + int(np.searchsorted(stamps[start:], stamps[-1] - round(seconds * 1e9))))
+        return batch.part(int(np.searchsorted(stamps, stamps[-1:] - round(seconds * 1e9)).sum()))
+
+    def around(self, stamp: int, seconds: float) -> SampleBatch:
+        """The samples from a stamp [ns] on, and those of so many seconds before it, in which a pause
+        counts as one long step; since the clock last jumped back."""
+        batch = self._since_jump()
+        stamps = batch.stamps
+        steps = np.minimum(np.diff(stamps, prepend=stamps[:1]), LONGEST_STEP_NS)
+        passed = np.cumsum(steps) * 1e-9
+        at = int(np.searchsorted(stamps, stamp))
+        until = float(passed[min(at, len(passed) - 1)]) if len(passed) else 0.0
+        return batch.part(int(np.searchsorted(passed, until - seconds)))
+
+    def _since_jump(self) -> SampleBatch:
+        batch = self.batch()
+        jumps = np.flatnonzero(np.diff(batch.stamps) <= 0)
+        return batch.part(int(jumps[-1]) + 1 if len(jumps) else 0)
 
 
 def _far(stamp: int, before: int) -> bool:

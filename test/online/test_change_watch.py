@@ -1,8 +1,14 @@
 """The learner has changes named in the background, with what came before and after."""
 
+from dataclasses import replace
+
 import pytest
 
 from semiparam_ros.diagnosis.change import name_change
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import change_watch
+from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TRIED
+from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
 from support.changing_arm import LOADED_S, SETTINGS, free, loaded, offered
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
@@ -78,3 +84,34 @@ def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
     assert watch.state == 'as it was'
     stage.offer(samples[(samples.time >= LOADED_S[0] + 4.0) & (samples.time < LOADED_S[0] + 9.0)])
     assert stage.changes[-1].change.number > record.change.number, 'it still stands out'
+
+
+@pytest.mark.parametrize('paused_at', [LOADED_S[0], LOADED_S[0] + 3.0])
+def test_a_load_is_named_where_the_robot_paused_before_or_after_it_was_picked_up(paused_at):
+    """Seconds of motion count; after a pause of two minutes nothing was left to compare with."""
+    body, samples, mass = loaded()
+    samples = samples[samples.time < LOADED_S[0] + 12.0]
+    late = (samples.time >= paused_at) * round(120e9)
+    stage = offered(body, replace(samples, stamps=samples.stamps + late), diagnosis_auto='apply')
+    record = stage.changes[-1]
+    assert record.effect is not None
+    assert record.effect.kind == 'payload'
+    assert abs(record.named.parameters['mass'].value - mass) < 0.1 * mass
+    assert [decision.what for decision in record.decisions] == [ASSUMED, TRIED, APPLIED]
+
+
+def test_a_change_that_could_not_be_named_yet_is_named_later(monkeypatch):
+    body, samples, _ = loaded()
+    jobs = []
+
+    def name(*given):
+        jobs.append(given)
+        if len(jobs) < 5:  # as often as more is expected to come
+            raise SemiparamError('there are too few samples.')
+        return name_in_background(*given)
+
+    monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', name, raising=True)
+    monkeypatch.setattr(change_watch, 'NAMED_AFTER_S', (2.0, 4.0, 6.0))
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 16.0])
+    assert len(jobs) >= 5
+    assert stage.changes[-1].effect.kind == 'payload'

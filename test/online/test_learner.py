@@ -385,6 +385,18 @@ def test_a_span_begins_after_the_last_jump_of_the_clock():
     assert len(history.span(0.1)) == 6
 
 
+def test_what_came_around_a_stamp_counts_pauses_as_one_step():
+    history, samples = History(5, 100, 2), motion(60)
+    for sample in [*samples[:30], *later(samples[30:], 500.0)]:
+        history.append(sample, True)
+    stamps = [sample.stamp for sample in [*samples[:30], *later(samples[30:], 500.0)]]
+    step_s = (stamps[1] - stamps[0]) * 1e-9
+    assert history.around(stamps[40], 500.0).stamps.tolist() == stamps
+    assert len(history.around(stamps[30], 0.1 + 4.5 * step_s)) == 30 + 5
+    assert len(history.around(stamps[-1] + 1, 1.5 * step_s)) == 2
+    assert not len(History(5, 100, 2).around(0, 1.0))
+
+
 def test_a_pause_predicts_without_learning():
     samples, stage = motion(160), Stage()
     stage.offer(samples[:100])
