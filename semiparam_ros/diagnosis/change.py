@@ -31,7 +31,7 @@ from semiparam_ros.diagnosis.search.plausibility import plausible
 from semiparam_ros.diagnosis.search.score import Gain, gain, repetition, summed
 from semiparam_ros.diagnosis.search.spans import with_best_edge
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
-from semiparam_ros.diagnosis.uncertainty import deviations
+from semiparam_ros.diagnosis.uncertainty import estimates
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.drive import EffortOffset
@@ -304,10 +304,10 @@ def _parameters(best: Move, inputs: Inputs, samples: Samples) -> dict[str, Quant
     (effect,), fit = best.added, best.after
     number = fit.effects.index(effect)
     block = fit.assembly.blocks[str(number)]
-    std = deviations(fit, [number], inputs.disturbed(samples)).coefficients[block]
+    told = estimates(fit, [number], inputs.disturbed(samples)).coefficients[:, block]
     return {
-        name: Quantity(float(value), float(deviation), unit)
-        for (name, unit), value, deviation in zip(
-            effect.coefficients(fit.body), fit.theta[block], std, strict=True
+        name: Quantity(value, std, unit)
+        for (name, unit), (value, std) in zip(
+            effect.coefficients(fit.body), told.T.tolist(), strict=True
         )
     }

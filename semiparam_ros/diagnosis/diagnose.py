@@ -38,7 +38,7 @@ from semiparam_ros.diagnosis.search.refit import calibrated
 from semiparam_ros.diagnosis.search.stepwise import Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
-from semiparam_ros.diagnosis.uncertainty import Deviations, deviations
+from semiparam_ros.diagnosis.uncertainty import Estimates, estimates
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError
@@ -69,8 +69,8 @@ class Diagnosis:
 
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
     recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
-    what is told of the effects and declared comes from it, and the ``deviations`` are those of its values; where that
-    gives an effect values that it cannot have, it is the final model itself. ``imitated``: effects were found, and
+    what is told of the effects and declared comes from it, and the ``estimates`` are its values with their deviations;
+    where that gives an effect values that it cannot have, it is the final model itself. ``imitated``: effects were found, and
     taken back, for a function that knows nothing of robots explains more than they all.
     """
 
@@ -81,7 +81,7 @@ class Diagnosis:
     first: Fit
     final: Fit
     everything: Fit
-    deviations: Deviations
+    estimates: Estimates
     held_out: Mask
     before: Evaluation
     after: Evaluation
@@ -105,7 +105,7 @@ class Diagnosis:
         """The effects that were declared beforehand, with their fitted values."""
         offsets = own_offsets(self.first.body, self.recorded.samples)
         return [finding for finding in declared_findings(
-                    self.everything, self.findings, self.deviations)
+                    self.everything, self.findings, self.estimates)
                 if finding.effect not in offsets]
 
     @property
@@ -222,15 +222,15 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     if steps and other is None:
         refit = fitted_to_all(final, fitting | held_out, new)
         everything = refit if all_plausible(final, refit) else final
-    sure = deviations(everything, new, inputs.disturbed(samples) if everything.effects else ())
-    found = findings(final, steps, everything, sure)
+    told = estimates(everything, new, inputs.disturbed(samples) if everything.effects else ())
+    found = findings(final, steps, everything, told)
     touches = [] if setup else contacts(final)
     for fit in (first, final, everything):
         fit.forget()
     return Diagnosis(
         config=config, verdict=verdict(first, final, structure, imitated or bool(setup)), imitated=imitated,
         findings=found, steps=steps, first=first, final=final, everything=everything,
-        deviations=sure, held_out=held_out, before=before,
+        estimates=told, held_out=held_out, before=before,
         after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
         notes=[*late(inputs, samples), *fast, *unidentifiable(body, samples, config), *_left_out(clean),
                *_changed_in_gaps(found, samples, margin, config)],
