@@ -70,8 +70,8 @@ class Diagnosis:
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
     recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
     what is told of the effects and declared comes from it, and the ``estimates`` are its values with their deviations;
-    where that gives an effect values that it cannot have, it is the final model itself. ``imitated``: effects were found, and
-    taken back, for a function that knows nothing of robots explains more than they all.
+    where that gives an effect values that it cannot have, it is the final model itself. ``imitated``: effects were
+    found, and taken back, for a function that knows nothing of robots explains more than they all.
     """
 
     config: DiagnosisConfig
