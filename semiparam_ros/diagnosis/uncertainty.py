@@ -2,7 +2,8 @@
 
 *Where joints slide.* At a turn, and while a joint is slow, the form of its friction decides what its effort is, and no
 form is exact: what a wrong one leaves there bends the friction, and the inertias beside it, the same way in every
-stretch. So values of efforts are those of the same model fitted where joints slide (:attr:`Fit.sliding`).
+stretch. So the same model is fitted where joints slide, too (:attr:`Fit.sliding`). It has fewer outputs, so where the
+form is right it knows less; where it knows more, its values are told.
 
 *How much stretches contradict one another.* The model's own covariance takes the law of every effect for exact and the
 noise for what is left on average. Where a law fits less well in one stretch than in another, where noise grows with the
@@ -51,7 +52,12 @@ def estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples] = (
 
     :param disturbed: the samples with the errors of their motion once more.
     """
-    fit = fit.sliding if fit.body.outputs == 'effort' else fit
+    fits = (fit, fit.sliding) if fit.body.outputs == 'effort' else (fit,)
+    return min((_estimates(each, found, disturbed) for each in fits),
+               key=lambda each: float(np.log(each.coefficients[1] + 1e-300).mean()))
+
+
+def _estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples]) -> Estimates:
     calibrated = [number for number, effect in enumerate(fit.effects) if effect.is_calibration]
     shapes = shapes_of(fit, found)
     further = _further(fit, calibrated, shapes)
