@@ -136,18 +136,22 @@ def name_change(
         effect=None if best is None else best.added[0],
         gain=tried[0].gain if tried else Gain(0.0, 0.0),
         price=tried[0].price if tried else 0.0,
-        rivals=tuple(
-            ChangeRival(other.added[0].kind, other.added[0].where, best.net - other.net)
-            for other in tried[1:4]
-        )
-        if best
-        else (),
+        rivals=_rivals(tried) if best else (),
         parameters=parameters,
         before=evaluate_here(fit, used & ~changed).as_dict(),
         without=evaluate_here(fit, used & rest).as_dict(),
         after=evaluate_here(after, used & rest).as_dict(),
         seconds=float(rest.sum()) * step,
         inputs=inputs,
+    )
+
+
+def _rivals(tried: list[Move]) -> tuple[ChangeRival, ...]:
+    """The three that come after the first one."""
+    first, *others = tried
+    return tuple(
+        ChangeRival(other.added[0].kind, other.added[0].where, first.net - other.net)
+        for other in others[:3]
     )
 
 
