@@ -180,6 +180,9 @@ class DiagnosisConfig:
     """Takes a kind of effect for so unlikely that odds of it before the recording are one to this (chosen)."""
     tried: int = 8
     """Scores so many of the candidates of a round, the most credible first (chosen)."""
+    of_each_kind: int = 3
+    """Refines so many places of each kind with many values: with none a cable that slips was passed over, with one it
+    came after another kind (measured)."""
 
     # --- search: rounds and candidates ---
 
