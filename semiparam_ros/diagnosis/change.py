@@ -31,7 +31,7 @@ from semiparam_ros.diagnosis.search.plausibility import plausible
 from semiparam_ros.diagnosis.search.score import Gain, gain, repetition, summed
 from semiparam_ros.diagnosis.search.spans import with_best_edge
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
-from semiparam_ros.diagnosis.uncertainty import deviations
+from semiparam_ros.diagnosis.uncertainty import estimates
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.drive import EffortOffset
@@ -136,18 +136,21 @@ def name_change(
         effect=None if best is None else best.added[0],
         gain=(best or tried[0]).gain if tried else Gain(0.0, 0.0),
         price=(best or tried[0]).price if tried else 0.0,
-        rivals=tuple(
-            ChangeRival(other.added[0].kind, other.added[0].where, best.net - other.net)
-            for other in [other for other in tried if other is not best][:3]
-        )
-        if best
-        else (),
+        rivals=_rivals(best, tried) if best else (),
         parameters=parameters,
         before=evaluate_here(fit, used & ~changed).as_dict(),
         without=evaluate_here(fit, used & rest).as_dict(),
         after=evaluate_here(after, used & rest).as_dict(),
         seconds=float(rest.sum()) * step,
         inputs=inputs,
+    )
+
+
+def _rivals(best: Move, tried: Sequence[Move]) -> tuple[ChangeRival, ...]:
+    """The three foremost of the others."""
+    return tuple(
+        ChangeRival(other.added[0].kind, other.added[0].where, best.net - other.net)
+        for other in [other for other in tried if other is not best][:3]
     )
 
 
@@ -164,7 +167,7 @@ def _ranked(
     found += [
         _over(fit, effect, since_s)
         for effect in known
-        if effect.changes and not effect.ends and ended_s is None
+        if (effect.changes or effect.may_come) and not effect.ends and ended_s is None
     ]
     return sorted(found, key=lambda trial: -trial.net)
 
@@ -338,10 +341,10 @@ def _parameters(best: Move, inputs: Inputs, samples: Samples) -> dict[str, Quant
     (effect,), fit = best.added, best.after
     number = fit.effects.index(effect)
     block = fit.assembly.blocks[str(number)]
-    std = deviations(fit, [number], inputs.disturbed(samples)).coefficients[block]
+    told = estimates(fit, [number], inputs.disturbed(samples)).coefficients[:, block]
     return {
-        name: Quantity(float(value), float(deviation), unit)
-        for (name, unit), value, deviation in zip(
-            effect.coefficients(fit.body), fit.theta[block], std, strict=True
+        name: Quantity(value, std, unit)
+        for (name, unit), (value, std) in zip(
+            effect.coefficients(fit.body), told.T.tolist(), strict=True
         )
     }

@@ -180,6 +180,9 @@ class DiagnosisConfig:
     """Takes a kind of effect for so unlikely that odds of it before the recording are one to this (chosen)."""
     tried: int = 8
     """Scores so many of the candidates of a round, the most credible first (chosen)."""
+    of_each_kind: int = 3
+    """Refines so many places of each kind with many values: with none a cable that slips was passed over, with one it
+    came after another kind (measured)."""
 
     # --- search: rounds and candidates ---
 
@@ -209,8 +212,6 @@ class DiagnosisConfig:
     settled_gain: float = 0.1
     """Ends the Gauss-Newton steps of calibrations and nonlinear values once they gain less than this of the squares
     over their variance: less than a third of a standard deviation (chosen)."""
-    shortened_step: float = 0.1
-    """Keeps the derivatives as long as each step is at most this share of the one before (chosen)."""
 
     weight_shows: float = 18.5
     """Refuses a load whose mass and first moments lie nearer to none than this squared distance, in their own

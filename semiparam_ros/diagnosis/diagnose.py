@@ -38,7 +38,7 @@ from semiparam_ros.diagnosis.search.refit import calibrated
 from semiparam_ros.diagnosis.search.stepwise import Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
-from semiparam_ros.diagnosis.uncertainty import Deviations, deviations
+from semiparam_ros.diagnosis.uncertainty import Estimates, estimates
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError
@@ -69,9 +69,9 @@ class Diagnosis:
 
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
     recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
-    what is told of the effects and declared comes from it, and the ``deviations`` are those of its values; where that
-    gives an effect values that it cannot have, it is the final model itself. ``imitated``: effects were found, and
-    taken back, for a function that knows nothing of robots explains more than they all.
+    what is told of the effects and declared comes from it, and the ``estimates`` are its values with their deviations;
+    where that gives an effect values that it cannot have, it is the final model itself. ``imitated``: effects were
+    found, and taken back, for a function that knows nothing of robots explains more than they all.
     """
 
     config: DiagnosisConfig
@@ -81,10 +81,9 @@ class Diagnosis:
     first: Fit
     final: Fit
     everything: Fit
-    deviations: Deviations
+    estimates: Estimates
     held_out: Mask
     before: Evaluation
-    after: Evaluation
     by_step: list[Evaluation]
     inputs: Inputs
     structure: Structure | None
@@ -96,6 +95,11 @@ class Diagnosis:
     contacts: list[Contact] = field(default_factory=list)
     imitated: bool = False
 
+    @property
+    def after(self) -> Evaluation:
+        """That of the final model."""
+        return self.by_step[-1] if self.by_step else self.before
+
     def lasts(self, effect: Effect) -> bool:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
         return not effect.ends and effect not in own_offsets(self.first.body, self.recorded.samples)
@@ -105,7 +109,7 @@ class Diagnosis:
         """The effects that were declared beforehand, with their fitted values."""
         offsets = own_offsets(self.first.body, self.recorded.samples)
         return [finding for finding in declared_findings(
-                    self.everything, self.findings, self.deviations)
+                    self.everything, self.findings, self.estimates)
                 if finding.effect not in offsets]
 
     @property
@@ -185,56 +189,90 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it.
     """
     check(samples, body, config)
-    factor = working_factor(samples, config)
-    samples = whole_groups(samples, factor)
+    samples = whole_groups(samples, working_factor(samples, config))
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = [problem for part in samples.recordings
                  for problem in setup_problems(body, alone(samples, part) if samples.breaks else samples, config)]
-    margin = max(config.gap_margin, factor * config.smoothing_ends)
-    clean = ~excluded(samples, config) & ~beside_breaks(samples, margin)
-    may_fit = _may_fit(samples, train_mask, other is not None, config)
-    inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
-    fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
-    require_enough(config, *([fitting, held_out] if other is None else [fitting]))
-    first = _calibrated(starting_fit(body, chosen, effects, fitting, config, counted))
-    steps, setup = _searched(first if inputs.measured_accelerations else with_error_columns(first),
-                             considered(body, only), suspected, progress)
-    steps = _on_the_motion(steps)
-    imitated = bool(steps) and not only and function_explains_more(first, steps[-1].after)
-    steps = [] if imitated else steps
-    if other is None:
-        recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
-    else:
-        recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
-        elsewhere = Elsewhere(other[0], inputs.prepare(other[1]), inputs.mask(recorded.valid))
-    before, *by_step = [evaluate_here(fit, held_out) if elsewhere is None
-                        else evaluate_there(fit, elsewhere.samples, elsewhere.valid)
-                        for fit in (first, *(step.after for step in steps))]
-    final = steps[-1].after if steps else first
+    start = _started(body, samples, effects, _may_fit(samples, train_mask, other is not None, config), config)
+    require_enough(config, start.held_out if other is None else start.fitting)
+    steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
+    recorded, elsewhere = _judging(start, samples, other)
+    *models, final = [start.first, *(step.after for step in steps)]
+    before, *by_step = (_judged(fit, start, elsewhere) for fit in (*models, final))
     progress('what is left', 0.0)
-    structure = None if setup else remaining_structure(body, chosen, final.residual, fitting, final.scale, config,
-                                                       counted)
-    fast = [] if setup else too_fast(body, samples, inputs, final)
-    if fast and structure is not None and structure.share < config.input_error_share:
-        structure = replace(structure, significant=False)  # errors of the inputs explain more than that
-    everything, new = final, [index for index, _, _ in places_in(final, steps)]
-    if steps and other is None:
-        refit = fitted_to_all(final, fitting | held_out, new)
-        everything = refit if all_plausible(final, refit) else final
-    sure = deviations(everything, new, inputs.disturbed(samples) if everything.effects else ())
-    found = findings(final, steps, everything, sure)
-    touches = [] if setup else contacts(final)
-    for fit in (first, final, everything):
+    structure, fast = (None, []) if setup else _left(final, samples, start)
+    everything, told = _told(final, steps, samples, start, other is None)
+    found = findings(final, steps, everything, told)
+    touches, notes = [] if setup else contacts(final), _notes(samples, start, found)
+    for fit in (start.first, final, everything):
         fit.forget()
     return Diagnosis(
-        config=config, verdict=verdict(first, final, structure, imitated or bool(setup)), imitated=imitated,
-        findings=found, steps=steps, first=first, final=final, everything=everything,
-        deviations=sure, held_out=held_out, before=before,
-        after=by_step[-1] if by_step else before, by_step=by_step, inputs=inputs, structure=structure, setup=setup,
-        notes=[*late(inputs, samples), *fast, *unidentifiable(body, samples, config), *_left_out(clean),
-               *_changed_in_gaps(found, samples, margin, config)],
-        recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
+        config=config, verdict=verdict(start.first, final, structure, imitated or bool(setup)), imitated=imitated,
+        findings=found, steps=steps, first=start.first, final=final, everything=everything, estimates=told,
+        held_out=start.held_out, before=before, by_step=by_step, inputs=start.inputs, structure=structure, setup=setup,
+        notes=[*fast, *notes], recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
+
+
+class _Start(NamedTuple):
+    """The declared model and how it was fitted: the inputs, recorded samples (N,) that are clean and that may fit, and
+    working samples (M,) that fit and that judge."""
+
+    first: Fit
+    inputs: Inputs
+    clean: Mask
+    may_fit: Mask
+    fitting: Mask
+    held_out: Mask
+
+
+def _margin(samples: Samples, config: DiagnosisConfig) -> int:
+    """How many samples beside a gap or a break are left out."""
+    return max(config.gap_margin, working_factor(samples, config) * config.smoothing_ends)
+
+
+def _started(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
+             config: DiagnosisConfig) -> _Start:
+    clean = ~excluded(samples, config) & ~beside_breaks(samples, _margin(samples, config))
+    inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
+    fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
+    require_enough(config, fitting)
+    first = _calibrated(starting_fit(body, chosen, effects, fitting, config, counted))
+    return _Start(first, inputs, clean, may_fit, fitting, held_out)
+
+
+def _judging(start: _Start, samples: Samples, other: tuple[str, Samples] | None) -> tuple[Recorded, Elsewhere | None]:
+    """What fits and what judges, and the other recording if there is one."""
+    fitting, config = start.clean & start.may_fit, start.first.config
+    if other is None:
+        return Recorded(samples, fitting, samples, start.clean & ~start.may_fit), None
+    recorded = Recorded(samples, fitting, other[1], ~excluded(other[1], config))
+    return recorded, Elsewhere(other[0], start.inputs.prepare(other[1]), start.inputs.mask(recorded.valid))
+
+
+def _judged(fit: Fit, start: _Start, elsewhere: Elsewhere | None) -> Evaluation:
+    if elsewhere is None:
+        return evaluate_here(fit, start.held_out)
+    return evaluate_there(fit, elsewhere.samples, elsewhere.valid)
+
+
+def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[str]]:
+    """The structure of what the final model leaves, and what is said of a motion that is too fast for its rate."""
+    structure = remaining_structure(final.body, final.samples, final.residual, start.fitting, final.scale, final.config,
+                                    final.counted)
+    fast = too_fast(final.body, samples, start.inputs, final)
+    if fast and structure.share < final.config.input_error_share:
+        structure = replace(structure, significant=False)  # errors of the inputs explain more than that
+    return structure, fast
+
+
+def _told(final: Fit, steps: list[Step], samples: Samples, start: _Start, judged_here: bool) -> tuple[Fit, Estimates]:
+    """The final model fitted to all samples, where that gives no effect values that it cannot have, and its values."""
+    everything, new = final, [index for index, _, _ in places_in(final, steps)]
+    if steps and judged_here:
+        refit = fitted_to_all(final, start.fitting | start.held_out, new)
+        everything = refit if all_plausible(final, refit) else final
+    return everything, estimates(everything, new, start.inputs.disturbed(samples) if everything.effects else ())
 
 
 def _calibrated(fit: Fit) -> Fit:
@@ -242,17 +280,23 @@ def _calibrated(fit: Fit) -> Fit:
     return calibrated(fit, [effect for effect in fit.effects if effect.is_calibration and not effect.parameters])
 
 
-def _searched(first: Fit, considered: dict[str, type[Effect]], suspected: list[SetupProblem],
-              progress: Progress) -> tuple[list[Step], list[SetupProblem]]:
-    """The steps of the search, and what stays suspected of the setup.
+def _searched(start: _Start, considered: dict[str, type[Effect]], suspected: list[SetupProblem], progress: Progress,
+              some_kinds: bool) -> tuple[list[Step], list[SetupProblem], bool]:
+    """The steps of the search, what stays suspected of the setup, and whether effects were taken back that only imitate
+    something else; of ``some_kinds`` alone nobody asks that.
 
     A recording that no inertias explain need not be of another robot: somebody may have pushed this one. That shows
     in the first effect, which then explains nearly everything.
     """
     if any(problem.what != NO_MATCH for problem in suspected):
-        return [], suspected
+        return [], suspected, False
+    first = start.first if start.inputs.measured_accelerations else with_error_columns(start.first)
     steps = search(first, considered, progress, _unlike if suspected else lambda fit: False)
-    return ([], suspected) if suspected and (not steps or _unlike(steps[-1].after)) else (steps, [])
+    if suspected and (not steps or _unlike(steps[-1].after)):
+        return [], suspected, False
+    steps = _on_the_motion(steps)
+    imitated = bool(steps) and not some_kinds and function_explains_more(start.first, steps[-1].after)
+    return ([] if imitated else steps), [], imitated
 
 
 def _on_the_motion(steps: list[Step]) -> list[Step]:
@@ -310,13 +354,17 @@ def verdict(first: Fit, final: Fit, structure: Structure | None, unexplained: bo
     return 'nothing_missing' if final is first else 'effect_found'
 
 
-def _changed_in_gaps(found: list[Finding], samples: Samples, margin: int, config: DiagnosisConfig) -> list[str]:
-    """A sentence for each effect that may have begun, or ended, anywhere in a gap, as between two stretches of a long
-    recording.
+def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
+    """Doubts that are said beside the result."""
+    config = start.first.config
+    return [*late(start.inputs, samples), *unidentifiable(start.first.body, samples, config), *_left_out(start.clean),
+            *_changed_in_gaps(found, samples, config)]
 
-    :param margin: so many samples on either side of a gap are left out.
-    """
-    time, sentences = samples.time, []
+
+def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisConfig) -> list[str]:
+    """A sentence for each effect that may have begun, or ended, anywhere in a gap, as between two stretches of a long
+    recording."""
+    time, margin, sentences = samples.time, _margin(samples, config), list[str]()
     for effect in (finding.effect for finding in found):
         for gap in gaps(samples, config) if effect.span.values else []:
             earliest, latest = time[max(gap.before - margin, 0)], time[min(gap.before + 1 + margin, len(time) - 1)]

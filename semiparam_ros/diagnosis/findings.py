@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.score import worth
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
-from semiparam_ros.diagnosis.uncertainty import Deviations
+from semiparam_ros.diagnosis.uncertainty import Estimates
 from semiparam_ros.effects import Effect, kinds
 
 
@@ -44,15 +46,15 @@ class Finding:
                      'separated_by': kinds()[rival.kind].separated_by} for rival in self.rivals]}
 
 
-def findings(fit: Fit, steps: list[Step], everything: Fit, sure: Deviations) -> list[Finding]:
+def findings(fit: Fit, steps: list[Step], everything: Fit, told: Estimates) -> list[Finding]:
     """Every effect that a step added and the final model still holds, in that order, with what each is worth there.
 
-    :param everything: the final model fitted to all samples, its effects in the same order; the values are its own.
-    :param sure: the deviations of these.
+    :param everything: the final model fitted to all samples, its effects in the same order.
+    :param told: its values and their deviations.
     """
     gains = worth(fit)
     return [Finding(everything.effects[index], number, gains[index].total,
-                    _parameters(everything, index, sure), steps[number - 1].rivals[place])
+                    _parameters(everything, index, told), steps[number - 1].rivals[place])
             for index, number, place in places_in(fit, steps)]
 
 
@@ -67,9 +69,9 @@ def places_in(fit: Fit, steps: list[Step]) -> list[tuple[int, int, int]]:
     return found
 
 
-def declared_findings(fit: Fit, found: list[Finding], sure: Deviations) -> list[Finding]:
+def declared_findings(fit: Fit, found: list[Finding], told: Estimates) -> list[Finding]:
     """The effects of the model that were declared beforehand, with their fitted values and the deviations of these."""
-    return [Finding(effect, 0, 0.0, _parameters(fit, index, sure), ())
+    return [Finding(effect, 0, 0.0, _parameters(fit, index, told), ())
             for index, effect in enumerate(fit.effects) if effect not in [finding.effect for finding in found]]
 
 
@@ -86,15 +88,13 @@ def _index_in(fit: Fit, effect: Effect, taken: list[int]) -> int | None:
     return min(same, key=distance) if same else None
 
 
-def _parameters(fit: Fit, index: int, sure: Deviations) -> dict[str, Quantity]:
+def _parameters(fit: Fit, index: int, told: Estimates) -> dict[str, Quantity]:
     effect = fit.effects[index]
-    block = fit.assembly.blocks[str(index)]
-    learnt = {coefficient.name: Quantity(float(value), float(std), coefficient.unit)
-              for coefficient, value, std in zip(effect.coefficients(fit.body), fit.theta[block],
-                                                 sure.coefficients[block], strict=True)}
-    calibrated = {coefficient.name: Quantity(effect.value(coefficient.name), float(std), coefficient.unit)
-                  for coefficient, std in zip(effect.calibrations, sure.calibrations.get(index, ()), strict=True)}
-    return learnt | calibrated | _searched(effect)
+    coefficients = effect.coefficients(fit.body), told.coefficients[:, fit.assembly.blocks[str(index)]]
+    calibrations = effect.calibrations, told.calibrations.get(index, np.zeros((2, 0)))
+    return {coefficient.name: Quantity(value, std, coefficient.unit)
+            for names, estimated in (coefficients, calibrations)
+            for coefficient, (value, std) in zip(names, estimated.T.tolist(), strict=True)} | _searched(effect)
 
 
 def _searched(effect: Effect) -> dict[str, Quantity]:

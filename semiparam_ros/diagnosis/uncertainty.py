@@ -1,15 +1,21 @@
-"""Standard deviations of what is told: of coefficients and of calibrations, with nothing else taken for known.
+"""Values that are told and their standard deviations: of coefficients and calibrations, nothing else known.
 
-The model's own covariance takes the law of every effect for exact and the noise for what is left on average. Where a
-law fits less well in one stretch than in another, where noise grows with the motion, or where errors of an acceleration
-reach several outputs at once, the stretches contradict one another by more than that. How much they do is the sandwich
-covariance of clustered samples (Liang and Zeger 1986, Biometrika 73), with stretches of time as clusters. The larger
-of the two is told: with few stretches the sandwich itself is uncertain, and one stretch may hold all that tells of a
-value.
+*Where joints slide.* At a turn, and while a joint is slow, the form of its friction decides what its effort is, and no
+form is exact: what a wrong one leaves there bends the friction, and the inertias beside it, the same way in every
+stretch. So the same model is fitted where joints slide, too (:attr:`Fit.sliding`). It has fewer outputs, so where the
+form is right it knows less; where it knows more, its values are told.
 
-What errors of a smoothed motion do alike in every stretch, no stretch contradicts: they make an inertia too small and a
-spring too stiff by up to a deviation. The same errors put on the smoothed motion once more shift the values by about
-as much again, and that shift is counted as a deviation too.
+*How much stretches contradict one another.* The model's own covariance takes the law of every effect for exact and the
+noise for what is left on average. Where a law fits less well in one stretch than in another, where noise grows with the
+motion, or where errors of an acceleration reach several outputs at once, the stretches contradict one another by more
+than that. How much they do is the sandwich covariance of clustered samples (Liang and Zeger 1986, Biometrika 73), with
+stretches of time as clusters. The larger of the two is told: with few stretches the sandwich itself is uncertain, and
+one stretch may hold all that tells of a value.
+
+*Errors of a smoothed motion* do the same in every stretch: they make an inertia too small and a spring too stiff by up
+to a deviation. The same errors put on the smoothed motion once more shift the values by about as much again. So that
+shift is taken off the values (simulation extrapolation; Cook and Stefanski 1994, Journal of the American Statistical
+Association 89), and counted as a deviation too.
 """
 
 from __future__ import annotations
@@ -32,33 +38,43 @@ GAIN_STEP = 1e-6
 """Half the difference of gains that stands for a derivative."""
 
 
-class Deviations(NamedTuple):
-    """Standard deviations: ``coefficients`` (p,) of theta, ``calibrations`` (c,) by the number of their effect."""
+class Estimates(NamedTuple):
+    """Values with their standard deviations: (2, p) of the coefficients theta, (2, c) of calibrations by the number of
+    their effect."""
 
     coefficients: Array
     calibrations: dict[int, Array]
 
 
-def deviations(fit: Fit, found: Collection[int], disturbed: Sequence[Samples] = ()) -> Deviations:
+def estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples] = ()) -> Estimates:
     """Those of a fitted model, where its calibrations and the nonlinear values of the effects with the numbers
     ``found`` are open too.
 
     :param disturbed: the samples with the errors of their motion once more.
     """
+    fits = (fit, fit.sliding) if fit.body.outputs == 'effort' else (fit,)
+    return min((_estimates(each, found, disturbed) for each in fits),
+               key=lambda each: float(np.log(each.coefficients[1] + 1e-300).mean()))
+
+
+def _estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples]) -> Estimates:
     calibrated = [number for number, effect in enumerate(fit.effects) if effect.is_calibration]
     shapes = shapes_of(fit, found)
     further = _further(fit, calibrated, shapes)
     columns = np.concatenate(further, axis=2)
     edges = len(fit.theta) + np.cumsum([0, *(part.shape[2] for part in further)])
     parts = {number: slice(start, end) for number, start, end in zip(calibrated, edges, edges[1:], strict=False)}
-    told = np.eye(edges[-1])
-    for number, part in parts.items() if not fit.knows_mass else ():
-        told[part, part] = _without_common_gain(fit.effects[number])
+    told, values = np.eye(edges[-1]), np.append(fit.theta, np.zeros(edges[-1] - edges[0]))
+    for number, part in parts.items():
+        values[part] = calibrated_values(fit.effects[number])
+        if not fit.knows_mass:
+            told[part, part] = _without_common_gain(fit.effects[number])
     deviation = _deviations(fit, columns, told)
     if disturbed:
-        shifts = [told @ _shift(fit, samples, calibrated, shapes) for samples in disturbed]
-        deviation = np.hypot(deviation, np.mean(shifts, axis=0))
-    return Deviations(deviation[:edges[0]], {number: deviation[part] for number, part in parts.items()})
+        shift = told @ np.mean([_shift(fit, samples, calibrated, shapes) for samples in disturbed], axis=0)
+        values, deviation = values - shift, np.hypot(deviation, shift)
+    both = np.stack([values, deviation])
+    return Estimates(both[:, :edges[0]], {number: both[:, part] for number, part in parts.items()})
 
 
 def _without_common_gain(effect: Effect) -> Array:

@@ -34,10 +34,15 @@ def refine_foremost(fit: Fit, trials: list[Trial]) -> list[Trial]:
 
 
 def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
-    """Those worth refining: the best, and calibrations, which are linear only while small."""
-    config = fit.config
-    return trials[:config.tried] + [trial for trial in trials[config.tried:]
-                                    if trial.effect.is_calibration and trial.evidence > math.log(config.odds)]
+    """Those worth refining: the best, calibrations, which are linear only while small, and the best of each kind with
+    many values, of which a coarse search tries few."""
+    config, kept = fit.config, list[Trial]()
+    for trial in trials:
+        same = sum(other.many_valued and other.effect.kind == trial.effect.kind for other in kept)
+        open_ended = trial.effect.is_calibration or (trial.many_valued and same < config.of_each_kind)
+        if len(kept) < config.tried or (open_ended and trial.evidence > math.log(config.odds)):
+            kept.append(trial)
+    return kept
 
 
 def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:

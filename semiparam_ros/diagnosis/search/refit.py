@@ -22,31 +22,25 @@ def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
     """Move the calibrations of the effects ``moving`` to their most likely values, all together.
 
     A step that would raise the loss is shortened, one that would hardly lower it is not taken.
-    Derivatives are costly and are kept as long as they shorten the steps well, but they are new where
-    it ends: those of a delay hold noise of the motion, and kept ones end beside the least loss.
     """
-    places, slopes, last = {identity(effect) for effect in moving}, None, np.inf
+    places = {identity(effect) for effect in moving}
     for _ in range(fit.config.newton_steps):
         moving = [effect for effect in fit.effects if identity(effect) in places]
-        fresh = slopes is None
-        if slopes is None:
-            slopes = [added_columns(fit, effect) for effect in moving]
-        explained = fit.explain(np.concatenate(slopes, axis=2), prior_of_steps(fit, moving))
+        slopes = np.concatenate([added_columns(fit, effect) for effect in moving], axis=2)
+        explained = fit.explain(slopes, prior_of_steps(fit, moving))
         gained = fit.counts @ (1.0 - explained.squares / np.maximum(fit.squares, 1e-300))
+        if gained < fit.config.settled_gain:
+            break
         step = explained.coefficients
-        after = _stepped(fit, moving, step) if gained >= fit.config.settled_gain else fit
+        after = _stepped(fit, moving, step)
         while objective(after) > objective(fit) and np.abs(step).max() > fit.config.settled_step:
             step = step * fit.config.backtracking
             after = _stepped(fit, moving, step)
-        if after is fit or objective(after) > objective(fit):
-            size = 0.0
-        else:
-            fit, size = after, float(np.abs(step).max())
-        if fresh and size < fit.config.settled_step:
+        if objective(after) > objective(fit):
             break
-        if size > fit.config.shortened_step * last or size < fit.config.settled_step:
-            slopes = None
-        last = size
+        fit = after
+        if np.abs(step).max() < fit.config.settled_step:
+            break
     return fit
 
 
