@@ -116,7 +116,7 @@ def test_what_cannot_be_written_is_known_before(tmp_path, name):
     (tmp_path / 'folder').mkdir()
     (tmp_path / 'file').touch()
     for attempt in (require_writable, lambda path: write_text(path, 'x')):
-        with pytest.raises(SemiparamError, match='^cannot write .*\\.$'):
+        with pytest.raises(SemiparamError, match=r'^cannot write .*\.$'):
             attempt(tmp_path / name)
     require_writable(tmp_path / 'result.json')
     assert sorted(os.listdir(tmp_path)) == ['file', 'folder']
