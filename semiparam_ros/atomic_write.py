@@ -27,12 +27,11 @@ def replacing(path: str | os.PathLike[str], durable: bool = False) -> Iterator[I
     Raises SemiparamError, naming the file and the reason, when it cannot be written.
     """
     path = Path(path)
-    temporary = path.parent / f'{_prefix(path)}{secrets.token_hex(6)}'
+    temporary = _neighbour(path)
     try:
         _require_replaceable(path)
         try:
-            # Not tempfile.mkstemp, which makes files that nobody else may read.
-            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+            descriptor = _make(temporary)
             with os.fdopen(descriptor, 'wb') as stream:
                 yield stream
                 if durable:
@@ -44,6 +43,21 @@ def replacing(path: str | os.PathLike[str], durable: bool = False) -> Iterator[I
             raise
         if durable:
             _keep_name(path.parent)
+    except OSError as error:
+        raise SemiparamError(f'cannot write {path}: {error.strerror or error}.') from error
+
+
+def require_writable(path: str | os.PathLike[str]) -> None:
+    """Begin to write a file, and let it be.
+
+    Raises SemiparamError, as :func:`replacing` does, when that is not possible.
+    """
+    path = Path(path)
+    try:
+        _require_replaceable(path)
+        temporary = _neighbour(path)
+        os.close(_make(temporary))
+        temporary.unlink()
     except OSError as error:
         raise SemiparamError(f'cannot write {path}: {error.strerror or error}.') from error
 
@@ -66,6 +80,15 @@ def remove_leftovers(path: str | os.PathLike[str]) -> None:
 def _prefix(path: Path) -> str:
     """Prefix of the neighbours: hidden, and short enough for a long name."""
     return f'.{path.name[:100]}.'
+
+
+def _neighbour(path: Path) -> Path:
+    return path.parent / f'{_prefix(path)}{secrets.token_hex(6)}'
+
+
+def _make(temporary: Path) -> int:
+    """Make the neighbour. Not tempfile.mkstemp, which makes files that nobody else may read."""
+    return os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
 
 
 def _require_replaceable(path: Path) -> None:

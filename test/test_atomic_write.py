@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from semiparam_ros.atomic_write import remove_leftovers, replacing, write_text
+from semiparam_ros.atomic_write import remove_leftovers, replacing, require_writable, write_text
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.report.horizon_figure import save_figure
@@ -108,3 +109,22 @@ def test_a_fault_of_the_writer_is_not_blamed_on_the_disk(tmp_path):
     with pytest.raises(ZeroDivisionError), replacing(tmp_path / 'x') as stream:
         stream.write(bytes(1 // 0))
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize('name', ['/proc/a.json', '/dev/full', 'a' * 300, '', 'folder', 'file/a.json', 'none/a.json'])
+def test_what_cannot_be_written_is_known_before(tmp_path, name):
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'file').touch()
+    for attempt in (require_writable, lambda path: write_text(path, 'x')):
+        with pytest.raises(SemiparamError, match=r'^cannot write .*\.$'):
+            attempt(tmp_path / name)
+    require_writable(tmp_path / 'result.json')
+    assert sorted(os.listdir(tmp_path)) == ['file', 'folder']
+
+
+@pytest.mark.parametrize('place', ['/proc/truth.json', '/dev/full'])
+def test_a_second_result_that_cannot_be_written_keeps_the_first_from_being_made(tmp_path, capsys, place):
+    """As root, who may write everywhere, the folder said yes; the recording was made, and its truth was not."""
+    assert main(['simulate', str(tmp_path / 'a.mcap'), '--samples', '100', '--truth', place]) == 2
+    assert capsys.readouterr().err.count('\n') == 1
+    assert not os.listdir(tmp_path)

@@ -171,6 +171,10 @@ class BagReader(ABC):
                 continue
             yield message._replace(data=data)
 
+    def decodes(self, topic: str) -> bool:
+        """Tell whether the messages of a topic can be decoded at all."""
+        return self._decoder(self.topics[topic]) is not None
+
     @staticmethod
     def _decoder(info: TopicInfo) -> Decoder | None:
         return schemas.decoder(info.type, info.schema) if info.encoding == 'cdr' else None

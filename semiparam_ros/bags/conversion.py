@@ -97,6 +97,9 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
         if old not in source.topics:
             raise SemiparamError(f'{str(source.path)!r} has no topic {old}; it has {", ".join(source.topics)}.')
         info = source.topics[old]
+        if info.encoding != 'cdr' or not info.type:
+            raise SemiparamError(f'{str(source.path)!r}: topic {old} holds {info.type or "no known type"}, encoded as '
+                                 f'{info.encoding!r}; expected a type of ROS 2, as cdr (--topic takes others alone).')
         bag.add_topic(new, info.type, info.qos, info.schema)
     copied, changed = ({topic for topic in chosen if edits.concern(source.topics[topic].type) is concern}
                        for concern in (False, True))

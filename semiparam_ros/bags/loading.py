@@ -125,8 +125,11 @@ def _require(bag: BagReader, needed: dict[str, str]) -> None:
             raise SemiparamError(f'{str(bag.path)!r} has no topic {topic}; it has {", ".join(bag.topics) or "none"}'
                                  f'{remedy}.')
         if bag.topics[topic].type != type_name:
-            raise SemiparamError(f'{str(bag.path)!r}: topic {topic} holds {bag.topics[topic].type}; expected '
-                                 f'{type_name}.')
+            raise SemiparamError(f'{str(bag.path)!r}: topic {topic} holds {bag.topics[topic].type or "no known type"}; '
+                                 f'expected {type_name}.')
+        if not bag.decodes(topic):
+            raise SemiparamError(f'{str(bag.path)!r}: messages on {topic} are encoded as '
+                                 f'{bag.topics[topic].encoding!r}; expected cdr, as ROS 2 records them.')
 
 
 def _joints(settings: Table, description: str | None, bag: BagReader) -> tuple[str, ...]:
@@ -179,7 +182,11 @@ def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collecti
     frame_id = ''
     for message in bag.messages(needed, start_ns=start, end_ns=end):
         kind = kinds[message.topic]
-        reading = kind.read(message.data)
+        try:
+            reading = kind.read(message.data)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise SemiparamError(f'{str(bag.path)!r}: the bag defines {message.type} in a way of its own, without what '
+                                 f'{message.topic} is read for ({error}).') from error
         samples += kind.feed(stream, reading.stamp, *reading.fields)
         if not frame_id and message.topic == topics.wrench:
             frame_id = reading.frame_id
@@ -188,7 +195,10 @@ def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collecti
 
 def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str], joints_given: bool) -> str:
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
-    waiting = f'{stream.pending} outputs have no joint state at or after their stamps.'
+    lost = ', '.join(f'{bag.losses.undecodable[topic]} on {topic}' for topic in needed
+                     if topic in bag.losses.undecodable)
+    waiting = f'{lost} do not decode.' if lost else \
+        f'{stream.pending} outputs have no joint state at or after their stamps.'
     reason = stream.last_fault or stream.last_ignored or waiting
     renamed = stream.faults['missing_joint'] or stream.ignored
     remedy = ' semiparam convert --joint NAME=NEW renames joints.' if renamed else ''

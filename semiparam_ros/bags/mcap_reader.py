@@ -5,8 +5,11 @@ from __future__ import annotations
 import heapq
 import mmap
 import os
-from collections.abc import Collection, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+
+from mcap.records import Channel
 
 from semiparam_ros.bags import mcap_format, qos, recovery, schemas
 from semiparam_ros.bags.base import BagReader, Losses, Message, TopicInfo
@@ -32,8 +35,8 @@ class McapBag(BagReader):
         self._read: dict[Segment, int | None] = {}
         self._reasons: list[str] = []
         self.start_ns, self.end_ns = self._index.start_ns, self._index.end_ns
-        self._channel_topics = {channel.id: channel.topic for channel in self._index.definitions.channels.values()}
-        self.topics = _topics(self._index)
+        self._channel_topics, self._others = _one_type_each(self._index)
+        self.topics = _topics(self._index, self._channel_topics)
         if not self.topics and self._index.reasons:
             self.close()
             raise SemiparamError(f'{str(path)!r} holds no readable message: {"; ".join(self._index.reasons)}.')
@@ -88,7 +91,7 @@ class McapBag(BagReader):
         return Losses(str(self.path), sum(count or 0 for count in self._read.values()), index.intact, index.chunks,
                       index.chunks_lost + len(lost),
                       sorted(index.byte_ranges + [(segment.offset, segment.end) for segment in lost]),
-                      index.reasons + self._reasons, dict(self._undecodable))
+                      index.reasons + self._others + self._reasons, dict(self._undecodable))
 
     def close(self) -> None:
         self._buffer.close()
@@ -112,12 +115,34 @@ def _index(buffer: mmap.mmap) -> Index:
     return index
 
 
-def _topics(index: Index) -> dict[str, TopicInfo]:
-    """Topics by name; several channels of one topic are added up."""
+def _type(index: Index, channel: Channel) -> str:
+    schema = index.definitions.schemas.get(channel.schema_id)
+    return schemas.full_type(schema.name) if schema else ''
+
+
+def _one_type_each(index: Index) -> tuple[dict[int, str], list[str]]:
+    """Topic of each channel that is read, and what is said of the others: a topic is of the type and encoding that most
+    of its messages have."""
+    channels = index.definitions.channels.values()
+    counts: dict[str, Counter[tuple[str, str]]] = defaultdict(Counter)
+    for channel in channels:
+        counts[channel.topic][_type(index, channel), channel.message_encoding] += index.counts.get(channel.id, 0)
+    main = {topic: types.most_common(1)[0][0] for topic, types in counts.items()}
+    reasons = [f'{count} messages on {topic} are {type_name} ({encoding}), not {" (".join(main[topic])})'
+               for topic, types in sorted(counts.items())
+               for (type_name, encoding), count in types.items() if count and (type_name, encoding) != main[topic]]
+    return {channel.id: channel.topic for channel in channels
+            if (_type(index, channel), channel.message_encoding) == main[channel.topic]}, reasons
+
+
+def _topics(index: Index, read: Mapping[int, str]) -> dict[str, TopicInfo]:
+    """Topics by name, of the channels that are read; several channels of one topic are added up."""
     topics: dict[str, TopicInfo] = {}
     for channel in sorted(index.definitions.channels.values(), key=lambda channel: channel.topic):
+        if channel.id not in read:
+            continue
         schema = index.definitions.schemas.get(channel.schema_id)
-        type_name = schemas.full_type(schema.name) if schema else ''
+        type_name = _type(index, channel)
         offers = qos.parse_profiles(channel.metadata.get('offered_qos_profiles'))
         before = topics.get(channel.topic)
         if before:

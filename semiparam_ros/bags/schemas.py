@@ -46,9 +46,9 @@ def jazzy_types() -> dict[str, JazzyType]:
 
 
 def full_type(name: str) -> str:
-    """Name of a type in its long form, 'sensor_msgs/msg/JointState'; a short one is completed."""
+    """Name of a type in its long form, 'sensor_msgs/msg/JointState'; a short one, of package and type, is completed."""
     package, _, rest = name.partition('/')
-    return name if '/' in rest else f'{package}/msg/{rest}'
+    return name if '/' in rest or not rest else f'{package}/msg/{rest}'
 
 
 def is_jazzy_type(type_name: str) -> bool:
@@ -94,11 +94,14 @@ def _text_from_idl(type_name: str, text: str) -> str:
 @cache
 def decoder(type_name: str, schema: Schema = UNKNOWN) -> Decoder | None:
     """The function that turns CDR bytes into an object with the message's fields; None when nothing defines it."""
-    try:
-        text = message_text(type_name, schema)
-        return None if text is None else generate_dynamic(type_name, text).get(type_name)
-    except Exception:  # a definition that its parser refuses, in whatever way, is one we do not have
-        return None
+    for known in (schema, UNKNOWN):
+        try:
+            text = message_text(type_name, known)
+            if text is not None:
+                return generate_dynamic(type_name, text)[type_name]
+        except Exception:  # a definition that its parser refuses, in whatever way, is one we do not have
+            continue
+    return None
 
 
 @cache

@@ -126,8 +126,11 @@ def _from_bag(args: argparse.Namespace, description: str | None) -> list[str]:
                                                   if not edits.topics or topic in edits.topics))
         counts = convert_bag(source, edits, bag, description, lambda done: bar.update(task, completed=done))
         losses = source.losses
+        others = {topic: info.encoding for topic, info in source.topics.items() if info.encoding != 'cdr'}
     chosen = ', '.join(f'{count} on {edits.topics.get(topic, topic)}' for topic, count in counts.items())
-    return [f'{args.output}: {chosen or "no messages"}.', *([losses.sentence] if losses else [])]
+    left = [f'{topic} is left out: its messages are encoded as {encoding!r}, not cdr.'
+            for topic, encoding in others.items()]
+    return [f'{args.output}: {chosen or "no messages"}.', *left, *([losses.sentence] if losses else [])]
 
 
 def _pairs(texts: Sequence[str], optional: bool = False) -> dict[str, str]:

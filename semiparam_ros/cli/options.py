@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from semiparam_ros.atomic_write import write_text
+from semiparam_ros.atomic_write import require_writable, write_text
 from semiparam_ros.errors import SemiparamError
 
 SCHEMA = 1
@@ -67,10 +66,7 @@ def require_places(*paths: Path | None) -> None:
         folder = path.absolute().parent
         if not folder.is_dir():
             raise SemiparamError(f'cannot write {path}: there is no folder {folder}.')
-        if path.is_dir():
-            raise SemiparamError(f'cannot write {path}: it is a folder; expected the name of a file.')
-        if not os.access(folder, os.W_OK):
-            raise SemiparamError(f'cannot write {path}: the folder {folder} may not be written to.')
+        require_writable(path)
 
 
 def require_counts(args: argparse.Namespace, *options: str) -> None:

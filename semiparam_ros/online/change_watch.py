@@ -109,6 +109,8 @@ class ChangeRecord:
     times_named: int = 0
     decisions: tuple[Decision, ...] = ()
     """With ``diagnosis.auto: apply``, in their order."""
+    unnamed: str = ''
+    """A sentence why it could not be named when that was last tried."""
 
     @property
     def effect(self) -> Effect | None:
@@ -176,7 +178,8 @@ class ChangeRecord:
             )
             asked = '' if self.named is None else '; no effect explains it better than none'
             felt = ', '.join(change.outputs[:3])
-            return f'the robot has changed {since}{until} ({what}, felt by {felt}){asked}.'
+            unnamed = f' It could not be named: {self.unnamed}' if self.unnamed else ''
+            return f'the robot has changed {since}{until} ({what}, felt by {felt}){asked}.{unnamed}'
         assert self.named is not None
         values = ', '.join(
             f'{name} {value.value:.3g} +- {value.std or 0.0:.1g} {value.unit}'.rstrip()
@@ -202,6 +205,7 @@ class ChangeRecord:
                 'outputs': list(change.outputs),
             },
             'named': None if self.named is None else self.named.as_dict(),
+            'unnamed': self.unnamed or None,
             'decisions': [decision.as_dict() for decision in self.decisions],
             'retracted': self.retracted,
             'sentence': self.sentence,
@@ -519,8 +523,8 @@ class ChangeWatch:
 
     def _named(self, number: int, named: NamedChange | None, error: BaseException | None) -> None:
         self._naming = False
-        if isinstance(error, SemiparamError):  # too little to tell yet
-            self._due = sorted([*self._due, (self._moved_s + NAMED_AFTER_S[0], number)])
+        if isinstance(error, SemiparamError):
+            self._refused(number, str(error))
         elif error is not None:
             self._failed('naming a change', error)
         record = self.records.get(number)
@@ -528,7 +532,7 @@ class ChangeWatch:
             self._inputs = named.inputs
             if named.effect is None and record.was_applied:
                 named = record.named
-            record = replace(record, named=named, times_named=record.times_named + 1)
+            record = replace(record, named=named, times_named=record.times_named + 1, unnamed='')
             self.records[number] = record
             if record.retracted:
                 self._retract(number)
@@ -536,6 +540,16 @@ class ChangeWatch:
                     self._learn()
             self._told(record)
             self._try(record)
+
+    def _refused(self, number: int, why: str) -> None:
+        """Say once why a change has no name, and ask again when more has come."""
+        self._due = sorted([*self._due, (self._moved_s + NAMED_AFTER_S[0], number)])
+        record = self.records.get(number)
+        if record is None:
+            return
+        self.records[number] = replace(record, unnamed=why)
+        if not record.unnamed and record.named is None:
+            self._told(self.records[number])
 
     def _retract(self, number: int) -> None:
         self._due = [(when, other) for when, other in self._due if other != number]

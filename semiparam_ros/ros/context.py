@@ -16,6 +16,7 @@ from types import FrameType, TracebackType
 from typing import TypeVar
 
 import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
@@ -115,6 +116,15 @@ def _terminal() -> list[int | list[bytes | int]] | None:
         return termios.tcgetattr(0)
     except (OSError, termios.error):
         return None
+
+
+REPLACEABLE = SubscriptionEventCallbacks(use_default_callbacks=False)
+"""What a subscription is made with that may be destroyed while an EventsExecutor spins: no events.
+
+An event (here of a publisher whose quality of service does not match) that still waits in the
+executor's queue when its subscription is gone is let go of without the interpreter's lock, a
+segmentation fault (rclpy 7.1.6). Messages, timers and clients may wait there.
+"""
 
 
 def spin_for(executor: Executor, seconds: float) -> None:

@@ -72,6 +72,25 @@ def test_an_error_while_looking_keeps_no_sample_from_being_learnt(monkeypatch):
     assert stage.learner.learnt == learnt + 2
 
 
+def test_that_a_change_cannot_be_named_is_told_once():
+    """Nobody heard of it: the change stayed without a name and without a reason."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0])
+    watch, (*_, record) = stage.learner.changes, stage.changes
+    told, number = len(stage.changes), record.change.number
+    for count in (12, 40):
+        watch._named(number, None, SemiparamError(f'{count} samples are too few.'))
+    refused, *more = stage.changes[told:]
+    assert not more and not stage.failures
+    assert refused.sentence.endswith(' It could not be named: 12 samples are too few.')
+    assert refused.as_dict()['unnamed'] == '12 samples are too few.'
+    there = samples[samples.time < LOADED_S[1] - 2.0]
+    watch._named(number, name_change(body, there, [], LOADED_S[0]), None)
+    assert stage.changes[-1].effect is not None and not stage.changes[-1].unnamed
+    watch._named(number, None, SemiparamError('3 samples are too few.'))
+    assert stage.changes[-1].effect is not None, 'what is named stays so'
+
+
 def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
     body, samples, _ = loaded()
     stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0])

@@ -60,3 +60,53 @@ def test_that_a_message_has_arrived_is_known_before_the_middleware_would_ask_by_
         peer.meet('/ends')
         process.communicate('\n', timeout=60.0)
         assert process.returncode == 0
+
+
+REPLACED = """
+import sys, time
+import rclpy
+from rclpy.qos import qos_profile_sensor_data, qos_profile_system_default
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from semiparam_ros.ros.context import RosProcess, call_in_executor
+from semiparam_ros.ros.estimator.subscriptions import InputStream
+from semiparam_ros.ros.record.node import RecordNode
+from semiparam_ros.ros.record.options import Limits
+from semiparam_ros.settings.snapshot import Settings
+other = rclpy.Context()
+rclpy.init(context=other)
+source = rclpy.create_node('source', context=other)
+
+def offer():
+    publisher = source.create_publisher(WrenchStamped, '/wrench', qos_profile_sensor_data)
+    time.sleep(0.3)
+    return publisher
+
+def replace():
+    follow()
+    offer()  # the replaced subscription does not match it, and is not forgotten before this function returns
+
+with RosProcess([], lambda: None) as ros:
+    if sys.argv[1] == 'record':
+        node = RecordNode(None, Limits())
+        follow = lambda: node.follow('/wrench', 'geometry_msgs/msg/WrenchStamped')
+        follow()
+    else:
+        node = Node('node')
+        settings = Settings.from_mapping({'sensor_frame': 'tool', 'reliability': 'auto'})
+        follow = InputStream(node, settings, None, None).follow_reliability
+    ros.spin(node)
+    time.sleep(0.3)
+    offer()
+    call_in_executor(node, replace)
+    time.sleep(0.3)
+    print(call_in_executor(node, lambda: 'alive'), source.count_subscribers('/wrench'), flush=True)
+"""
+
+
+@pytest.mark.parametrize('who', ['record', 'estimator'])
+def test_a_subscription_is_replaced_while_another_publisher_comes(ros_domain, repository, who):
+    """rclpy ended the process where an event of the replaced one still waited in its executor's queue."""
+    done = subprocess.run([sys.executable, '-c', REPLACED, who], capture_output=True, text=True, timeout=60.0,
+                          cwd=repository / 'test', check=False)
+    assert done.stdout.splitlines()[-1:] == ['alive 1'], done.stdout + done.stderr

@@ -10,6 +10,7 @@ half-way and loaded into another one. All three must say the same of every sampl
 from __future__ import annotations
 
 import itertools
+import json
 import tempfile
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -31,8 +32,12 @@ from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import Effect
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.export.estimate import from_estimator
+from semiparam_ros.export.live import consistent_parameters
 from semiparam_ros.online import state_file
+from semiparam_ros.online.identified_parameters import carried_load, is_shown
 from semiparam_ros.online.learner import Answer
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.settings import Settings
@@ -68,6 +73,7 @@ FACTORS: dict[str, tuple[object, ...]] = {
     'motion': ('filtered', 'measured', 'missing'),
     'still': ('none', 'noisy', 'exact'),
     'temperatures': ('none', 'measured'),
+    'consistent': (True, False),
     'background': ('delayed', 'inline'),
 }
 """What is not a parameter's value:
@@ -208,7 +214,7 @@ def settings_of(row: Row, count: int) -> Settings:
         'learn.every': row['learn_every'], 'learn.least_gain': row['least_gain'], 'initial.samples': WINDOW,
         'diagnosis.auto': row['auto'],
         'gate.enabled': row['gate'], 'tools': [TOOL] if row['tools'] else [], 'horizon.length': row['horizon'],
-        'retained.samples': max(count // 10, 20)})
+        'parameters.consistent': row['consistent'], 'retained.samples': max(count // 10, 20)})
 
 
 # The motion of a row
@@ -296,8 +302,27 @@ class Record:
         """Horizon errors, after the sample that completed them was answered."""
         self.horizons.append((self.answers[-1][0], errors.origin, errors.eps.tolist(), errors.eps_centred.tolist()))
 
-    def finish(self, estimator, tare: Tare) -> None:
+    def finish(self, estimator, tare: Tare, settings: Settings) -> None:
         self.final = {**estimator.model.recursion.state(), 'bias': tare.bias}
+        if settings.parameters_consistent:
+            self.final |= consistent(estimator)
+
+
+def consistent(estimator) -> dict[str, np.ndarray]:
+    """What ``~/parameters`` and ``~/payload`` would tell; empty where the model learns no inertia."""
+    try:
+        estimate = from_estimator(estimator, None, 'the row')
+    except SemiparamError as error:
+        assert 'learns no inertial parameters' in str(error)
+        return {}
+    load = carried_load(estimator)
+    carried = None if load is None or not is_shown(load) else (load.parameters, load.covariance)
+    found = consistent_parameters(URDF, estimate, carried)
+    assert (found.load is None) == (carried is None)
+    for link in json.loads(found.document)['links'].values():
+        moments = np.linalg.eigvalsh(link['inertia'])
+        assert link['mass'] > 0.0 and moments[0] > 0.0 and moments[0] + moments[1] > moments[2], link
+    return {'bodies': found.theta} | ({} if found.load is None else {'load': found.load})
 
 
 class Live(Stage):
@@ -336,7 +361,7 @@ class Live(Stage):
         """What was said, when nothing else was."""
         assert not self.reverted and not self.horizons, self.news
         self.record.news = self.news
-        self.record.finish(self.learner.estimator, self.learner.tare)
+        self.record.finish(self.learner.estimator, self.learner.tare, self.learner.settings)
         return self.record
 
 
@@ -369,7 +394,7 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
                                prediction.std.tolist(), forces[-1]))
         if prediction.horizon is not None:
             record.horizon(prediction.horizon)
-    record.finish(learner.estimator, tare)
+    record.finish(learner.estimator, tare, settings)
     record.failed_windows = len(learner.learner.failed_windows)
     return record
 

@@ -91,10 +91,17 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
         found = _by_validation(kind, window, noise, grid, progress, fewest)
         by_input = tuple(np.array(found.tau)[groups].tolist())
         return replace(found, tau=by_input) if length_scales == 'input' else found
-    pi = _mean_first(window, noise) if kind == 'SP2' else None
+
+    def search(of_kind: Window) -> EvidenceMaximum:
+        return (draft_maximum(of_kind, noise, drifting, method) if draft else
+                maximise_evidence(of_kind, noise, drifting, method, starts, jobs))
+
+    pi = None
+    if kind == 'SP2':
+        # With the paper's prior about zero: least squares alone burst where the window shows little.
+        pi = _mean_first(window, noise) if physical else search(_window_of_kind('P', window, None)).theta[:own]
     of_kind = _window_of_kind(kind, window, pi)
-    maximum = (draft_maximum(of_kind, noise, drifting, method) if draft else
-               maximise_evidence(of_kind, noise, drifting, method, starts, jobs))
+    maximum = search(of_kind)
     if fewest and len(of_kind.spectrum) and not draft:
         of_kind, maximum = fewest_features(of_kind, maximum, noise, drifting, method)
     return _by_evidence(kind, maximum, maximum.theta[:_n_own(window)] if kind == 'SP' else pi,
@@ -139,7 +146,7 @@ def _n_own(window: Window) -> int:
 
 
 def _mean_first(window: Window, noise: Noise) -> Array:
-    """pi of SP2."""
+    """pi of SP2 by least squares."""
     own = _n_own(window)
     return plain_least_squares(window.outputs, window.coupled, noise, window.prior_scale[own:])[:own]
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property, lru_cache
+from math import ceil
 
 import numpy as np
 import pinocchio as pin
@@ -37,7 +38,9 @@ RANK_TOLERANCE = 1e-8
 INDEPENDENT = 1e-6
 LEAST_MASS = 1e-2
 """Share of the largest mass from which on a body's inertia about its centre keeps its digits."""
-PROBES = 400
+MOST_PROBES, LEAST_ROWS, ROWS_EACH = 400, 5000, 4
+"""Random states from which it is seen which parameters can be identified; as many as give so many
+rows, and so many for each parameter. More, of an arm of 60 joints, are seconds and gigabytes."""
 ROUNDING = 1e-12
 
 
@@ -376,8 +379,10 @@ class RigidBody:
 
     def _identifiable_basis(self) -> Array:
         rng = np.random.default_rng(0)
-        probes = (rng.uniform(-np.pi, np.pi, (PROBES, self.n_joints)), rng.normal(0, 2, (PROBES, self.n_joints)),
-                  rng.normal(0, 5, (PROBES, self.n_joints)))
+        wanted = max(LEAST_ROWS, ROWS_EACH * len(self.inertial_parameters)) / self.n_outputs
+        shape = min(MOST_PROBES, ceil(wanted)), self.n_joints
+        probes = (rng.uniform(-np.pi, np.pi, shape), rng.normal(0, 2, shape),
+                  rng.normal(0, 5, shape))
         stacked = np.vstack([self.full_regressor(*row) for row in zip(*probes, strict=True)])
         scale = 1.0 / np.sqrt(len(stacked))
         _, singular, directions = np.linalg.svd(stacked * scale, full_matrices=False)

@@ -19,6 +19,10 @@ NUMBERS = {'origin': {'xyz': 3, 'rpy': 3}, 'axis': {'xyz': 3}, 'mass': {'value':
 IGNORED = ('visual', 'collision')
 MOST_CHARACTERS = 2_000_000
 """Of a description: ten times the longest of a humanoid."""
+MOST_DEPTH = 100
+"""Of elements within each other: whoever writes or copies them calls itself once for each."""
+UNIVERSE = 'universe'
+"""Pinocchio's name for what the root hangs on, which no other frame may have."""
 
 NO_LIMIT = '1e9'
 
@@ -34,6 +38,7 @@ def parse(urdf: str) -> ElementTree.Element:
         robot = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
         raise SemiparamError(f'the robot description is not valid XML ({error}); expected a URDF.') from error
+    _check_depth(robot)
     if robot.tag != 'robot' or robot.find('link') is None:
         raise SemiparamError(f'the robot description starts with <{robot.tag}> and holds '
                              f'{len(robot.findall("link"))} links; expected a URDF <robot> with at least one.')
@@ -141,6 +146,15 @@ def check_tree(robot: ElementTree.Element) -> None:
         _check_inertial(element)
 
 
+def _check_depth(robot: ElementTree.Element) -> None:
+    level = [robot]
+    for _ in range(MOST_DEPTH):
+        level = [child for element in level for child in element]
+        if not level:
+            return
+    raise _fault(f'elements lie more than {MOST_DEPTH} deep within each other.')
+
+
 def _end(joint: ElementTree.Element, end: str, links: dict[str, ElementTree.Element]) -> str:
     element = joint.find(end)
     name = None if element is None else element.get('link')
@@ -156,6 +170,8 @@ def _named(robot: ElementTree.Element, kind: str) -> dict[str, ElementTree.Eleme
         name = element.get('name')
         if not name:
             raise _fault(f'a {kind} has no name.')
+        if name == UNIVERSE:
+            raise _fault(f"a {kind} is called '{name}', a name that is taken; rename it.")
         if name in table:
             raise _fault(f"two {kind}s are called '{name}'.")
         table[name] = element

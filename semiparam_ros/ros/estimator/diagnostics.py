@@ -490,6 +490,9 @@ class Reports:
     def _learning(self) -> Report:
         for topic in self._inputs.follow_reliability():
             self.say(f'{topic} is offered as best_effort only, and received so.')
+        for topic in self._inputs.newly_unheard():
+            self.say(f'{topic} has a best_effort publisher beside reliable ones, which alone are heard; '
+                     'reliability: best_effort hears both.', self._node.get_logger().warning)
         learner = self._learner()
         self._log_stage(learner)
         if learner is None:

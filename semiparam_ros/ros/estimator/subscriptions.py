@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -27,6 +27,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import Scheduler
 from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout_of
+from semiparam_ros.ros.context import REPLACEABLE
 from semiparam_ros.settings.snapshot import Settings
 
 NEEDED = 5
@@ -224,6 +225,7 @@ class InputStream:
         """Whether the latest joint state held efforts."""
         self.stream: SampleStream | None = None
         self.best_effort: set[str] = set()
+        self._unheard: set[str] = set()
         self._joints: tuple[str, ...] | None = None
         self._early: list[tuple[str, Reading]] = []
         self._watch = ClockWatch()
@@ -267,24 +269,37 @@ class InputStream:
 
     def follow_reliability(self) -> list[str]:
         """Topics that only best_effort publishers serve, which a reliable subscription does not hear: asked anew."""
-        silent = [topic for topic in self.topics if topic not in self.best_effort and not self.publishers(topic)
-                  and self._settings.reliability == 'auto' and self._is_offered_best_effort(topic)]
+        silent = [topic for topic, offers in self._unheard_offers() if not self.publishers(topic) and all(offers)]
         for topic in silent:
             self._node.destroy_subscription(self._subscriptions[topic])
             self._subscriptions[topic] = self._subscribe(topic, best_effort=True)
         return silent
 
-    def _is_offered_best_effort(self, topic: str) -> bool:
-        name = self._node.resolve_topic_name(topic)
-        offers = [info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(name)]
-        return bool(offers) and all(offer == QoSReliabilityPolicy.BEST_EFFORT for offer in offers)
+    def newly_unheard(self) -> list[str]:
+        """Topics that a best_effort publisher serves beside reliable ones, who alone are heard; each once."""
+        topics = [topic for topic, offers in self._unheard_offers()
+                  if topic not in self._unheard and any(offers) and not all(offers)]
+        self._unheard.update(topics)
+        return topics
+
+    def _unheard_offers(self) -> Iterator[tuple[str, list[bool]]]:
+        """Whether each publisher offers best_effort, of topics that may be asked anew."""
+        if self._settings.reliability != 'auto':
+            return
+        for topic in self.topics:
+            if topic not in self.best_effort:
+                name = self._node.resolve_topic_name(topic)
+                offers = [info.qos_profile.reliability == QoSReliabilityPolicy.BEST_EFFORT
+                          for info in self._node.get_publishers_info_by_topic(name)]
+                if offers:
+                    yield topic, offers
 
     def _subscribe(self, topic: str, best_effort: bool) -> Subscription:
         depth = self._settings.queue_depth
         profile = QoSProfile(
             history=QoSHistoryPolicy.KEEP_LAST if depth else QoSHistoryPolicy.KEEP_ALL, depth=depth,
             reliability=QoSReliabilityPolicy.BEST_EFFORT if best_effort else QoSReliabilityPolicy.RELIABLE)
-        again = best_effort and self._settings.reliability == 'auto'
+        replaceable = self._settings.reliability == 'auto'
         if best_effort:
             self.best_effort.add(topic)
         feed = FEEDS[topic]
@@ -298,7 +313,9 @@ class InputStream:
 
         return self._node.create_subscription(
             feed.message_class, topic, receive, profile, raw=True,
-            qos_overriding_options=None if again else QoSOverridingOptions.with_default_policies())
+            event_callbacks=REPLACEABLE if replaceable else None,
+            qos_overriding_options=None if replaceable and best_effort
+            else QoSOverridingOptions.with_default_policies())
 
     def _listen_to_description(self, durability: QoSDurabilityPolicy) -> Subscription:
         """Latched, as robot_state_publisher offers it; and plain, as a tool may play it."""

@@ -12,6 +12,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.ros.context import REPLACEABLE
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.record import topics
 from semiparam_ros.ros.record.options import Limits
@@ -57,14 +58,16 @@ class RecordNode(Node):
         if known is not None:
             if topics.receives_all(known.qos_profile, topics.offers(self, topic)):
                 return
+            self._take(topic, known)
             self.destroy_subscription(known)
         self._types[topic] = type_name
         self.counts.setdefault(topic, 0)
         profile = topics.best_qos(self, topic)
         if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
             self._latched.add(topic)
-        self._inputs[topic] = self.create_subscription(message_class(type_name), topic, partial(self._receive, topic),
-                                                       profile, raw=True)
+        self._inputs[topic] = self.create_subscription(
+            message_class(type_name), topic, partial(self._receive, topic), profile, raw=True,
+            event_callbacks=REPLACEABLE)
 
     def connected(self) -> bool:
         """Tell whether every subscription has found the publishers that the graph knows."""
@@ -85,14 +88,18 @@ class RecordNode(Node):
 
     def take_late(self) -> list[tuple[str, int]]:
         """Take what has arrived since the executor stopped: topic, and when each message was published [ns]."""
-        taken = []
-        for topic, subscription in self._inputs.items():
-            with subscription.handle:
-                while (message := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                    raw, info = message
-                    self._receive(topic, raw)
-                    taken.append((topic, int(info['source_timestamp'])))
-        return taken
+        return [(topic, published) for topic, subscription in self._inputs.items()
+                for published in self._take(topic, subscription)]
+
+    def _take(self, topic: str, subscription: Subscription) -> list[int]:
+        """Take what waits at a subscription; when each message was published [ns]."""
+        published = []
+        with subscription.handle:
+            while (message := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                raw, info = message
+                self._receive(topic, raw)
+                published.append(int(info['source_timestamp']))
+        return published
 
     def write_arrived(self) -> None:
         """Write what has arrived so far; raises SemiparamError when the disk refuses it."""

@@ -1,0 +1,85 @@
+"""Sound MCAP files of strangers: topics of two types, other encodings, definitions that are none."""
+
+import pytest
+from mcap.writer import Writer as McapWriter
+
+from semiparam_ros.bags import schemas
+from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.cli.main import main
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings import Settings
+from support.node_helpers import JOINTS, motion, write_bag
+
+STATES, STATE, STRING = '/joint_states', 'sensor_msgs/msg/JointState', 'std_msgs/msg/String'
+SETTINGS = Settings.from_mapping({'joints': list(JOINTS), 'sensor_frame': 'ft'})
+DEFINITION = schemas.jazzy_schema(STATE).text.encode()
+
+
+def strange(folder, **states):
+    """A sound bag of 40 samples whose joint states have another type, definition or encoding; of
+    the last 15 where ``since`` says so.
+    """
+    write_bag(folder / 'sound.mcap', motion(40))
+    path, since = folder / 'a.mcap', states.pop('since', 0)
+    with open_bag(folder / 'sound.mcap') as bag, path.open('wb') as file:
+        messages, writer = list(bag.messages(decode=False)), McapWriter(file)
+        writer.start('ros2', 'test')
+
+        def channel(topic, type_name, text, schema_encoding='ros2msg', encoding='cdr'):
+            schema = writer.register_schema(type_name, schema_encoding, text) if type_name else 0
+            return writer.register_channel(topic, encoding, schema)
+
+        known = {topic: channel(topic, info.type, schemas.jazzy_schema(info.type).text.encode())
+                 for topic, info in bag.topics.items()}
+        other = channel(STATES, **{'type_name': STATE, 'text': DEFINITION, **states})
+        count = 0
+        for each in messages:
+            count += each.topic == STATES
+            used = other if each.topic == STATES and count > since else known[each.topic]
+            writer.add_message(used, each.log_time, each.raw, each.publish_time)
+        writer.finish()
+    return path
+
+
+def test_messages_of_another_type_are_passed_over_and_told(tmp_path, capsys):
+    """They were read by the definition of the other type, or the whole bag was refused."""
+    path = strange(tmp_path, since=25, type_name=STRING, text=b'string data')
+    loaded = load_samples(path, SETTINGS)
+    assert len(loaded.samples) == 25
+    assert f'15 messages on {STATES} are {STRING} (cdr), not {STATE} (cdr)' in loaded.losses.sentence
+    assert main(['convert', str(path), str(tmp_path / 'b.mcap')]) == 0
+    assert f'25 on {STATES}' in capsys.readouterr().err
+    with open_bag(tmp_path / 'b.mcap') as bag:
+        assert bag.topics[STATES].count == 25 and not bag.losses
+        assert sum(message.topic == STATES for message in bag.messages()) == 25
+
+
+@pytest.mark.parametrize('states', [
+    {'text': b'\xff\xfe no definition \x00'}, {'text': b'module {', 'schema_encoding': 'ros2idl'},
+    {'text': b''}, {'schema_encoding': 'jsonschema'}])
+def test_a_definition_that_cannot_be_read_is_that_of_jazzy(tmp_path, states):
+    """As internal error: 'NoneType' object has no attribute 'header'."""
+    assert len(load_samples(strange(tmp_path, **states), SETTINGS).samples) == 40
+
+
+@pytest.mark.parametrize(('states', 'sentence'), [
+    ({'encoding': 'json'}, "messages on /joint_states are encoded as 'json'; expected cdr"),
+    ({'type_name': ''}, 'topic /joint_states holds no known type; expected sensor_msgs/msg/JointState'),
+    ({'type_name': 'JointState'}, 'topic /joint_states holds JointState; expected'),
+    ({'text': b'string[] name\nfloat64[] header\nfloat64[900] other'}, '40 on /joint_states do not decode'),
+    ({'text': b'float64[] position\nfloat64 stamp'},
+     r"defines sensor_msgs/msg/JointState in a way of its own, .* no attribute 'header'"),
+    ({'text': b'float64 header'}, 'defines sensor_msgs/msg/JointState in a way of its own'),
+])
+def test_what_cannot_be_decoded_is_one_sentence(tmp_path, states, sentence):
+    with pytest.raises(SemiparamError, match=sentence):
+        load_samples(strange(tmp_path, **states), SETTINGS)
+
+
+def test_convert_tells_what_it_leaves_out_and_takes_no_other_encoding_for_cdr(tmp_path, capsys):
+    path, out = strange(tmp_path, encoding='json'), tmp_path / 'b.mcap'
+    assert main(['convert', str(path), str(out)]) == 0
+    assert "/joint_states is left out: its messages are encoded as 'json'" in capsys.readouterr().err
+    assert main(['convert', str(path), str(out), '--topic', STATES]) == 2
+    assert "encoded as 'json'; expected a type of ROS 2, as cdr" in capsys.readouterr().err
