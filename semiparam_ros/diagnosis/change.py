@@ -112,18 +112,20 @@ def name_change(
     ended_s: float | None = None,
     inputs: Inputs | None = None,
     config: DiagnosisConfig = DEFAULTS,
+    touched_s: float | None = None,
 ) -> NamedChange:
     """Find what began near ``since_s`` [s since the origin of the samples], and was over near
     ``ended_s``.
 
     :param effects: those that the model holds, declared or named before.
     :param inputs: how the samples are prepared; chosen anew, which takes most of the time, unless
-        given.
+        given. :param touched_s: since when a contact stood out that it may have been.
 
     Raises SemiparamError when too few samples are left to work with.
     """
-    fit, inputs, changed = _first_fit(body, samples, effects, since_s, inputs, config)
-    tried = _ranked(fit, fit.effects[: len(effects)], since_s, ended_s)
+    touched_s = since_s if touched_s is None else min(touched_s, since_s)
+    fit, inputs, changed = _first_fit(body, samples, effects, touched_s, inputs, config)
+    tried = _ranked(fit, fit.effects[: len(effects)], (touched_s, since_s), ended_s)
     best = _likeliest(tried)
     after, parameters = fit, dict[str, Quantity]()
     if best is not None:
@@ -155,7 +157,7 @@ def _rivals(best: Move, tried: Sequence[Move]) -> tuple[ChangeRival, ...]:
 
 
 def _ranked(
-    fit: Fit, known: Sequence[Effect], since_s: float, ended_s: float | None
+    fit: Fit, known: Sequence[Effect], since_s: tuple[float, float], ended_s: float | None
 ) -> list[Move]:
     """Every effect that may have begun, and every one that is known and may be over, the likeliest
     first."""
@@ -287,18 +289,21 @@ def _places(kind: type[Effect], body: RigidBody) -> Sequence[str | None]:
     return [link] if link in places else places
 
 
-def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> Move | None:
+def _tried(
+    fit: Fit, effect: Effect, since_s: tuple[float, float], ended_s: float | None
+) -> Move | None:
     """The effect with its best times near those given, in the model; None where it has values that
     it cannot have."""
-    spans = [Span(start_s=since_s, end_s=ended_s)]
+    spans = [Span(start_s=since_s[1], end_s=ended_s)]
     known = any(each.is_load and not each.ends for each in fit.effects)
     if effect.is_body and ended_s is None and not known:
-        spans.append(Span(end_s=since_s))  # what was in the hand before, and the model has learnt
+        spans.append(Span(end_s=since_s[1]))  # what was in the hand before, and the model has learnt
     best: Move | None = None
     for span in spans:
         acting = replace(effect, span=span)
         for name, time_s in span.values.items():
-            acting = with_best_edge(fit, acting, name, _near(fit, time_s))
+            between = (time_s, time_s) if time_s == ended_s else since_s
+            acting = with_best_edge(fit, acting, name, _near(fit, between))
         after = refit_weights(with_effects(fit, [*fit.effects, acting]))
         if acting.needs_reference:  # that of all samples has a part of the change
             acting = replace(acting, reference=_rigid(after))
@@ -311,19 +316,20 @@ def _tried(fit: Fit, effect: Effect, since_s: float, ended_s: float | None) -> M
     return best
 
 
-def _near(fit: Fit, time_s: float) -> tuple[float, float]:
-    """[s] between which something began, or was over, that was noticed as beginning at a time."""
-    return time_s - fit.config.change_before_s, time_s + fit.config.change_after_s
+def _near(fit: Fit, between_s: tuple[float, float]) -> tuple[float, float]:
+    """[s] between which something began, or was over, that seemed to begin between two times."""
+    first, last = between_s
+    return first - fit.config.change_before_s, last + fit.config.change_after_s
 
 
-def _over(fit: Fit, effect: Effect, since_s: float) -> Move:
+def _over(fit: Fit, effect: Effect, since_s: tuple[float, float]) -> Move:
     """An effect that the model holds, with its end near a time."""
     kept = [known for known in fit.effects if known is not effect]
     over = with_best_edge(with_effects(fit, kept), effect, 'end_s', _near(fit, since_s))
     after = refit_weights(
         with_effects(fit, [over if known is effect else known for known in fit.effects])
     )
-    gained = gain(fit, after, [float(over.end_s or since_s)])
+    gained = gain(fit, after, [float(over.end_s or since_s[1])])
     return Move((over,), after, gained, math.log(fit.config.start_grid))
 
 

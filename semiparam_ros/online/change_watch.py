@@ -500,7 +500,8 @@ class ChangeWatch:
         if record is None:
             return
         change = record.change
-        batch = history.around(change.since, BEFORE_S)
+        touched = change.touched or change.since
+        batch = history.around(touched, BEFORE_S)
         others = [
             other.effect
             for key, other in self.records.items()
@@ -513,7 +514,7 @@ class ChangeWatch:
             self._body,
             batch,
             known(declared, others),
-            change.since,
+            (touched, change.since),
             change.ended,
             self._inputs,
             tuple(self.applied.contributions),

@@ -141,6 +141,8 @@ class Change(NamedTuple):
     evidence: float
     outputs: tuple[str, ...]
     ended: int | None = None
+    touched: int = 0
+    """[ns] since when what was taken for a contact stood out, from which it cannot be told."""
 
 
 class MotionBlock(NamedTuple):
@@ -289,6 +291,8 @@ class ChangeDetector:
         self.followed: Followed | None = None
         self.touched = False
         self._standing, self._held, self._felt = 0, False, False
+        self._touched_at = 0
+        """[ns] since when it is touched."""
         self._compared: Array = np.zeros(3)
         """Weighed squares of the model from before, and as it stands, over so many blocks; none
         while they are one."""
@@ -466,6 +470,8 @@ class ChangeDetector:
             self._blocks = deque(list(self._blocks)[-LENGTHS[RELEASED - 1] :], self._blocks.maxlen)
             outstanding = 0.0
         self._standing = self._standing + 1 if outstanding >= 1.0 else 0
+        if not self.touched:
+            self._touched_at = block.end
         if self._standing:
             self._held = True
             return self._tell(stamp)
@@ -707,6 +713,7 @@ class ChangeDetector:
             std,
             judged.evidence,
             tuple(self._names[index] for index in order),
+            touched=min(blocks[0].start, self._touched_at),
         )
         if followed is not None and not again and self._reference is not None:
             # what was told before is part of the robot now

@@ -91,10 +91,17 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect],
     return DiagnosisOutcome(found.verdict, summary(found), text_report(found), found.as_dict(), declared(found))
 
 
-def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], since: int,
-                ended: int | None, inputs: Inputs | None, taken_off: Sequence[Contribution] = ()) -> NamedChange:
-    """Name what began at a stamp [ns], and ended at another; times of the effect as stamps. See
-    :func:`~semiparam_ros.diagnosis.change.name_change`.
+def name_change(
+    body: RigidBody,
+    batch: SampleBatch,
+    effects: Sequence[Effect],
+    since: tuple[int, int],
+    ended: int | None,
+    inputs: Inputs | None,
+    taken_off: Sequence[Contribution] = (),
+) -> NamedChange:
+    """Name what began between two stamps [ns], and ended at another; times of the effect as stamps.
+    See :func:`~semiparam_ros.diagnosis.change.name_change`.
 
     :param taken_off: what was taken off the samples before they were kept.
     """
@@ -104,8 +111,9 @@ def name_change(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], 
     if samples is None:
         raise SemiparamError('there are no samples to name a change from.')
     samples, origin = as_measured(body, samples, taken_off), samples.origin
-    found = name_change(body, samples, effects, (since - origin) * 1e-9,
-                        None if ended is None else (ended - origin) * 1e-9, inputs)
+    touched_s, since_s = ((stamp - origin) * 1e-9 for stamp in since)
+    ended_s = None if ended is None else (ended - origin) * 1e-9
+    found = name_change(body, samples, effects, since_s, ended_s, inputs, touched_s=touched_s)
     return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
 
 

@@ -32,7 +32,7 @@ def test_a_load_is_named_where_the_dry_friction_of_the_joints_sticks(seed):
     assert abs(mass.value - true) < 3.0 * mass.std
 
 
-def came(outputs: str, cause: str, seed: int):
+def came(outputs: str, cause: str, seed: int, at_s: float = PICKED_UP_S):
     """A robot's samples with a cause that came, by the simulator's own arm; and its body."""
     scenario = Scenario(
         outputs=outputs, motion='mixed', samples=1000, seed=seed
@@ -61,7 +61,7 @@ def came(outputs: str, cause: str, seed: int):
         before, after = (arm.with_body(frame, tool).evaluate(*states) - level for tool in tools)
         samples = replace(samples, outputs=samples.outputs + before)
         added = after - before
-    late = (samples.time >= PICKED_UP_S)[:, None]
+    late = (samples.time >= at_s)[:, None]
     return body, replace(samples, outputs=samples.outputs + late * added)
 
 
@@ -79,3 +79,12 @@ def test_what_came_is_named(outputs, cause):
     if cause == 'base_shift':
         found = [named.parameters[name].value for name in ('tilt_x', 'tilt_y')]
         assert found == pytest.approx(np.deg2rad([2.5, -1.5]), abs=np.deg2rad(0.3))
+
+
+def test_what_was_long_taken_for_a_contact_is_named_with_its_time():
+    """A cable that had caught fifteen seconds before it was told: its time was sought eight back."""
+    body, samples = came('wrench', 'cable_spring', seed=5, at_s=30.0)
+    assert name_change(body, samples, [], 45.0).effect.start_s > 36.0
+    named = name_change(body, samples, [], 45.0, touched_s=30.3)
+    assert named.effect is not None
+    assert (named.effect.kind, named.effect.start_s) == ('cable_spring', pytest.approx(30.0, abs=0.2))
