@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -25,19 +25,13 @@ LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives', 's
 OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'support',
               'at_prior')
 """What neither its weights nor its outputs change."""
-
-
-RIGID, OFFSET, NUISANCE = 'rigid body', 'offset', 'nuisance'
-"""Causes of columns that are no effects."""
 ROUNDED = 1e-9
 """Share of the squares from which on a difference of their sums keeps enough digits."""
 
 
 class Block(NamedTuple):
-    """Columns (N, n, c) of one cause (an effect, or the words that name another), and of each channel the numbers of
-    those that are not zero there."""
+    """Columns (N, n, c) of one cause, and of each channel the numbers of those that are not zero there."""
 
-    cause: Effect | str
     columns: Array
     support: list[Indices]
 
@@ -49,7 +43,6 @@ class Channel(NamedTuple):
     the channel's scale.
     """
 
-    blocks: list[Block]
     columns: Array
     gram: Array
 
@@ -132,20 +125,12 @@ class Fit:
     @cached_property
     def blocks(self) -> list[Block]:
         """C (N, n, p) in parts: those of the rigid body, the offset and the effects, then the nuisance columns."""
-        return self.blocks_with(())
-
-    def blocks_with(self, known: Sequence[Block]) -> list[Block]:
-        """The same, where some of them may be ``known`` already."""
         assembly, (body, inputs) = self.assembly, self.corrected
-        sources: list[tuple[Effect | str, Callable[[], Array]]] = [
-            (RIGID, partial(assembly.rigid, body, inputs)), (OFFSET, partial(assembly.offset, len(inputs)))]
-        sources += [(effect, partial(assembly.of_effect, index, body, inputs))
-                    for index, effect in enumerate(self.effects)]
+        parts = [assembly.rigid(body, inputs), assembly.offset(len(inputs)),
+                 *(assembly.of_effect(index, body, inputs) for index in range(len(self.effects)))]
         if self.nuisance is not None:
-            nuisance = self.nuisance
-            sources.append((NUISANCE, lambda: nuisance))
-        return [next((block for block in known if block.cause == cause), None) or _block(cause, columns())
-                for cause, columns in sources]
+            parts.append(self.nuisance)
+        return [Block(part, [np.flatnonzero(acting) for acting in np.asarray(part.any(axis=0))]) for part in parts]
 
     @property
     def n_columns(self) -> int:
@@ -174,26 +159,15 @@ class Fit:
     @cached_property
     def channels(self) -> list[Channel]:
         """What each channel feels of the columns."""
-        return [self.channel(number) for number in range(len(self.scale))]
+        return [self._channel(number) for number in range(len(self.scale))]
 
-    def channel(self, number: int, known: Channel | None = None) -> Channel:
-        """What one channel feels: the ``known`` one where that has the same blocks."""
+    def _channel(self, number: int) -> Channel:
         order, used = self.order[number], len(self.in_use[number])
-        blocks = [block for block in self.blocks if len(block.support[number])]
-        if known is not None and list(map(id, known.blocks)) == list(map(id, blocks)):
-            return known
-        there = {} if known is None else _places(known.blocks, number)
-        places = _places(blocks, number)
-        columns = np.empty((sum(map(len, places.values())), len(order)))
-        for block in blocks:
-            first, last = places[id(block)][[0, -1]].tolist()
-            if known is not None and id(block) in there:
-                before = there[id(block)][0]
-                columns[first:last + 1] = known.columns[before:before + last + 1 - first]
-                continue
-            for row, support in zip(columns[first:last + 1], block.support[number].tolist(), strict=True):
-                np.take(block.columns[:, number, support], order, out=row, mode='clip')  # 'raise' would buffer
-        return Channel(blocks, columns, _products_of(columns[:, :used], places, there, known))
+        felt = [block.columns[:, number, column] for block in self.blocks for column in block.support[number].tolist()]
+        columns = np.empty((len(felt), len(order)))
+        for row, values in zip(columns, felt, strict=True):
+            np.take(values, order, out=row, mode='clip')  # 'raise' would buffer
+        return Channel(columns, columns[:, :used] @ columns[:, :used].T)
 
     @property
     def rows(self) -> list[Array]:
@@ -395,64 +369,19 @@ def with_nuisance(fit: Fit, nuisance: Array | None) -> Fit:
 
 
 def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counted: Mask) -> Fit:
-    """The same samples and weights with other effects, nuisance columns or outputs that count.
-
-    What the new model has in common with the old one is not computed again: the columns of the same cause, and of a
-    channel that feels the same ones, their products.
-    """
+    """The same samples and weights with other effects, nuisance columns or outputs that count."""
     other = replace(fit, effects=tuple(effects), nuisance=nuisance, counted=counted)
     if _correcting(effects) == _correcting(fit.effects):
         other.__dict__['corrected'] = fit.corrected
-        shaped = _shaping(effects) == _shaping(fit.effects)
-        known = [block for block in fit.__dict__.get('blocks', ()) if (shaped or not _of_bodies(block.cause))
-                 and (block.cause != NUISANCE or nuisance is fit.nuisance)]
-        other.__dict__['blocks'] = other.blocks_with(known)
-        if known and other.blocks[0] is known[0] and not (other.assembly.known.any() or fit.assembly.known.any()):
-            other.__dict__['at_prior'] = fit.at_prior  # only the rigid body's columns have another prior mean than zero
-    if counted is fit.counted and 'channels' in fit.__dict__:
+    if counted is fit.counted:
         other.__dict__.update(in_use=fit.in_use, order=fit.order)
-        other.__dict__['channels'] = [other.channel(number, known) for number, known in enumerate(fit.channels)]
     return reweighted(other, fit.scale)
-
-
-def _places(blocks: Sequence[Block], channel: int) -> dict[int, Indices]:
-    """Numbers of the columns of each block among those that a channel feels, by the block's identity."""
-    ends = np.cumsum([len(block.support[channel]) for block in blocks]).tolist()
-    return {id(block): np.arange(end - len(block.support[channel]), end)
-            for block, end in zip(blocks, ends, strict=True)}
-
-
-def _products_of(columns: Array, places: dict[int, Indices], there: dict[int, Indices],
-                 known: Channel | None) -> Array:
-    """(p_k, p_k) products of columns (p_k, M) with one another, where those of some blocks are ``known``."""
-    same = [name for name in places if name in there]
-    if known is None or not same:
-        return np.asarray(columns @ columns.T)
-    gram = np.empty((len(columns), len(columns)))
-    here, before = (np.concatenate([numbers[name] for name in same]) for numbers in (places, there))
-    gram[np.ix_(here, here)] = known.gram[np.ix_(before, before)]
-    fresh = np.setdiff1d(np.arange(len(columns)), here)
-    gram[:, fresh] = columns @ columns[fresh].T
-    gram[fresh] = gram[:, fresh].T
-    return gram
 
 
 def _correcting(effects: Sequence[Effect]) -> list[Effect]:
     """Those of the effects that correct the body or the inputs."""
     return [effect for effect in effects if type(effect).correct is not Effect.correct]
 
-
-def _shaping(effects: Sequence[Effect]) -> list[Effect]:
-    """Those of the effects that shape the columns of bodies."""
-    return [effect for effect in effects if type(effect).transform is not Effect.transform]
-
-
-def _of_bodies(cause: Effect | str) -> bool:
-    return cause == RIGID if isinstance(cause, str) else cause.is_load
-
-
-def _block(cause: Effect | str, columns: Array) -> Block:
-    return Block(cause, columns, [np.flatnonzero(acting) for acting in np.asarray(columns.any(axis=0))])
 
 
 def predicted(columns: Array, coefficients: Array) -> Array:
