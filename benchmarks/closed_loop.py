@@ -455,6 +455,11 @@ def summed(rows: list[Figures]) -> list[str]:
     ]
 
 
+def with_mass(robot: Robot, mass: float | None) -> Robot:
+    """The same with another usual load [kg]."""
+    return robot if mass is None else robot._replace(mass=mass)
+
+
 def with_auto(robot: Robot, auto: str) -> Robot:
     """The same with ``diagnosis.auto``."""
     return robot._replace(settings=replace(robot.settings, diagnosis_auto=auto))
@@ -474,6 +479,8 @@ def main() -> int:
     parser.add_argument('--changes', nargs='+', choices=CHANGES, default=list(CHANGES))
     parser.add_argument('--no-icub', action='store_true', help='without the simulated iCub')
     parser.add_argument('--auto', choices=('report', 'apply'), default='report')
+    parser.add_argument('--robots', nargs='+', metavar='NAME', help='these alone')
+    parser.add_argument('--mass', type=float, help='[kg] of a usual load (0.3 iCub, 0.6 others)')
     parser.add_argument('--json')
     given = parser.parse_args()
     robots: dict[str, Callable[[int], Robot]] = (
@@ -483,6 +490,7 @@ def main() -> int:
         robots[name] = partial(simulated, Path(file).read_text())
     for name, (bags, settings) in MEASURED.items() if given.data else ():
         robots[name] = partial(measured, given.data, bags, settings)
+    robots = {name: robots[name] for name in given.robots or robots}
     table = Table(
         'robot',
         'change',
@@ -503,7 +511,8 @@ def main() -> int:
             seeds = range(given.first_seed, given.first_seed + given.seeds)
             only = 1 if change == 'none' and name in MEASURED else None  # nothing is drawn
             rows = [
-                judged(with_auto(robot(seed), given.auto), change, seed) for seed in seeds[:only]
+                judged(with_auto(with_mass(robot(seed), given.mass), given.auto), change, seed)
+                for seed in seeds[:only]
             ]
             runs += [{'robot': name, 'change': change, **row._asdict()} for row in rows]
             table.add_row(name, change, *summed(rows))

@@ -214,6 +214,7 @@ def carried_load(found: Document) -> Table:
 MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
     'variants': ('variants', variants), 'frozen_variants': ('variants', frozen_variants),
     'mujoco_arms': ('mujoco_arms', measured_arms), 'ordinary_work': ('ordinary_work', changes),
+    'other_changes': ('other_changes', changes), 'measured_loads': ('measured_loads', changes),
     **{make.__name__: (make.__name__, make) for make in
        (other_motion, bench, many_joints, measured_arms, scoreboard, put_down, tracking,
         exported_arms, changes, carried_load)}}

@@ -263,7 +263,7 @@ def _dry(joint: str, speed: float) -> Effect:
 
 def _candidates(fit: Fit) -> list[Effect]:
     """Every effect that may begin."""
-    body, reference = fit.body, _rigid(fit)
+    body, reference = fit.body, tuple(fit.rigid_part.tolist())
     found: list[Effect] = [
         kind.from_values(
             where, kind.searches(body, fit.samples, where, fit.residual)[0], reference
@@ -275,11 +275,6 @@ def _candidates(fit: Fit) -> list[Effect]:
     for joint in body.output_names if body.outputs == 'effort' else ():
         found += [ViscousFriction(joint), _dry(joint, TURN_SPEEDS[-1])]
     return found
-
-
-def _rigid(fit: Fit) -> tuple[float, ...]:
-    """(p,) base parameters of a fit."""
-    return tuple(fit.theta[fit.assembly.blocks['rigid_body']].tolist())
 
 
 def _places(kind: type[Effect], body: RigidBody) -> Sequence[str | None]:
@@ -306,7 +301,7 @@ def _tried(
             acting = with_best_edge(fit, acting, name, _near(fit, between))
         after = refit_weights(with_effects(fit, [*fit.effects, acting]))
         if acting.needs_reference:  # that of all samples has a part of the change
-            acting = replace(acting, reference=_rigid(after))
+            acting = replace(acting, reference=tuple(after.rigid_part.tolist()))
             after = refit_weights(with_effects(fit, [*fit.effects, acting]))
         if effect.is_load and not plausible(after, len(fit.effects)):
             continue

@@ -194,7 +194,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = [problem for part in samples.recordings
                  for problem in setup_problems(body, alone(samples, part) if samples.breaks else samples, config)]
-    start = _started(body, samples, effects, _may_fit(samples, train_mask, other is not None, config), config)
+    start = _first_model(body, samples, effects, _may_fit(samples, train_mask, other is not None, config), config)
     require_enough(config, start.held_out if other is None else start.fitting)
     steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
     recorded, elsewhere = _judging(start, samples, other)
@@ -231,8 +231,8 @@ def _margin(samples: Samples, config: DiagnosisConfig) -> int:
     return max(config.gap_margin, working_factor(samples, config) * config.smoothing_ends)
 
 
-def _started(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
-             config: DiagnosisConfig) -> _Start:
+def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
+                 config: DiagnosisConfig) -> _Start:
     clean = ~excluded(samples, config) & ~beside_breaks(samples, _margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)

@@ -213,6 +213,7 @@ LABELS = {
     'viscous_friction': 'velocity of', 'coulomb_friction': 'velocity of', 'stribeck_friction': 'velocity of',
     'asymmetric_friction': 'velocity of', 'load_friction': 'velocity of', 'rotor_inertia': 'acceleration of',
     'joint_spring': 'position of', 'transmission_ripple': 'position of', 'backlash': 'position of',
+    'tool_exchange': 'time', 'base_shift': 'position of', 'zero_slip': 'position of',
     'joint_offset': 'position of', 'gravity_tilt': 'position of', 'cable_spring': 'position of',
     'cable_hysteresis': 'position of', 'external_force': 'position of', 'effort_offset': 'time',
     'effort_gain': 'predicted', 'common_gain': 'predicted', 'sensor_nonlinearity': 'predicted',
@@ -231,7 +232,7 @@ def state_of(outputs):
 @pytest.mark.parametrize(('kind', 'outputs'), [(kind, kinds()[kind].outputs[0]) for kind in LABELS])
 def test_every_kind_is_drawn_against_its_own_variable(kind, outputs):
     fit = state_of(outputs)
-    where = kinds()[kind].places(fit.body)[-1]
+    where = kinds()[kind].permitted(fit.body)[-1]
     variable = suspected_variable(kinds()[kind](where, {}), fit, MOTION.position[:, 1], 0)
     assert variable.label.startswith(LABELS[kind])
     assert variable.label.endswith(']')

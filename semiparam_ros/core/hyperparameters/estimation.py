@@ -97,9 +97,10 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
                 maximise_evidence(of_kind, noise, drifting, method, starts, jobs))
 
     pi = None
-    if kind == 'SP2':
-        # With the paper's prior about zero: least squares alone burst where the window shows little.
-        pi = _mean_first(window, noise) if physical else search(_window_of_kind('P', window, None)).theta[:own]
+    if kind == 'SP2':  # the posterior mean of P: least squares burst where the window shows little
+        mean = np.zeros(own) if prior_mean is None else prior_mean[:own]
+        around = replace(window, outputs=window.outputs - coupled[:, :, :own] @ mean)
+        pi = mean + search(_window_of_kind('P', around, None)).theta[:own]
     of_kind = _window_of_kind(kind, window, pi)
     maximum = search(of_kind)
     if fewest and len(of_kind.spectrum) and not draft:
@@ -146,7 +147,7 @@ def _n_own(window: Window) -> int:
 
 
 def _mean_first(window: Window, noise: Noise) -> Array:
-    """pi of SP2 by least squares."""
+    """pi of SP2-VS, by least squares."""
     own = _n_own(window)
     return plain_least_squares(window.outputs, window.coupled, noise, window.prior_scale[own:])[:own]
 
