@@ -544,7 +544,8 @@ class ChangeWatch:
 
     def _refused(self, number: int, why: str) -> None:
         """Say once why a change has no name, and ask again when more has come."""
-        self._due = sorted([*self._due, (self._moved_s + NAMED_AFTER_S[0], number)])
+        if all(other != number for _, other in self._due):
+            self._due = sorted([*self._due, (self._moved_s + NAMED_AFTER_S[-1], number)])
         record = self.records.get(number)
         if record is None:
             return

@@ -131,6 +131,6 @@ def test_a_change_that_could_not_be_named_yet_is_named_later(monkeypatch):
 
     monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', name, raising=True)
     monkeypatch.setattr(change_watch, 'NAMED_AFTER_S', (2.0, 4.0, 6.0))
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 16.0])
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 22.0])
     assert len(jobs) >= 5
     assert stage.changes[-1].effect.kind == 'payload'
