@@ -39,6 +39,7 @@ def permitted(repository):
 def offered(client):
     """The same of a live node, from the graph; and what it calls."""
     ask = client.node
+    client.wait(lambda: ('estimator', '/') in ask.get_node_names_and_namespaces(), 'the node in the graph')
     found = {('topics', 'subscribe'): ask.get_subscriber_names_and_types_by_node,
              ('topics', 'publish'): ask.get_publisher_names_and_types_by_node,
              ('services', 'reply'): ask.get_service_names_and_types_by_node,
