@@ -232,10 +232,13 @@ class Effect(ColumnBlock):
         size = size_of(body)
         return np.array([CALIBRATED.get(unit, CALIBRATED[''] * plausible(unit, size)) for _, unit in self.calibrations])
 
+    def reference_model(self, body: RigidBody) -> Array:
+        """(p,) base parameters that ``reference`` holds; those of the description without one."""
+        return np.array(self.reference) if self.reference else body.base_parameters
+
     def predicted_load(self, body: RigidBody, samples: Samples) -> Array:
         """Effort (N,) of joint ``where`` as the rigid body with ``reference`` predicts it."""
-        parameters = np.array(self.reference) if self.reference else body.base_parameters
-        load = body.regressors(samples)[:, channel_index(body, self.where)] @ parameters
+        load = body.regressors(samples)[:, channel_index(body, self.where)] @ self.reference_model(body)
         return np.asarray(load)
 
     def prior_mean(self, body: RigidBody) -> Array:

@@ -85,10 +85,6 @@ class _SmallTurn(Effect):
     def prior_scale(self, body: RigidBody) -> Array:
         return np.full(len(self.coefficients(body)), CALIBRATED['rad'])
 
-    def model(self, body: RigidBody) -> Array:
-        """(p,) base parameters of the reference model, or of the description without one."""
-        return np.array(self.reference) if self.reference else body.base_parameters
-
 
 class BaseShift(_SmallTurn):
     """A base that was knocked: a small turn about its horizontal axes."""
@@ -106,7 +102,7 @@ class BaseShift(_SmallTurn):
         return Coefficient('tilt_x', 'rad'), Coefficient('tilt_y', 'rad')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        return small_turns(body).of_base(samples, self.model(body)), None
+        return small_turns(body).of_base(samples, self.reference_model(body)), None
 
 
 class ZeroSlip(_SmallTurn):
@@ -126,7 +122,7 @@ class ZeroSlip(_SmallTurn):
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         joint = joint_index(body, self.where)
-        return small_turns(body).of_zero(samples, self.model(body), joint)[:, :, None], None
+        return small_turns(body).of_zero(samples, self.reference_model(body), joint)[:, :, None], None
 
 
 class _Past(NamedTuple):

@@ -305,8 +305,10 @@ class ChangeWatch:
         self.applied.assume(None)
 
     def reset(self) -> None:
-        """Drop what is half seen, as after a jump of the clock."""
+        """Drop what is half seen, as after a jump of the clock: what came before is no longer there
+        to name a change from."""
         self.applied.reset()
+        self._due = []
         if self.detector is not None:
             self.detector.reset()
 

@@ -60,7 +60,7 @@ from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.frames import loaded_links
-from semiparam_ros.core.robot.small_turns import SmallTurns
+from semiparam_ros.core.robot.small_turns import small_turns
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.change_causes import (
@@ -73,6 +73,7 @@ from semiparam_ros.online.change_causes import (
 from semiparam_ros.online.contact_gate import (
     BEYOND,
     JUST_BEYOND,
+    LONGEST_STEP_S,
     SPEEDS,
     UNSEEN_FACTOR,
     UNSEEN_S,
@@ -84,8 +85,6 @@ from semiparam_ros.online.wandering_contact import WRENCH, contact_scale, edge_s
 BLOCK_S = 0.25
 LENGTHS = (2, 4, 8, 16, 32)
 """[blocks] Half a second to eight."""
-LONGEST_STEP_S = 0.1
-"""What a sample adds to a block at most."""
 USUAL, FEWEST = 20, 4
 """Windows of each length that a usual mean square is from, and so many at least."""
 SINCE = (32, 28, 24, 20, 16, 14, 12, 10, 8, 7, 6, 5, 4)
@@ -263,7 +262,7 @@ class ChangeDetector:
         self._own_scale = self._directions[self._own_columns, self._own_part]
         body = columns.body
         self._hand = ExternalWrench(body, list(loaded_links(body))[-1])
-        self._turns, self._rigid = SmallTurns(body), columns.blocks['rigid_body']
+        self._turns, self._rigid = small_turns(body), columns.blocks['rigid_body']
         self._names, self._felt_scale = body.output_names, contact_scale(body)
         self._load_scale = load_scale(body, str(self.causes[0].where))
         self._joints = body.output_index if body.outputs == 'effort' else None

@@ -16,6 +16,7 @@ import numpy as np
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
+from semiparam_ros.online.contact_gate import LONGEST_STEP_S
 from semiparam_ros.online.learning import Learning
 
 KEPT_OF_REST = 20
@@ -28,10 +29,6 @@ CHUNK = 2048
 LONGEST_GAP_NS = LONGEST_PAUSE_NS // 2
 """Of samples that are let go one is kept so often: a longer gap would be taken for a jump of the clock
 (:mod:`semiparam_ros.core.estimator`)."""
-
-
-LONGEST_STEP_NS = 100_000_000
-"""What a step from one sample to the next counts of a time of motion at most."""
 
 
 class Rows(NamedTuple):
@@ -284,8 +281,7 @@ class History:
         counts as one long step; since the clock last jumped back."""
         batch = self._since_jump()
         stamps = batch.stamps
-        steps = np.minimum(np.diff(stamps, prepend=stamps[:1]), LONGEST_STEP_NS)
-        passed = np.cumsum(steps) * 1e-9
+        passed = np.cumsum(np.minimum(np.diff(stamps, prepend=stamps[:1]) * 1e-9, LONGEST_STEP_S))
         at = int(np.searchsorted(stamps, stamp))
         until = float(passed[min(at, len(passed) - 1)]) if len(passed) else 0.0
         return batch.part(int(np.searchsorted(passed, until - seconds)))

@@ -134,3 +134,22 @@ def test_a_change_that_could_not_be_named_yet_is_named_later(monkeypatch):
     stage = offered(body, samples[samples.time < LOADED_S[0] + 22.0])
     assert len(jobs) >= 5
     assert stage.changes[-1].effect.kind == 'payload'
+
+
+def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_after(monkeypatch):
+    """Seconds of motion count, and what is due after so many would look for it in another time."""
+    body, samples, _ = loaded()
+    before = samples.time < LOADED_S[0] + 4.0
+    stage = offered(body, samples[before])
+    number, asked = stage.changes[-1].change.number, []
+
+    def name(body, batch, effects, since, *given):
+        asked.append(since[1])
+        return name_in_background(body, batch, effects, since, *given)
+
+    monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', name)
+    later = samples[~before & (samples.time < LOADED_S[0] + 20.0)]
+    stage.learner.clear_pending()  # as the node does
+    stage.offer(replace(later, stamps=later.stamps - round(3600e9)))
+    assert all(since < samples.stamps[0] for since in asked)
+    assert not stage.learner.changes.records[number].unnamed
