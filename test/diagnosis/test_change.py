@@ -1,12 +1,18 @@
 """What has changed at a known time is named."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from semiparam_ros.diagnosis import change
 from semiparam_ros.diagnosis.change import name_change
+from semiparam_ros.diagnosis.config import DEFAULTS
+from semiparam_ros.diagnosis.search.moves import Move
+from semiparam_ros.diagnosis.search.score import Gain
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate, true_arm
@@ -88,3 +94,32 @@ def test_what_was_long_taken_for_a_contact_is_named_with_its_time():
     named = name_change(body, samples, [], 45.0, touched_s=30.3)
     assert named.effect is not None
     assert (named.effect.kind, named.effect.start_s) == ('cable_spring', pytest.approx(30.0, abs=0.2))
+
+
+def test_a_cable_that_was_named_is_over_when_it_lets_go():
+    body, samples = came('wrench', 'cable_spring', seed=5, at_s=25.0)
+    _, free = came('wrench', 'cable_spring', seed=5, at_s=1e3)
+    outputs = np.where((samples.time < PICKED_UP_S)[:, None], samples.outputs, free.outputs)
+    caught = effect_from_text('cable_spring@r_gripper{"start_s": 25.0}')
+    named = name_change(body, replace(samples, outputs=outputs), [caught], PICKED_UP_S + 0.3)
+    assert named.effect is not None
+    assert (named.effect.kind, named.effect.end_s) == (
+        'cable_spring',
+        pytest.approx(PICKED_UP_S, abs=0.2),
+    )
+
+
+@pytest.mark.parametrize(
+    ('beyond', 'likeliest'), [(Gain(14.0, 10.0), 'payload'), (Gain(14.0, 1.0), 'cable_spring')]
+)
+def test_what_is_likelier_beforehand_is_named_unless_surpassed_beyond_chance(
+    monkeypatch, beyond, likeliest
+):
+    monkeypatch.setattr(change, 'gain', lambda *_: beyond)
+    cable, load = (effect_from_text(f'{kind}@r_gripper') for kind in ('cable_spring', 'payload'))
+    after = SimpleNamespace(config=DEFAULTS)
+    moves = [
+        Move((effect,), after, Gain(100.0, 1.0), price)
+        for effect, price in ((cable, 13.0), (load, 1.0))
+    ]
+    assert change._likeliest(moves).added[0].kind == likeliest
