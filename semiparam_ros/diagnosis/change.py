@@ -300,9 +300,6 @@ def _tried(
             between = (time_s, time_s) if time_s == ended_s else since_s
             acting = with_best_edge(fit, acting, name, _near(fit, between))
         after = refit_weights(with_effects(fit, [*fit.effects, acting]))
-        if acting.needs_reference:  # that of all samples has a part of the change
-            acting = replace(acting, reference=tuple(after.rigid_part.tolist()))
-            after = refit_weights(with_effects(fit, [*fit.effects, acting]))
         if effect.is_load and not plausible(after, len(fit.effects)):
             continue
         times = acting.span.values.values()

@@ -9,7 +9,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import change_watch
 from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TRIED
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
-from support.changing_arm import LOADED_S, SETTINGS, free, loaded, offered
+from support.changing_arm import LOADED_S, SETTINGS, free, loaded, offered, pushed
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 
@@ -153,3 +153,13 @@ def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_a
     stage.offer(replace(later, stamps=later.stamps - round(3600e9)))
     assert all(since < samples.stamps[0] for since in asked)
     assert not stage.learner.changes.records[number].unnamed
+
+
+def test_a_change_knows_since_when_it_was_taken_for_a_contact():
+    """What a name is looked for in begins there, not when it was told."""
+    (body, picked_up, _), (_, alone), (_, push) = loaded((76.0, 100.0)), free(), pushed(seconds=7.0)
+    both = replace(picked_up, outputs=picked_up.outputs + push.outputs - alone.outputs)
+    first = offered(body, both[both.time < 80.0]).changes[0].change
+    touched_s, since_s = ((stamp - both.origin) * 1e-9 for stamp in (first.touched, first.since))
+    assert touched_s == pytest.approx(70.0, abs=0.5)
+    assert since_s > touched_s + 1.0
