@@ -188,6 +188,12 @@ class CoupledColumns:
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
     @property
+    def directions(self) -> Indices:
+        """(S n,) columns of dry friction, output by output: each is the mean direction in which its joint slides."""
+        n = self.body.n_outputs
+        return self.body.n_parameters + np.arange(n, KINDS * n if self.has_friction else n)
+
+    @property
     def prior_scale(self) -> Array:
         """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless
         ``physical``, wide for the offset of a wrench, of the joint's size for friction and offset

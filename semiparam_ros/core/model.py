@@ -16,7 +16,7 @@ from semiparam_ros.core.initial_window import InitialWindow
 from semiparam_ros.core.random_features import FREQUENCIES, RandomFeatures, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
 from semiparam_ros.core.robot.size import output_scale
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
 from semiparam_ros.errors import SemiparamError
 
@@ -49,7 +49,7 @@ class Model:
 
     def __init__(self, variant: Variant, hyperparameters: Hyperparameters, features: RandomFeatures | None,
                  prior_scale: Array, prior_mean: Array | None = None, forgetting: float = 1.0,
-                 n_effects: int = 0) -> None:
+                 n_effects: int = 0, directions: Indices | None = None) -> None:
         self.variant, self.hyperparameters, self.features = variant, hyperparameters, features
         self.n_effects = n_effects
         own, everything = len(prior_scale) - n_effects, len(prior_scale)
@@ -64,7 +64,7 @@ class Model:
             len(hyperparameters.output_scale), features.count if features else 0,
             self.gamma * prior_scale[self.learnt], hyperparameters.rho, hyperparameters.sigma,
             None if prior_mean is None else prior_mean[self.learnt], forgetting,
-            np.array(hyperparameters.output_scale))
+            np.array(hyperparameters.output_scale), directions if learnt else None)
         self._no_features = np.zeros(0)
 
     @property
@@ -103,7 +103,7 @@ class Model:
 def information_gain(prior: Prior, noise_std: Array) -> float:
     """Bound on what learning a sample can tell of the model [nat]: the log of predictive over noise
     deviation (n,), summed over the outputs, whose correlation is left out."""
-    return sum(map(log, (prior.std / noise_std).tolist()))
+    return 0.5 * sum(map(log, (prior.std**2 / (noise_std**2 + prior.doubt)).tolist()))
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def provisional_model(columns: CoupledColumns, options: ModelOptions) -> Model:
     hyperparameters = Hyperparameters(gamma=gamma, rho=1.0, tau=(1.0,), sigma=PROVISIONAL_SIGMA,
                                       output_scale=tuple(scale.tolist()), pi=None)
     return Model(VARIANTS['P'], hyperparameters, None, columns.prior_scale, columns.prior_mean,
-                 n_effects=columns.n_effects)
+                 n_effects=columns.n_effects, directions=columns.directions)
 
 
 def model_with(hyperparameters: Hyperparameters, variant: str, columns: CoupledColumns, options: ModelOptions,
@@ -177,7 +177,7 @@ def model_with(hyperparameters: Hyperparameters, variant: str, columns: CoupledC
     hyperparameters = replace(hyperparameters, features=features.count if features else 0)
     forgetting = options.forgetting if isinstance(options.forgetting, float) else 1.0
     return Model(chosen, hyperparameters, features, columns.prior_scale, columns.expected, forgetting,
-                 columns.n_effects)
+                 columns.n_effects, columns.directions)
 
 
 def _check_given(hyperparameters: Hyperparameters, name: str, columns: CoupledColumns, scaling: InputScaling,

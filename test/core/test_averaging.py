@@ -79,19 +79,18 @@ def test_weights_stay_finite_and_the_last_takes_over_within_a_few_samples(scale)
     assert np.isfinite(weights).all() and weights[1, 0] > 0.9
 
 
-def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_best(averaged):
+def test_each_member_is_as_it_would_be_alone_and_the_average_no_less_likely_than_the_best(averaged):
     samples, model, predictions = averaged
-    errors = []
+    densities = []
     for index, member in enumerate(model.members):
         effects = [effect_to_text(effect) for effect in model.columns.effects if member.has_effects]
         _, alone = begun(member.variant, samples, effects, alone=True)
-        errors.append(error(alone))
+        densities.append(np.mean([each.log_density for each in alone[WINDOW:]]))
         for one, other in zip(alone[WINDOW:], predictions[WINDOW:], strict=True):
             np.testing.assert_array_equal(one.mean, other.members[index].mean)
             np.testing.assert_array_equal(one.std, other.members[index].std)
-    ratio = error(predictions) / samples.outputs.var(axis=0)
-    best = 1.06 if model.columns.effects else 1.02  # 200 samples decide between few
-    assert ratio.mean() < best * (errors / samples.outputs.var(axis=0)).mean(axis=1).min()
+    averaged = np.mean([each.log_density for each in predictions[WINDOW:]])
+    assert averaged > max(densities) - 0.2  # [nat] of four outputs; the members are up to 10 apart
     gathering = 2 if model.columns.effects else 1
     assert len(predictions[WINDOW - 1].members) == gathering and len(predictions[WINDOW].members) == len(model.members)
 

@@ -41,6 +41,15 @@ def test_a_sample_has_the_columns_of_a_batch_each_for_its_own_effort(velocity):
         np.testing.assert_array_equal(one[:, columns.blocks['offset']], np.eye(n))
 
 
+def test_the_directions_are_the_dry_columns_output_by_output():
+    for body in (ARM, TWO_OF_FOUR):
+        columns, n = CoupledColumns(body, joint_friction=True), body.n_outputs
+        rows, _ = columns.one(smooth_motion(4, 2)[0]._replace(velocity=np.full(4, 1.0)), 0)
+        dry = rows[:, columns.directions].reshape(n, len(TURN_SPEEDS), n)
+        np.testing.assert_array_equal(dry, np.broadcast_to(np.eye(n)[:, None], dry.shape))
+        assert len(CoupledColumns(body).directions) == 0
+
+
 def test_a_wrench_and_the_bare_rigid_body_have_none():
     for body, chosen in ((icub(), True), (ARM, False)):
         columns, bare = CoupledColumns(body, joint_friction=chosen), CoupledColumns(body)

@@ -305,3 +305,38 @@ def test_much_forgetting_keeps_the_digits_of_many_features(forgetting):
         worst = max(worst, float(np.abs(outputs - prior.mean).max())) if step > 1000 else worst
         model.learn(prior, outputs)
     assert worst < 1.0 and np.isfinite(model.theta_covariance()).all()
+
+
+def turning(seconds=20.0, rate=100, lag=3):
+    """Columns (N, 1, 2) of a mass and of dry friction, a joint that turns back, and the effort of a friction that does
+    so ``lag`` samples later."""
+    time = np.arange(round(seconds * rate)) / rate
+    velocity = np.cos(3.0 * time)
+    direction = np.sign(np.roll(velocity, lag))
+    columns = np.stack([-3.0 * np.sin(3.0 * time), np.tanh(velocity / 0.03)], axis=1)[:, None]
+    return columns, (0.5 * columns[:, 0, 0] + 2.0 * direction)[:, None]
+
+
+def test_the_variance_of_dry_friction_that_turns_over_is_noise():
+    columns, outputs = turning()
+    model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1, directions=np.array([1]))
+    information, right = np.diag([1.0, 1.0 / 9.0]), np.zeros(2)
+    for rows, output in zip(columns, outputs, strict=True):
+        prior = model.predict(np.zeros(0), rows)
+        variance = model.theta[1] ** 2 * (1.0 - rows[0, 1] ** 2)
+        noise = 0.1**2 + variance
+        np.testing.assert_allclose(prior.doubt, variance, atol=1e-12)
+        np.testing.assert_allclose(prior.covariance, rows @ np.linalg.solve(information, rows.T) + noise)
+        model.learn(prior, output)
+        information += rows.T @ rows / noise
+        right += rows[0] * output / noise
+    np.testing.assert_allclose(model.theta, np.linalg.solve(information, right))
+
+
+def test_friction_that_turns_over_late_does_not_bend_the_mass():
+    columns, outputs = turning()
+    phi, std = np.zeros((len(columns), 0)), np.array([1.0, 3.0])
+    plain, ours = (run(SemiParametricRecursion(1, 0, std, 1.0, 0.1, directions=directions), phi, columns, outputs)
+                   for directions in (None, np.array([1])))
+    off, ours_off = np.abs(np.array([plain.theta, ours.theta]) - [0.5, 2.0])
+    assert off[0] > 0.05 and (ours_off < 0.2 * off).all()
