@@ -15,6 +15,7 @@ from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
 from semiparam_ros.core.initial_window import InitialWindow
 from semiparam_ros.core.random_features import FREQUENCIES, RandomFeatures, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
+from semiparam_ros.core.robot.joint_friction import turning_variance
 from semiparam_ros.core.robot.size import output_scale
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
@@ -44,7 +45,7 @@ class Model:
     those of effects, which stand last, are learnt in every variant.
 
     :param prior_scale: (p,) prior standard deviations of theta over gamma. :param prior_mean: (p,), zero unless given.
-    :param n_effects: how many of the columns are effects'.
+    :param n_effects: how many of the columns are effects'. :param directions: see :func:`turning_variance`.
     """
 
     def __init__(self, variant: Variant, hyperparameters: Hyperparameters, features: RandomFeatures | None,
@@ -64,7 +65,10 @@ class Model:
             len(hyperparameters.output_scale), features.count if features else 0,
             self.gamma * prior_scale[self.learnt], hyperparameters.rho, hyperparameters.sigma,
             None if prior_mean is None else prior_mean[self.learnt], forgetting,
-            np.array(hyperparameters.output_scale), directions if learnt else None)
+            np.array(hyperparameters.output_scale))
+        self._directions: Indices = np.zeros(0, dtype=np.int64)
+        if directions is not None and variant.pi != 'absent':
+            self._directions = directions
         self._no_features = np.zeros(0)
 
     @property
@@ -97,7 +101,9 @@ class Model:
         """Prior of a recursion of this variant with features phi (D,)."""
         known = None if self.pi is None else columns[:, :len(self.pi)] @ self.pi
         learnt = columns[:, self.learnt] if self.learnt.start else columns
-        return recursion.predict(phi, learnt, known)
+        doubt = None if not len(self._directions) else \
+            turning_variance(self._directions, recursion.theta if self.pi is None else self.pi, columns)
+        return recursion.predict(phi, learnt, known, doubt)
 
 
 def information_gain(prior: Prior, noise_std: Array) -> float:

@@ -15,8 +15,8 @@ explain of the columns carries theta (docs/mathematics.md derives it):
 with N = diag(scale): outputs whose noise differs share S too, when sigma and rho are told in units
 of each output's own. A part of y that is known beforehand counts as one that phi' Theta says.
 
-A joint that turns back slides either way: its dry friction is +c or -c, and the columns tell its mean f.
-The variance c^2 - f^2 is noise of that output. S does not know it; the rows of R, and predictions, do.
+A sample may be noisier than others in some outputs, by a variance d: then s scale^2 + d stands for s scale^2 in R and
+in the predictions. S, which is shared, does not know it.
 
 R has the columns of C in reverse. Those of friction and offset stand last in C and each acts on one
 output alone: taken first, a row has zeros for all but its own, which cost nothing.
@@ -79,7 +79,7 @@ class Prior(NamedTuple):
     std: Vector  # (n,) of each output, noise included
     phi: Vector  # (D,) features
     projection: Projection  # with phi' Theta (n, p + 1), of y with what is known of it, row by row
-    doubt: Vector  # (n,) variance of each output by the direction in which its joint slides
+    doubt: Vector  # (n,) variance of each output's noise in this sample alone, beyond that of all
     columns: Matrix  # (n, p) the coupled columns
     revision: int  # of the model that it was computed from
 
@@ -101,7 +101,6 @@ class Regression(NamedTuple):
     information: Matrix  # (p + 1, p + 1) R
     scale: Vector  # (n,) of each output
     sigma: float
-    directions: Integers  # (S n,) columns of dry friction, output by output
 
 
 class Update(NamedTuple):
@@ -122,14 +121,12 @@ class SemiParametricRecursion:
     :param prior_mean: (p,) mean of theta, zero unless given.
     :param forgetting: weight of the past after each sample, in (0, 1]; 1 never forgets.
     :param scale: (n,) scale of each output, in its unit; 1 unless given.
-    :param directions: (S n,) columns of dry friction, those of one speed of turning over together, output by output.
     :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting
         outside (0, 1].
     """
 
     def __init__(self, n_outputs: int, n_features: int, prior_std: Array, rho: float, sigma: float,
-                 prior_mean: Array | None = None, forgetting: float = 1.0, scale: Array | None = None,
-                 directions: Indices | None = None) -> None:
+                 prior_mean: Array | None = None, forgetting: float = 1.0, scale: Array | None = None) -> None:
         self.n_outputs, self.n_features, self.n_columns = n_outputs, n_features, len(prior_std)
         self.sigma, self.rho, self.forgetting = float(sigma), float(rho), float(forgetting)
         self._prior_std = np.array(prior_std, dtype=float)
@@ -149,22 +146,22 @@ class SemiParametricRecursion:
         diagonal = np.arange(self.n_columns)
         information[diagonal, diagonal] = 1.0 / self._prior_std[::-1]
         information[:-1, -1] = (self.theta / self._prior_std)[::-1]
-        no_directions = np.zeros(0, dtype=np.int64)
-        self._regression = Regression(information, self.scale, self.sigma,
-                                      no_directions if directions is None else directions)
+        self._regression = Regression(information, self.scale, self.sigma)
         self._nothing_known = np.zeros(n_outputs)
         self.revise()
 
-    def predict(self, phi: Array, columns: Array, known: Array | None = None) -> Prior:
+    def predict(self, phi: Array, columns: Array, known: Array | None = None, doubt: Array | None = None) -> Prior:
         """Mean and covariance of the outputs at features (D,) and coupled columns (n, p).
 
         :param known: (n,) part of the outputs that the model does not have to learn.
+        :param doubt: (n,) variance of each output's noise in this sample, beyond sigma^2 scale^2; 0 unless given.
         """
         n, known = self.n_outputs, self._nothing_known if known is None else known
+        doubt = self._nothing_known if doubt is None else doubt
         size, n_estimates = self.n_features, n * (self.n_columns + 1)
         projection = Projection(np.empty(size), np.empty(size), np.empty(n_estimates))
         prior = Prior(np.empty(n), np.empty((n, n)), np.empty(n), np.ascontiguousarray(phi),
-                      projection, np.empty(n), np.ascontiguousarray(columns), self.revision)
+                      projection, doubt, np.ascontiguousarray(columns), self.revision)
         _predict(self._weights.root, self._regression, self.theta, known, prior)
         return prior
 
@@ -341,16 +338,6 @@ class SemiParametricRecursion:
 
 
 @compiled
-def doubt(directions: Integers, output: int, theta: Vector, columns: Matrix) -> float:
-    """Variance c^2 - f^2 of an output by the dry friction of its joint, which is +c or -c with the mean f."""
-    size = mean = 0.0
-    for place in directions[output::len(columns)]:
-        size += theta[place]
-        mean += theta[place] * columns[output, place]
-    return max(size * size - mean * mean, 0.0)
-
-
-@compiled
 def predict(root: Root, regression: Regression, theta: Vector, known: Vector, prior: Prior) -> None:
     """Fill the arrays of a prior, but for features and columns."""
     columns, mean, covariance, std = prior.columns, prior.mean, prior.covariance, prior.std
@@ -383,7 +370,6 @@ def predict(root: Root, regression: Regression, theta: Vector, known: Vector, pr
             for c in range(p):
                 value += half[k, c] * half[j, c]
             covariance[k, j] = covariance[j, k] = value
-        prior.doubt[k] = doubt(regression.directions, k, theta, columns)
         covariance[k, k] += s * scale[k] * scale[k] + prior.doubt[k]
         std[k] = np.sqrt(covariance[k, k])
 

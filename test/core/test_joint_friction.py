@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
-from semiparam_ros.core.robot.joint_friction import KINDS, TOP_SPEED, TURN_SPEEDS, friction_columns, friction_scale
+from semiparam_ros.core.robot.joint_friction import (
+    KINDS,
+    TOP_SPEED,
+    TURN_SPEEDS,
+    friction_columns,
+    friction_scale,
+    turning_variance,
+)
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, inertial_scale
 from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
@@ -48,6 +55,19 @@ def test_the_directions_are_the_dry_columns_output_by_output():
         dry = rows[:, columns.directions].reshape(n, len(TURN_SPEEDS), n)
         np.testing.assert_array_equal(dry, np.broadcast_to(np.eye(n)[:, None], dry.shape))
         assert len(CoupledColumns(body).directions) == 0
+
+
+def test_the_variance_of_turning_is_that_of_a_sign_with_the_mean_of_the_columns():
+    for body in (ARM, TWO_OF_FOUR):
+        motion, columns = smooth_motion(4, 50), CoupledColumns(body, joint_friction=True)
+        rows, _ = columns.batch(motion)
+        theta = np.random.default_rng(1).standard_normal(columns.n_columns)
+        friction = theta[columns.directions].reshape(len(TURN_SPEEDS), body.n_outputs)
+        own = motion.velocity[:, body.output_index]
+        mean = sum(each * np.tanh(own / speed) for each, speed in zip(friction, TURN_SPEEDS, strict=True))
+        expected = np.maximum(friction.sum(axis=0)**2 - mean**2, 0.0)
+        for one, its in zip(rows, expected, strict=True):
+            np.testing.assert_allclose(turning_variance(columns.directions, theta, one), its, atol=1e-12)
 
 
 def test_a_wrench_and_the_bare_rigid_body_have_none():

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from semiparam_ros.core import recursion as recursion_module
 from semiparam_ros.core.recursion import SemiParametricRecursion
+from semiparam_ros.core.robot.joint_friction import turning_variance
 from semiparam_ros.errors import SemiparamError
 
 SAME = {'rtol': 1e-8, 'atol': 1e-8}
@@ -317,15 +318,21 @@ def turning(seconds=20.0, rate=100, lag=3):
     return columns, (0.5 * columns[:, 0, 0] + 2.0 * direction)[:, None]
 
 
-def test_the_variance_of_dry_friction_that_turns_over_is_noise():
-    columns, outputs = turning()
-    model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1, directions=np.array([1]))
-    information, right = np.diag([1.0, 1.0 / 9.0]), np.zeros(2)
+def learnt(columns, outputs, of_turning):
+    model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1)
     for rows, output in zip(columns, outputs, strict=True):
-        prior = model.predict(np.zeros(0), rows)
-        variance = model.theta[1] ** 2 * (1.0 - rows[0, 1] ** 2)
-        noise = 0.1**2 + variance
-        np.testing.assert_allclose(prior.doubt, variance, atol=1e-12)
+        doubt = turning_variance(np.array([1]), model.theta, rows) if of_turning else None
+        model.learn(model.predict(np.zeros(0), rows, doubt=doubt), output)
+    return model.theta
+
+
+def test_noise_of_one_sample_is_that_of_weighted_least_squares():
+    columns, outputs = turning()
+    doubts = np.random.default_rng(0).uniform(0.0, 1.0, outputs.shape)
+    model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1)
+    information, right = np.diag([1.0, 1.0 / 9.0]), np.zeros(2)
+    for rows, output, doubt in zip(columns, outputs, doubts, strict=True):
+        prior, noise = model.predict(np.zeros(0), rows, doubt=doubt), 0.1**2 + doubt
         np.testing.assert_allclose(prior.covariance, rows @ np.linalg.solve(information, rows.T) + noise)
         model.learn(prior, output)
         information += rows.T @ rows / noise
@@ -335,8 +342,5 @@ def test_the_variance_of_dry_friction_that_turns_over_is_noise():
 
 def test_friction_that_turns_over_late_does_not_bend_the_mass():
     columns, outputs = turning()
-    phi, std = np.zeros((len(columns), 0)), np.array([1.0, 3.0])
-    plain, ours = (run(SemiParametricRecursion(1, 0, std, 1.0, 0.1, directions=directions), phi, columns, outputs)
-                   for directions in (None, np.array([1])))
-    off, ours_off = np.abs(np.array([plain.theta, ours.theta]) - [0.5, 2.0])
-    assert off[0] > 0.05 and (ours_off < 0.2 * off).all()
+    off, ours = (np.abs(learnt(columns, outputs, of_turning) - [0.5, 2.0]) for of_turning in (False, True))
+    assert off[0] > 0.05 and (ours < 0.2 * off).all()

@@ -7,6 +7,10 @@ Of output k, with the velocity v of its joint,
 viscous friction b [N m s/rad], dry friction as the sum of the c [N m], an offset o [N m]. The speed within which dry
 friction turns over differs between robots by a factor of ten. Two speeds v_s span it: the shares of the two columns,
 which are linear, say where between them it lies.
+
+A joint slides one way or the other: its dry friction is +c or -c, with c = sum_s c_s, and its mean f is what the
+columns say. While the joint turns back, how it sticks, bends and lags decides, which no column tells. So c^2 - f^2 is
+noise of its effort.
 """
 
 from __future__ import annotations
@@ -56,6 +60,23 @@ def friction_prior(body: RigidBody) -> Array:
     """(KINDS n,) prior standard deviations of the columns' coefficients, in the order of the columns."""
     scale = friction_scale(body)
     return np.concatenate([scale / TOP_SPEED, np.tile(scale, len(TURN_SPEEDS))])
+
+
+@compiled
+def turning_variance(directions: Integers, theta: Vector, columns: Part) -> Vector:
+    """(n,) c^2 - f^2 [(N m)^2] of one sample with columns (n, p) and coefficients (p,).
+
+    :param directions: (S n,) columns of dry friction, those of each v_s together, output by output.
+    """
+    n = len(columns)
+    variance = np.zeros(n)
+    for k in range(n):
+        size = mean = 0.0
+        for place in directions[k::n]:
+            size += theta[place]
+            mean += theta[place] * columns[k, place]
+        variance[k] = max(size * size - mean * mean, 0.0)
+    return variance
 
 
 @compiled
