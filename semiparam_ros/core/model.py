@@ -13,11 +13,11 @@ from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estim
 from semiparam_ros.core.hyperparameters.feature_count import MOST
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
 from semiparam_ros.core.initial_window import InitialWindow
-from semiparam_ros.core.random_features import FREQUENCIES, RandomFeatures, spectrum
+from semiparam_ros.core.random_features import RandomFeatures, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
 from semiparam_ros.core.robot.size import output_scale
 from semiparam_ros.core.types import Array
-from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
+from semiparam_ros.core.variants import FREQUENCIES, VARIANTS, Variant, variant_named
 from semiparam_ros.errors import SemiparamError
 
 AUTO = 'auto'

@@ -35,6 +35,8 @@ AVERAGED = 'auto'
 MEMBERS = ('SPK-ML', 'P', 'NP-VS')
 """Those that are averaged; what is asked of one model is that of the first."""
 CHOICES = (*VARIANTS, AVERAGED)
+FREQUENCIES = ('orthogonal', 'independent')
+"""How the frequencies of features are drawn; ``independent`` is the paper's."""
 
 
 def single(name: str) -> str:

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, TypeAlias, TypeGuard
 
-from semiparam_ros.core.random_features import FREQUENCIES
-from semiparam_ros.core.variants import CHOICES
+from semiparam_ros.core.variants import CHOICES, FREQUENCIES
 
 Value: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
