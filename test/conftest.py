@@ -1,6 +1,7 @@
 """Fixtures for every test: the measured recordings, and a DDS domain of one's own."""
 
 import fcntl
+import gc
 import os
 from contextlib import ExitStack
 from pathlib import Path
@@ -123,6 +124,12 @@ def start_node(tmp_path, ros_domain):
             return node, client
 
         yield start
+
+
+def pytest_collection_finish() -> None:
+    """Keep the collector of garbage from what is loaded for good."""
+    gc.collect()
+    gc.freeze()
 
 
 class _free_domain:

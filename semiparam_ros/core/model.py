@@ -27,11 +27,6 @@ as few as the initial window asks for."""
 EFFECT_GAMMA = 1.0
 """Standard deviation of effects over their prior scale, in the variants that have no gamma."""
 
-PRIORS = ('physical', 'paper')
-"""``physical``: theta is near the robot description, as far as the robot is large; features explain no more than the
-rigid body leaves, and may not be there at all. ``paper``: theta has one variance about zero, and nothing else is held.
-"""
-
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
 """Of the model before the first window is over, with the paper's priors. With physical ones gamma is 1, and the noise
 is so large a share of what an output may be beside the described body (``robot.size.output_scale``)."""
@@ -128,7 +123,7 @@ class ModelOptions:
     joint_friction: bool = True
     """Whether friction and offset of every joint are part of the rigid body's model, with joint efforts."""
     priors: str = 'physical'
-    """What is held of the model before anything is measured: see :data:`PRIORS`."""
+    """What is held of the model before anything is measured: see :data:`~semiparam_ros.core.variants.PRIORS`."""
     others: tuple[Hyperparameters, ...] = ()
     """With given hyperparameters: those of the variants averaged with the first one; none: they have the same."""
 
