@@ -16,7 +16,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -122,16 +122,18 @@ def references(pair: Pair, seconds: float | None) -> dict[str, float]:
     return {'description': nmse(left, second.outputs), 'plain': nmse(plain.residual(second), second.outputs)}
 
 
-def judged(pair: Pair, variant: str, features: int, seconds: float | None) -> dict[str, Any]:
+def judged(pair: Pair, variant: str, features: int, seconds: float | None,
+           ways: Sequence[str] = ('frozen', 'learning')) -> dict[str, Any]:
     """Figures of one variant that learnt A, on B."""
     settings = replace(pair.settings, variant=variant, features_count=features)
     learner = OfflineLearner(settings, [], lambda: None)
     follow(learner, shortened(pair.first, seconds), learn=True)
     length = len(pair.second) // pair.parts
     found: dict[str, Any] = {}
-    for name, learn in (('frozen', False), ('learning', True)):
+    for name in ways:
         parts = (pair.second[part * length:(part + 1) * length] for part in range(pair.parts))
-        said = [prediction for part in parts for prediction in _predicted(deepcopy(learner), part, learn)]
+        said = [prediction for part in parts
+                for prediction in _predicted(deepcopy(learner), part, name == 'learning')]
         measured = np.array([each.sample.outputs for each in said])
         errors = measured - np.array([each.mean for each in said])
         over_std = errors / np.array([each.std for each in said])

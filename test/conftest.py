@@ -1,6 +1,7 @@
 """Fixtures for every test: the measured recordings, and a DDS domain of one's own."""
 
 import fcntl
+import gc
 import os
 from contextlib import ExitStack
 from pathlib import Path
@@ -125,6 +126,12 @@ def start_node(tmp_path, ros_domain):
         yield start
 
 
+def pytest_collection_finish() -> None:
+    """Keep the collector of garbage from what is loaded for good."""
+    gc.collect()
+    gc.freeze()
+
+
 class _free_domain:
     """Holds a lock file for a free domain, so that parallel workers and other checkouts keep apart.
 
@@ -176,13 +183,14 @@ def measured_ur3(shared_data, tmp_path_factory) -> Path:
     return folder
 
 
-LONGEST = ('test_docs.py', 'test_diagnosis.py', 'test_matrix.py', 'test_outside_faults.py', 'test_replay.py',
-           'test_record.py', 'test_node.py', 'test_compare.py', 'test_node_fuzz.py', 'test_packaging.py',
-           'test_checkpoints.py', 'test_other_simulator.py', 'test_state_file.py', 'test_estimator.py',
-           'test_learner.py', 'test_rounds.py', 'test_diagnosis_page.py', 'test_examples.py', 'test_identified.py',
-           'test_node_change.py', 'test_spans.py', 'test_outside_client.py', 'test_setup_checks.py',
-           'test_carries_over.py', 'test_structure.py', 'test_new_kinds.py', 'test_node_diagnosis.py',
-           'test_temperature_kinds.py', 'test_node_temperature.py', 'test_node_switching.py')
+LONGEST = ('test_docs.py', 'test_diagnosis.py', 'test_outside_faults.py', 'test_node_switching.py',
+           'test_matrix.py', 'test_setup_checks.py', 'test_replay.py', 'test_record.py',
+           'test_other_simulator.py', 'test_compare.py', 'test_structure.py', 'test_node.py',
+           'test_temperature_kinds.py', 'test_estimator.py', 'test_learner.py', 'test_node_fuzz.py',
+           'test_state_file.py', 'test_identified.py', 'test_rounds.py', 'test_carries_over.py',
+           'test_node_diagnosis.py', 'test_packaging.py', 'test_diagnosis_page.py', 'test_node_temperature.py',
+           'test_node_change.py', 'test_outside_client.py', 'test_evaluate.py', 'test_checkpoints.py',
+           'test_examples.py', 'test_spans.py', 'test_new_kinds.py')
 """Files of a quarter of a minute and more, by what they took."""
 
 

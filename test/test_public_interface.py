@@ -33,6 +33,13 @@ def test_no_public_name_needs_ros():
     assert not modules & {'rclpy', 'sensor_msgs', 'matplotlib', 'rich'}
 
 
+def test_who_plays_records_or_converts_waits_for_no_numerics():
+    modules = top_level(loaded_modules('import semiparam_ros.ros.replay.session, semiparam_ros.ros.record.session, '
+                                       'semiparam_ros.cli.convert, semiparam_ros.bags.text_tables'))
+    assert {'rclpy', 'mcap'} <= modules
+    assert not modules & {'numba', 'scipy', 'pinocchio'}
+
+
 @pytest.mark.parametrize('name', semiparam_ros.__all__)
 def test_every_public_name_is_there_and_explained(name):
     value = getattr(semiparam_ros, name)

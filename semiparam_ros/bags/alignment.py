@@ -11,14 +11,17 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Collection, Sequence
 from math import isfinite, nan
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample
-from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.stamps import NANOSECONDS, in_seconds
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed, shortened
+
+if TYPE_CHECKING:
+    from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 
 CAPACITY = 20_000
 LARGEST = 1e9

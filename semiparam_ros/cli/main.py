@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import ast
+import atexit
+import gc
 import importlib
 import os
 import sys
@@ -33,6 +35,8 @@ def main(argv: Sequence[str] | None = None, prog: str = 'semiparam') -> int:
     """Run one sub-command and return its exit code: 2, with one sentence on stderr, for anything a user can mend."""
     # The matrices are small: a second linear algebra thread only fights with the executor (read when numpy loads).
     os.environ.setdefault('OMP_NUM_THREADS', '1')
+    # At the end everything goes with the process: to look through it first takes a third of a second.
+    atexit.register(gc.freeze)
     arguments, ros_arguments = split_ros_arguments(sys.argv[1:] if argv is None else argv)
     try:
         try:

@@ -13,12 +13,12 @@ from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estim
 from semiparam_ros.core.hyperparameters.feature_count import MOST
 from semiparam_ros.core.hyperparameters.window import LengthScales, Noise
 from semiparam_ros.core.initial_window import InitialWindow
-from semiparam_ros.core.random_features import FREQUENCIES, RandomFeatures, spectrum
+from semiparam_ros.core.random_features import RandomFeatures, spectrum
 from semiparam_ros.core.recursion import Prior, SemiParametricRecursion
 from semiparam_ros.core.robot.joint_friction import turning_variance
 from semiparam_ros.core.robot.size import output_scale
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.core.variants import VARIANTS, Variant, variant_named
+from semiparam_ros.core.variants import FREQUENCIES, VARIANTS, Variant, variant_named
 from semiparam_ros.errors import SemiparamError
 
 AUTO = 'auto'
@@ -27,11 +27,6 @@ as few as the initial window asks for."""
 
 EFFECT_GAMMA = 1.0
 """Standard deviation of effects over their prior scale, in the variants that have no gamma."""
-
-PRIORS = ('physical', 'paper')
-"""``physical``: theta is near the robot description, as far as the robot is large; features explain no more than the
-rigid body leaves, and may not be there at all. ``paper``: theta has one variance about zero, and nothing else is held.
-"""
 
 PROVISIONAL_GAMMA, PROVISIONAL_SIGMA = 0.3, 0.1
 """Of the model before the first window is over, with the paper's priors. With physical ones gamma is 1, and the noise
@@ -134,7 +129,7 @@ class ModelOptions:
     joint_friction: bool = True
     """Whether friction and offset of every joint are part of the rigid body's model, with joint efforts."""
     priors: str = 'physical'
-    """What is held of the model before anything is measured: see :data:`PRIORS`."""
+    """What is held of the model before anything is measured: see :data:`~semiparam_ros.core.variants.PRIORS`."""
     others: tuple[Hyperparameters, ...] = ()
     """With given hyperparameters: those of the variants averaged with the first one; none: they have the same."""
 

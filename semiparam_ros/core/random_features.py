@@ -12,12 +12,11 @@ import numpy as np
 
 from semiparam_ros.core.compiled import Matrix, Vector, compiled
 from semiparam_ros.core.types import Array
+from semiparam_ros.core.variants import FREQUENCIES
 from semiparam_ros.errors import SemiparamError
 
 KINDS = 3  # position, velocity, acceleration
 LEAST_SHARE = 0.2
-FREQUENCIES = ('orthogonal', 'independent')
-"""How the frequencies of features are drawn; ``independent`` is the paper's."""
 
 
 class RandomFeatures:
@@ -29,7 +28,7 @@ class RandomFeatures:
     def __init__(self, n_inputs: int, count: int, seed: int, tau: Sequence[float], input_mean: Array,
                  input_scale: Array, frequencies: str = FREQUENCIES[0]) -> None:
         """``count`` is D (even); ``tau`` holds 1, 3 (position, velocity, acceleration) or n_inputs length scales;
-        ``frequencies`` is one of :data:`FREQUENCIES`."""
+        ``frequencies`` is one of :data:`~semiparam_ros.core.variants.FREQUENCIES`."""
         if count < 2 or count % 2:
             raise SemiparamError(f'features.count is {count}; expected an even number of at least 2.')
         self.count = count

@@ -88,11 +88,6 @@ class Prior(NamedTuple):
         """(n, p + 1) phi' Theta, y last with what is known of it."""
         return self.projection.regressed.reshape(len(self.mean), -1)
 
-    @property
-    def columns_left(self) -> Array:
-        """(n, p) E_C, what the features leave of the coupled columns."""
-        return np.asarray(self.columns - self.regressed[:, :-1])
-
 
 class Regression(NamedTuple):
     """Regression of what the features leave of the outputs on what they leave of the columns; R is

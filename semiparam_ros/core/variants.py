@@ -35,6 +35,12 @@ AVERAGED = 'auto'
 MEMBERS = ('SPK-ML', 'P', 'NP-VS')
 """Those that are averaged; what is asked of one model is that of the first."""
 CHOICES = (*VARIANTS, AVERAGED)
+PRIORS = ('physical', 'paper')
+"""``physical``: theta is near the robot description, as far as the robot is large; features explain no more than the
+rigid body leaves, and may not be there at all. ``paper``: theta has one variance about zero, and nothing else is held.
+"""
+FREQUENCIES = ('orthogonal', 'independent')
+"""How the frequencies of features are drawn; ``independent`` is the paper's."""
 
 
 def single(name: str) -> str:

@@ -129,7 +129,7 @@ def carried_load(estimator: Estimator, before: Array | None = None, picked: Load
                if effect.is_load and estimator.holds(effect)]
     if not carried:
         theta, covariance = _block(model, slice(0, body.n_parameters))
-        if not len(theta):
+        if not covariance.any():
             return None
         link = list(loaded_links(body))[-1]
         carried = [Load(link, *_added_load(body, link, theta if before is None else before, covariance))]

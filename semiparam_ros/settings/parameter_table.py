@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, TypeAlias, TypeGuard
 
-from semiparam_ros.core.random_features import FREQUENCIES
-from semiparam_ros.core.variants import CHOICES
+from semiparam_ros.core.variants import CHOICES, FREQUENCIES, PRIORS
 
 Value: TypeAlias = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
@@ -206,10 +205,10 @@ class Table:
         'joint_friction', True, 'With outputs effort, viscous and dry friction and an offset of every output joint are '
         "part of the rigid body's model. false: the rigid body alone, as in the paper.", live=True)
     priors: str = declare(
-        'priors', 'physical', 'What is held of the model before anything is measured. physical: the inertias are near '
+        'priors', PRIORS[0], 'What is held of the model before anything is measured. physical: the inertias are near '
         'the robot description, as far as the robot is large; random features explain no more than the rigid body '
         'leaves, and the rigid body alone is averaged with them. paper: inertias have one variance about zero, and '
-        'nothing else is held.', choices=('physical', 'paper'), live=True)
+        'nothing else is held.', choices=PRIORS, live=True)
     learning: bool = declare('learning', True, 'Learn from every sample; false: predict only.', live=True)
     learn_every: int = declare(
         'learn.every', 1, 'Of the samples to learn, after the initial window, each so-many-th is learnt; all are '

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from semiparam_ros.core.random_features import FREQUENCIES, RandomFeatures, input_scaling, spectrum, spread
+from semiparam_ros.core.random_features import RandomFeatures, input_scaling, spectrum, spread
+from semiparam_ros.core.variants import FREQUENCIES
 from semiparam_ros.errors import SemiparamError
 
 M = 6

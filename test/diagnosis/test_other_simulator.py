@@ -10,9 +10,15 @@ from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR
 mujoco = pytest.importorskip('mujoco', reason='MuJoCo is not installed')
 
 from semiparam_ros.diagnosis.diagnose import diagnose  # noqa: E402
-from support.mujoco_arm import GRAVITY, SECONDS, Robot, recording  # noqa: E402
+from support.mujoco_arm import GRAVITY, Robot, recording  # noqa: E402
 
+SECONDS = 20.0
 HALF_S = SECONDS / 2
+RUBBING = ('viscous_friction', 'coulomb_friction', 'asymmetric_friction', 'stribeck_friction',
+           'load_friction', 'backlash', 'joint_spring')
+STANDING = ('joint_offset', 'gravity_tilt', 'payload', 'external_force', 'base_shift',
+            'effort_offset')
+"""Kinds that resemble each other."""
 ICUB = Robot(ICUB_OWN.read_text(), ICUB_JOINTS, (-0.6, 0.7, 0.4, 1.0), ICUB_SENSOR, 'r_upper_arm')
 UR3_JOINTS = tuple(f'{name}_joint' for name in (
     'shoulder_pan', 'shoulder_lift', 'elbow', 'wrist_1', 'wrist_2', 'wrist_3'))
@@ -43,7 +49,8 @@ def pushing(link, force, from_s=0.0):
 def diagnosed(long):
     """Diagnoses what a robot records: among the kinds told, or among all of them in the long form."""
     def run(robot, *rivals, **hidden):
-        found = diagnose(robot.body, recording(robot, **hidden), only=() if long else rivals)
+        samples = recording(robot, seconds=SECONDS, **hidden)
+        found = diagnose(robot.body, samples, only=() if long else rivals)
         assert not found.setup
         return found
     return run
@@ -67,7 +74,7 @@ def test_friction_of_a_joint_of_an_ur3(ur3, diagnosed):
     def oiled(spec):
         spec.joint('elbow_joint').damping = [1.5, 0.0, 0.0]
 
-    found = diagnosed(ur3, prepare=oiled)
+    found = diagnosed(ur3, *RUBBING, prepare=oiled)
     assert named(found) == [('viscous_friction', 'elbow_joint')]
     assert values(found.findings[0], 'viscous') == pytest.approx([1.5], rel=0.01)
 
@@ -77,7 +84,7 @@ def test_dry_friction_that_turns_softly(ur3, diagnosed):
     def worn(spec):
         spec.joint('elbow_joint').frictionloss = 2.0
 
-    found = diagnosed(ur3, prepare=worn)
+    found = diagnosed(ur3, *RUBBING, prepare=worn)
     assert (found.verdict, named(found)[0]) == ('effect_found', ('coulomb_friction', 'elbow_joint'))
     assert values(found.findings[0], 'coulomb') == pytest.approx([2.0], rel=0.1)
 
@@ -89,7 +96,7 @@ def test_a_base_that_is_not_level(ur3, diagnosed):
     def tilted(spec):
         spec.option.gravity = [GRAVITY * np.sin(tilt), 0.0, -GRAVITY * np.cos(tilt)]
 
-    found = diagnosed(ur3, prepare=tilted)
+    found = diagnosed(ur3, *STANDING, prepare=tilted)
     assert named(found) == [('gravity_tilt', None)]
     assert values(found.findings[0], 'tilt_x', 'tilt_y') == pytest.approx([0.0, tilt], abs=0.002)
 
@@ -155,7 +162,7 @@ def test_zeros_of_several_encoders(diagnosed):
 
 def test_late_efforts_of_joints_with_friction(ur3, long):
     """Joint by joint, a delay looks like bristles that bend before they slide."""
-    samples = recording(ur3, seed=1)
+    samples = recording(ur3, seed=1, seconds=SECONDS)
     rubbing = 1.5 * np.tanh(samples.velocity / 0.02) + samples.velocity
     late = np.concatenate([samples.outputs[:2], (samples.outputs + rubbing)[:-2]])
     dry = {'coulomb_friction': 'coulomb', 'stribeck_friction': 'coulomb'}

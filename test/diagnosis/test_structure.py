@@ -87,7 +87,7 @@ def test_white_noise_has_no_structure_in_any_seed():
     assert not any(each.significant for each in found)
 
 
-@pytest.mark.parametrize('memory', [0.97, 0.99])
+@pytest.mark.parametrize('memory', [pytest.param(0.97, marks=pytest.mark.long), 0.99])
 def test_noise_that_is_correlated_over_many_samples_has_no_structure(memory):
     """A function of the motion predicts a little of such noise on the next block, though nothing is missing."""
     samples, body = smooth_motion(4, 3000), icub()

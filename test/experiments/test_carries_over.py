@@ -28,7 +28,7 @@ def test_efforts_on_another_motion_are_predicted_as_by_the_plain_model(carries_o
     settings = Settings(outputs='effort', robot_description=first.robot_description)
     pair = carries_over.Pair('UR3', settings, first.samples, second.samples)
     beside = carries_over.references(pair, None)
-    found = carries_over.judged(pair, settings.variant, 100, None)
+    found = carries_over.judged(pair, settings.variant, 100, None, ['frozen'])
     assert found['frozen']['nmse'] < 1.1 * beside['plain'] < 0.1 * beside['description']
     assert 0.90 < found['frozen']['band'] < 0.99
     assert found['feedforward']['nmse'] < 0.1
@@ -39,7 +39,8 @@ def test_wrenches_of_another_recording_are_predicted_better_than_by_the_rigid_bo
     settings = load_params(measured_icub / 'icub.yaml')
     train, test = (load_samples(measured_icub / f'{name}.mcap', settings) for name in ('train', 'test'))
     pair = carries_over.Pair('iCub', settings, train.samples, test.samples)
-    frozen = {variant: carries_over.judged(pair, variant, 100, None)['frozen'] for variant in ('SPK-ML', 'P')}
+    frozen = {variant: carries_over.judged(pair, variant, 100, None, ['frozen'])['frozen']
+              for variant in ('SPK-ML', 'P')}
     assert frozen['SPK-ML']['nmse'] < 0.65 * frozen['P']['nmse']
     assert 0.90 < frozen['SPK-ML']['band'] < 0.98
 

@@ -19,25 +19,22 @@ EFFORTS = '/**:\n  ros__parameters:\n    outputs: effort\n'
 FRANKA = ', '.join(f'panda_joint{number}' for number in range(1, 8))
 
 
-@pytest.fixture(scope='module')
-def recordings(shared_data, measured_icub, measured_ur3, tmp_path_factory):
-    """By name: parameters, the recording that is exported, and one that judges, if there is one."""
-    folder, source = tmp_path_factory.mktemp('measured'), shared_data / 'panda_arm'
+@pytest.fixture(scope='module',
+                params=['ur3', 'icub', pytest.param('franka', marks=pytest.mark.long)])
+def exported(request, shared_data, measured_icub, measured_ur3, tmp_path_factory):
+    """Parameters, recording, recording that judges, if there is one, URDF text and document."""
+    folder, source = tmp_path_factory.mktemp(request.param), shared_data / 'panda_arm'
     (folder / 'ur3.yaml').write_text(EFFORTS)
     (folder / 'franka.yaml').write_text(EFFORTS + f'    joints: [{FRANKA}]\n')
-    assert semiparam('convert', source / 'panda_exciting_trajectory.db3', folder / 'panda.mcap', '--joint',
-                     'fer_*=panda_*', '--robot-description', source / 'panda.urdf') == 0
-    return {'ur3': (folder / 'ur3.yaml', measured_ur3 / 'id1.mcap', measured_ur3 / 'id2.mcap'),
-            'franka': (folder / 'franka.yaml', folder / 'panda.mcap', None),
-            'icub': tuple(measured_icub / name for name in ('icub.yaml', 'train.mcap', 'test.mcap'))}
-
-
-@pytest.fixture(scope='module', params=['ur3', 'franka', 'icub'])
-def exported(request, recordings, tmp_path_factory):
-    """Parameters, recording, judge, URDF text and document."""
-    params, recording, judge = recordings[request.param]
-    folder = tmp_path_factory.mktemp(request.param)
-    found = document(folder / 'x.json', 'export', recording, '--params', params, '--urdf', folder / 'x.urdf')
+    params, recording, judge = {
+        'ur3': (folder / 'ur3.yaml', measured_ur3 / 'id1.mcap', measured_ur3 / 'id2.mcap'),
+        'icub': tuple(measured_icub / name for name in ('icub.yaml', 'train.mcap', 'test.mcap')),
+        'franka': (folder / 'franka.yaml', folder / 'panda.mcap', None)}[request.param]
+    if request.param == 'franka':
+        assert semiparam('convert', source / 'panda_exciting_trajectory.db3', recording, '--joint',
+                         'fer_*=panda_*', '--robot-description', source / 'panda.urdf') == 0
+    found = document(folder / 'x.json', 'export', recording, '--params', params,
+                     '--urdf', folder / 'x.urdf')
     return params, recording, judge, (folder / 'x.urdf').read_text(), found
 
 

@@ -637,6 +637,14 @@ def test_what_the_hand_carries_is_found():
     assert (abs(carried.centre - [0.02, 0.0, 0.1]) < 4 * carried.std.centre).all()
 
 
+@pytest.mark.parametrize('variant', ['SP-ML', 'SP2-VS'])
+def test_a_rigid_body_that_stays_as_the_window_left_it_tells_of_no_load(variant):
+    estimator = build_estimator(replace(SETTINGS, variant=variant))
+    for sample in motion(200):
+        estimator.step(sample)
+    assert estimator.ready and carried_load(estimator) is None
+
+
 def test_a_payload_is_a_body_or_not_told_and_nothing_is_told_before_there_is_a_model():
     estimator = build_estimator(replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 0.0}',)))
     for sample in motion(30):

@@ -20,9 +20,9 @@ from hypothesis import Phase
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from semiparam_ros.core.model import PRIORS
 from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
+from semiparam_ros.core.variants import PRIORS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.export.files import export_to

@@ -90,8 +90,9 @@ def a_life():
     return samples, 800.1 * PERIOD_NS * 1e-9
 
 
-@pytest.mark.parametrize('bag_options', [{}, {'measured': False, 'wrench_late_ns': 4_000_000}],
-                         ids=['measured accelerations', 'filtered, interpolated'])
+@pytest.mark.parametrize('bag_options', [
+    pytest.param({}, marks=pytest.mark.long, id='measured accelerations'),
+    pytest.param({'measured': False, 'wrench_late_ns': 4_000_000}, id='filtered, interpolated')])
 def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path, bag_options):
     """Every sample answered, in order, to the last bit, with the robot's description from the bag."""
     settings = replace(SETTINGS, robot_description='', gate_enabled=True)

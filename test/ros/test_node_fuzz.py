@@ -8,6 +8,7 @@ from support import node_fuzz, node_settings
 from support.node_helpers import SETTINGS
 
 
+@pytest.mark.long
 def test_a_fuzz_that_fails_leaves_no_thread_that_spins(tmp_path, ros_domain):
     """The interpreter ends such a thread within C++, which ends the process: "terminate called without ..."."""
     before = threading.active_count()

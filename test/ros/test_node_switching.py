@@ -24,7 +24,7 @@ from support.node_helpers import write_bag
 
 COMPARED, SLOW_MACHINE_S = 20, 15.0
 ORDER = [*(variant for variant in CHOICES if variant != 'SPK-ML'), 'SPK-ML']
-FEW = ['P', 'NP-ML', 'SP2-VS', AVERAGED, 'SPK-ML']
+FEW = ['P', 'SP2-VS', AVERAGED, 'SPK-ML']
 
 
 def in_turn(*recordings):

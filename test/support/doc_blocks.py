@@ -84,7 +84,7 @@ class Workshop:
     """
 
     def __init__(self, folder: Path, repository: Path, known: dict[str, tuple[str, dict[str, bytes]]]) -> None:
-        self.folder, self._repository, self._known = folder, repository, known
+        self.folder, self._known = folder, known
         self._printed = ''
         self._background: list[subprocess.Popen[bytes]] = []
         folder.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ import numpy as np
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 
-STEP_S, RATE_HZ, SECONDS = 1e-3, 100, 30
+STEP_S, RATE_HZ = 1e-3, 100
 STIFFNESS, DAMPING = 144.0, 24.0
 ENCODER, TACHO, NOISE = 5e-5, 2e-3, 0.01
 GRAVITY = 9.81
@@ -34,7 +34,7 @@ class Robot(NamedTuple):
 
 def recording(robot: Robot, seed: int = 0, prepare: Callable[[mujoco.MjSpec], None] = lambda spec: None,
               act: Callable[[mujoco.MjModel, mujoco.MjData], None] = lambda model, data: None,
-              zeros: Sequence[float] = ()) -> Samples:
+              zeros: Sequence[float] = (), seconds: float = 30.0) -> Samples:
     """What encoders and sensors report while computed torques follow sums of sines.
 
     :param prepare: changes the robot before it is built. :param act: called before every step, for outside forces.
@@ -44,7 +44,7 @@ def recording(robot: Robot, seed: int = 0, prepare: Callable[[mujoco.MjSpec], No
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     dofs = np.array([model.joint(name).dofadr[0] for name in robot.joints])
     own = np.ix_(dofs, dofs)
-    wanted = _path(len(robot.joints), rng) + np.array(robot.home)
+    wanted = _path(len(robot.joints), rng, seconds) + np.array(robot.home)
     speed = np.gradient(wanted, STEP_S, axis=0)
     change = np.gradient(speed, STEP_S, axis=0)
     data.qpos[dofs], data.qvel[dofs] = wanted[0], speed[0]
@@ -96,7 +96,7 @@ def built(robot: Robot, prepare: Callable[[mujoco.MjSpec], None]) -> mujoco.MjMo
     return spec.compile()
 
 
-def _path(count: int, rng: np.random.Generator) -> np.ndarray:
-    time = np.arange(round(SECONDS / STEP_S))[:, None] * STEP_S
+def _path(count: int, rng: np.random.Generator, seconds: float) -> np.ndarray:
+    time = np.arange(round(seconds / STEP_S))[:, None] * STEP_S
     return sum(rng.uniform(0.07, 0.25, count) * np.sin(2 * np.pi * rng.uniform(0.04, 0.5, count) * time
                                                         + rng.uniform(0, 2 * np.pi, count)) for _ in range(4))

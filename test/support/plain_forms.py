@@ -78,7 +78,7 @@ def predict(recursion, phi, columns, known):
 def learn(recursion, prior, outputs):
     """(p,) theta, and (n, p + 1) innovations of a sample."""
     _, regression = recursion.arrays
-    innovations = np.column_stack([prior.columns_left, outputs - prior.regressed[:, -1]])
+    innovations = np.column_stack([prior.columns, outputs]) - prior.regressed
     s = regression.sigma**2 + prior.projection.f @ prior.projection.f
     rows = innovations / (np.sqrt(s) * regression.scale[:, None])
     rows = np.hstack([rows[:, -2::-1], rows[:, -1:]])

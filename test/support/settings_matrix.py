@@ -23,13 +23,11 @@ from covertable import make
 
 from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
-from semiparam_ros.core.model import PRIORS
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.random_features import FREQUENCIES
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.variants import CHOICES
+from semiparam_ros.core.variants import CHOICES, FREQUENCIES, PRIORS
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import Effect
 from semiparam_ros.errors import SemiparamError
