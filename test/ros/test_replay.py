@@ -128,8 +128,10 @@ def test_paced_playback_offers_what_the_bag_recorded_and_the_overrides_change_it
         peer.listen('/joint_states', STATES, QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=1,
                                                         durability=DurabilityPolicy.TRANSIENT_LOCAL))
         with Tool(tmp_path, 'replay', bag, '--rate', 2, '--wait-for-subscribers', '--qos-overrides', overrides) as tool:
-            peer.wait_for(lambda: len(peer.heard['/joint_states']) > 0)
-            offer = {topic: peer.node.get_publishers_info_by_topic(topic)[0].qos_profile for topic in peer.heard}
+            # A message may come before the graph tells who sent it.
+            peer.wait_for(lambda: all(map(peer.node.get_publishers_info_by_topic, peer.heard)))
+            offer = {topic: peer.node.get_publishers_info_by_topic(topic)[0].qos_profile
+                     for topic in peer.heard}
             assert tool.wait() == 0, tool.output
     assert offer['/wrench'].reliability.name == 'BEST_EFFORT' and offer['/wrench'].durability.name == 'VOLATILE'
     assert offer['/joint_states'].durability.name == 'TRANSIENT_LOCAL'
