@@ -64,7 +64,7 @@ class Model:
             len(hyperparameters.output_scale), features.count if features else 0,
             self.gamma * prior_scale[self.learnt], hyperparameters.rho, hyperparameters.sigma,
             None if prior_mean is None else prior_mean[self.learnt], forgetting,
-            np.array(hyperparameters.output_scale))
+            np.array(hyperparameters.output_scale), hyperparameters.repeats)
         self._no_features = np.zeros(0)
 
     @property

@@ -18,7 +18,7 @@ from semiparam_ros.effects import effect_from_text, effect_to_text
 from semiparam_ros.errors import SemiparamError
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 
-WINDOW, COUNT = 60, 260
+WINDOW, COUNT = 60, 360
 ARM = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
 
 
@@ -90,7 +90,7 @@ def test_each_member_is_as_it_would_be_alone_and_the_average_no_worse_than_the_b
             np.testing.assert_array_equal(one.mean, other.members[index].mean)
             np.testing.assert_array_equal(one.std, other.members[index].std)
     ratio = error(predictions) / samples.outputs.var(axis=0)
-    best = 1.06 if model.columns.effects else 1.02  # 200 samples decide between few
+    best = 1.06 if model.columns.effects else 1.02  # 300 samples decide between few
     assert ratio.mean() < best * (errors / samples.outputs.var(axis=0)).mean(axis=1).min()
     gathering = 2 if model.columns.effects else 1
     assert len(predictions[WINDOW - 1].members) == gathering and len(predictions[WINDOW].members) == len(model.members)
