@@ -273,10 +273,12 @@ def main() -> int:
     parser.add_argument('--seconds', nargs='*', type=float, default=[],
                         help='also after so many seconds of A, beside all of it')
     parser.add_argument('--only', default='', help='pairs whose names hold this')
+    parser.add_argument('--others', type=int, metavar='SEED', help='arms and motions that no other benchmark has')
     parser.add_argument('--json', type=Path, metavar='FILE')
     args = parser.parse_args()
     console, table, results = Console(width=180), Table(*HEADINGS), []
-    for pair in pairs(args.data, args.robots):
+    chosen = pairs(args.data, args.robots) if args.others is None else other_pairs(args.robots, args.others)
+    for pair in chosen:
         if args.only not in pair.name:
             continue
         span = 1e-9 * float(pair.first.stamps[-1] - pair.first.stamps[0])
