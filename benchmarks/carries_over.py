@@ -32,7 +32,7 @@ from rich.table import Table
 
 from bands import BAND, follow
 from bands import pairs as recorded_pairs
-from mujoco_arms import SETTINGS, recorded
+from mujoco_arms import SETTINGS, SO100, UR, UR10, UR_HOME, Setting, recorded, robot_of
 from semiparam_ros.core.motion import moving
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -50,6 +50,63 @@ ARMS = (('xArm7, sines', 'sines', 'points'), ('UR5 at', 'points', 'circles'), ('
         ('Panda, efforts', 'circles', 'sines'), ('Kinova', 'points', 'sines'), ('Talos', 'sines', 'points'),
         ('PR2', 'circles', 'points'), ('SO-100', 'points', 'sines'))
 """Settings of ``mujoco_arms``, without their further causes: motion A of a minute, motion B of half a minute."""
+Z1, G1 = 'z1_description/urdf/z1.urdf', 'g1_description/urdf/g1_29dof_rev_1_0.urdf'
+TIAGO = tuple(f'arm_{number}_joint' for number in range(1, 8))
+TIAGO_PRO = tuple(f'arm_left_{number}_joint' for number in range(1, 8))
+BAXTER = tuple(f'left_{name}' for name in ('s0', 's1', 'e0', 'e1', 'w0', 'w1', 'w2'))
+ROMEO = tuple(f'L{name}' for name in ('ShoulderPitch', 'ShoulderYaw', 'ElbowRoll', 'ElbowYaw', 'WristRoll',
+                                      'WristYaw', 'WristPitch'))
+CENTAURO = tuple(f'j_arm1_{number}' for number in range(1, 7))
+G1_ARM = tuple(f'left_{name}_joint' for name in ('shoulder_pitch', 'shoulder_roll', 'shoulder_yaw', 'elbow',
+                                                 'wrist_roll', 'wrist_pitch', 'wrist_yaw'))
+HUMANOID = tuple(f'RARM_{name}' for name in ('SHOULDER_P', 'SHOULDER_R', 'SHOULDER_Y', 'ELBOW', 'WRIST_Y',
+                                             'WRIST_P', 'WRIST_R'))
+HUMAN = tuple(f'left_{name}' for name in ('shoulder_Z', 'shoulder_X', 'shoulder_Y', 'elbow_Z', 'elbow_Y', 'wrist_Z',
+                                          'wrist_X'))
+DOWN, WALL = (3.14159, 0.0), (0.0, 1.5708)
+Z1_HOME, Z1_FRICTION = (0.0, 1.3, -1.4, 0.2, 0.1, 0.0), (1.0, 1.5, 1.0, 0.5, 0.4, 0.3)
+WIDE = (0.7, 1.3)
+OTHERS = (
+    (Setting('z1, coarse encoders', Z1, tuple(f'joint{number}' for number in range(1, 7)), Z1_HOME, Z1_FRICTION,
+             rate_hz=250, encoder=3.8e-4, velocity_filter_hz=30.0, masses=WIDE, seed=201), 'points', 'sines'),
+    (Setting('z1 at a wall, slow to quick', Z1, tuple(f'joint{number}' for number in range(1, 7)), Z1_HOME,
+             Z1_FRICTION, rate_hz=100, mounted=WALL, stribeck=0.5, seed=202), 'slow', 'quick'),
+    (Setting('TIAGo with its lift', 'tiago_description/robots/tiago.urdf', ('torso_lift_joint', *TIAGO),
+             (0.15, 1.2, -0.4, -1.0, 1.2, 0.0, 0.0, 0.0), (60.0, 2.0, 2.0, 1.5, 1.5, 0.4, 0.4, 0.2), rate_hz=100,
+             reach=(0.15, *(1.0 for _ in TIAGO)), masses=WIDE, seed=203), 'points', 'sines'),
+    (Setting('TIAGo, a sample late, a joint at a time', 'tiago_description/robots/tiago.urdf', TIAGO,
+             (1.2, -0.4, -1.0, 1.2, 0.0, 0.0, 0.0), (2.0, 2.0, 1.5, 1.5, 0.4, 0.4, 0.2), rate_hz=50, late_s=0.02,
+             asymmetry=0.3, seed=204), 'in turn', 'points'),
+    (Setting('TIAGo Pro at 1 kHz', 'tiago_pro_description/robots/tiago_pro.urdf', TIAGO_PRO,
+             (1.5, -0.6, 0.0, -0.8, 0.0, 0.3, 0.0), (2.0, 2.0, 1.5, 1.5, 0.8, 0.8, 0.5), rate_hz=1000,
+             velocity_filter_hz=50.0, noise=0.03, masses=WIDE, seed=205), 'spiral', 'points'),
+    (Setting('Baxter, friction with the load', 'baxter_description/urdf/baxter.urdf', BAXTER,
+             (0.0, -0.5, 0.0, 1.2, 0.0, 0.6, 0.0), (1.5, 2.0, 1.0, 1.0, 0.3, 0.3, 0.2), rate_hz=100, rubbing=0.1,
+             noise_colour=0.9, noise=0.02, masses=WIDE, seed=206), 'sines', 'points'),
+    (Setting('Romeo at 20 Hz', 'romeo_description/urdf/romeo.urdf', ROMEO, (0.4, 0.4, 0.0, -0.8, -1.5, 0.0, 0.0),
+             (0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.05), rate_hz=20, armature=0.01, masses=WIDE, seed=207),
+     'circles', 'sines'),
+    (Setting('Centauro, a joint at a time', 'centauro_description/urdf/centauro.urdf', CENTAURO,
+             (0.2, 0.8, 0.0, -1.2, 0.0, 0.2), (6.0, 6.0, 4.0, 4.0, 2.0, 2.0), rate_hz=250, rubbing=0.05, stribeck=0.3,
+             velocity_filter_hz=20.0, masses=WIDE, seed=208), 'in turn', 'sines'),
+    (Setting('G1, coarse currents', G1, G1_ARM, (0.2, 0.3, 0.0, 0.8, 0.0, 0.0, 0.0),
+             (0.8, 0.8, 0.6, 0.6, 0.2, 0.2, 0.1), rate_hz=500, armature=0.02, late_s=0.002, effort_step=0.1,
+             encoder=1e-4, velocity_filter_hz=40.0, masses=WIDE, seed=209), 'points', 'quick'),
+    (Setting('humanoid, one side alone', 'simple_humanoid_description/urdf/simple_humanoid.urdf', HUMANOID,
+             (0.3, 0.6, 0.0, -1.2, 0.0, 0.0, 0.0), (3.0, 2.0, 1.5, 1.5, 0.5, 0.4, 0.4), rate_hz=100, stribeck=0.5,
+             seed=210), 'part', 'sines'),
+    (Setting('UR3 at a ceiling, quick to wide', 'ur_description/urdf/ur3_robot.urdf', UR, UR_HOME,
+             (3.0, 3.0, 2.0, 0.6, 0.6, 0.5), rate_hz=125, mounted=DOWN, masses=WIDE, asymmetry=0.3, seed=211),
+     'quick', 'sines'),
+    (Setting('human arm, spiral', 'human_description/robots/human.urdf', HUMAN, (0.2, 0.5, 0.0, 0.8, 0.3, 0.0, 0.0),
+             (0.5, 0.5, 0.3, 0.3, 0.2, 0.1, 0.1), rate_hz=100, noise=0.02, seed=212), 'spiral', 'points'),
+    (Setting('UR10 five times as heavy', UR10, UR, UR_HOME, (60.0, 60.0, 40.0, 15.0, 15.0, 10.0), rate_hz=200,
+             heavier=5.0, armature=0.5, masses=WIDE, noise_colour=0.5, seed=213), 'slow', 'points'),
+    (Setting('SO-101 at 30 Hz', 'so_arm_description/urdf/so101.urdf', SO100, (0.0, 0.3, 0.2, 0.3, 0.0),
+             (0.12, 0.12, 0.1, 0.06, 0.05), rate_hz=30, armature=0.01, encoder=1.5e-3, velocity_filter_hz=10.0,
+             noise=0.03, effort_step=0.05, masses=WIDE, seed=214), 'circles', 'points'))
+"""Arms and motions that no other benchmark has, with what measured arms have: coarse encoders, friction of other laws,
+efforts that come late, masses that are far off, other mounts."""
 FILTER_HZ = 20.0
 """Velocities are filtered no lower than that: lag is another question."""
 FEEDFORWARD_STATES = 250
@@ -89,6 +146,17 @@ def pairs(data: Path | None, robots: Path | None) -> Iterator[Pair]:
                    for take, (motion, seconds) in enumerate(((first, 60.0), (second, 30.0)), start=1)]
         settings = Settings(outputs='effort', joints=setting.joints, robot_description=urdf)
         yield Pair(f'{key.split(",")[0].split(" at")[0]} (simulated)', settings, *motions)
+
+
+def other_pairs(robots: Path, seed: int) -> Iterator[Pair]:
+    """The arms of ``OTHERS``; another seed has other masses and motions."""
+    for setting, first, second in OTHERS:
+        setting = replace(setting, seed=setting.seed + 100 * seed)
+        robot = robot_of(setting, robots)
+        settings = Settings(outputs='effort', joints=setting.joints, robot_description=robot.urdf)
+        motions = [causal(recorded(replace(setting, motion=motion, seconds=seconds), robot, take))
+                   for take, (motion, seconds) in enumerate(((first, 60.0), (second, 30.0)), start=1)]
+        yield Pair(f'{setting.name} (simulated)', settings, *motions)
 
 
 def causal(samples: Samples) -> Samples:
@@ -207,10 +275,12 @@ def main() -> int:
     parser.add_argument('--seconds', nargs='*', type=float, default=[],
                         help='also after so many seconds of A, beside all of it')
     parser.add_argument('--only', default='', help='pairs whose names hold this')
+    parser.add_argument('--others', type=int, metavar='SEED', help='arms and motions that no other benchmark has')
     parser.add_argument('--json', type=Path, metavar='FILE')
     args = parser.parse_args()
     console, table, results = Console(width=180), Table(*HEADINGS), []
-    for pair in pairs(args.data, args.robots):
+    chosen = pairs(args.data, args.robots) if args.others is None else other_pairs(args.robots, args.others)
+    for pair in chosen:
         if args.only not in pair.name:
             continue
         span = 1e-9 * float(pair.first.stamps[-1] - pair.first.stamps[0])

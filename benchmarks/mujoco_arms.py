@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +30,8 @@ from support.mujoco_arm import STEP_S, Robot, built
 STIFFNESS, DAMPING = 100.0, 20.0
 ENCODER = 2e-5
 TURN_SPEED = 0.01
+INERTIA = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+STRIBECK_SPEED, SOFT_SPEED = 0.1, 0.03
 RIGID_FRICTION = 2.0 * STEP_S, 1.0
 """Time constant and damping ratio of MuJoCo's friction constraint. Its usual 20 ms makes the dry friction of every
 joint turn over 9 ms before the joint does, which no gear does and which looks like efforts that come early."""
@@ -41,6 +44,11 @@ class Setting:
     ``friction``: dry [N m] at each joint; viscous follows. ``stiffness``: of a cable along each joint [N m/rad], slack
     at home. ``gains``: by how much of itself each effort is read too large. ``rest_s``: the arm stops for so long after
     a third of the motion and after two thirds.
+
+    ``masses``: true over described, smallest and largest. ``encoder``: resolution [rad, m]; velocities are then its
+    filtered differences. ``effort_step``: resolution of efforts, over their standard deviation. ``stribeck``: by how
+    much of itself dry friction is larger near rest. ``rubbing``: dry friction over effort. ``mounted``: roll and pitch
+    [rad] of the base. ``heavier``: the whole robot, described too. ``reach``: size of each joint's motion.
     """
 
     name: str
@@ -66,6 +74,14 @@ class Setting:
     rest_s: float = 0.0
     sensor: tuple[str, str] | None = None
     seed: int = 0
+    masses: tuple[float, float] = (0.8, 1.25)
+    encoder: float = 0.0
+    effort_step: float = 0.0
+    stribeck: float = 0.0
+    rubbing: float = 0.0
+    mounted: tuple[float, float] = (0.0, 0.0)
+    heavier: float = 1.0
+    reach: tuple[float, ...] = ()
 
 
 UR = tuple(f'{name}_joint' for name in ('shoulder_pan', 'shoulder_lift', 'elbow', 'wrist_1', 'wrist_2', 'wrist_3'))
@@ -114,9 +130,34 @@ SETTINGS = (
 )
 
 
+def robot_of(setting: Setting, robots: Path) -> Robot:
+    """The robot as described, on its mount."""
+    tree = ElementTree.fromstring((robots / setting.urdf).read_text())
+    if setting.heavier != 1.0:
+        for part in [*tree.iter('mass'), *tree.iter('inertia'), *tree.iter('limit')]:
+            for name in {'value', 'effort', *INERTIA} & set(part.keys()):
+                part.set(name, repr(setting.heavier * float(part.get(name, ''))))
+    for inertia in tree.iter('inertia'):
+        tensor = np.zeros((3, 3))
+        tensor[np.triu_indices(3)] = [float(inertia.get(name, '0')) for name in INERTIA]
+        if np.linalg.eigvalsh(tensor, 'U')[0] <= 0.0:  # MuJoCo wants bodies that can be
+            for name in INERTIA:
+                inertia.set(name, repr(1e-6 * (name[1] == name[2])))
+    if any(setting.mounted):
+        children = {str(child.get('link')) for child in tree.iter('child')}
+        root = next(str(link.get('name')) for link in tree.findall('link') if link.get('name') not in children)
+        ElementTree.SubElement(tree, 'link', name='mount')
+        joint = ElementTree.SubElement(tree, 'joint', name='mounting', type='fixed')
+        ElementTree.SubElement(joint, 'parent', link='mount')
+        ElementTree.SubElement(joint, 'child', link=root)
+        ElementTree.SubElement(joint, 'origin', rpy='{} {} 0'.format(*setting.mounted), xyz='0 0 1')
+    urdf = ElementTree.tostring(tree, encoding='unicode')
+    return Robot(urdf, setting.joints, setting.home, *(setting.sensor or (None, None)))
+
+
 def case(setting: Setting, robots: Path) -> Case:
     """The setting's recording with the package's model of the described robot."""
-    robot = Robot((robots / setting.urdf).read_text(), setting.joints, setting.home, *(setting.sensor or (None, None)))
+    robot = robot_of(setting, robots)
     return Case(setting.name, robot.body, recorded(setting, robot))
 
 
@@ -128,7 +169,7 @@ def recorded(setting: Setting, robot: Robot, take: int = 0) -> Samples:
         rng = np.random.default_rng((setting.seed, take))
     data = mujoco.MjData(model)
     dofs = [model.joint(name).dofadr[0] for name in setting.joints]
-    wanted = MOTIONS[setting.motion](setting, rng) + np.array(setting.home)
+    wanted = MOTIONS[setting.motion](setting, rng) * np.array(setting.reach or 1.0) + np.array(setting.home)
     wanted = _with_rests(wanted, setting.rest_s) if setting.rest_s else wanted
     speed = np.gradient(wanted, STEP_S, axis=0)
     change = np.gradient(speed, STEP_S, axis=0)
@@ -145,18 +186,29 @@ def recorded(setting: Setting, robot: Robot, take: int = 0) -> Samples:
         aim = ddq + STIFFNESS * (q - data.qpos[dofs]) + DAMPING * (dq - data.qvel[dofs])
         sliding = friction * np.tanh(dq / TURN_SPEED)
         torque = inertia[np.ix_(dofs, dofs)] @ aim + data.qfrc_bias[dofs] + sliding
-        data.qfrc_applied[dofs] = torque - dry * friction * np.maximum(np.tanh(data.qvel[dofs] / TURN_SPEED), 0.0)
+        more = _rubbing(setting, torque, dq, sliding)
+        torque = torque + more
+        data.qfrc_applied[dofs] = (torque - _rubbing(setting, torque, data.qvel[dofs], sliding)
+                                   - dry * friction * np.maximum(np.tanh(data.qvel[dofs] / TURN_SPEED), 0.0))
         seen = data.qpos[dofs].copy(), data.qvel[dofs].copy()
         mujoco.mj_step2(model, data)
         rows.append((*seen, data.sensordata.copy() if setting.sensor else torque))
     return _reported(setting, *(np.array(part) for part in zip(*rows, strict=True)), rng)
 
 
+def _rubbing(setting: Setting, torque: Array, speed: Array, sliding: Array) -> Array:
+    """(n_joints,) dry friction beside that of MuJoCo: more near rest, and with the load."""
+    if not setting.stribeck and not setting.rubbing:
+        return np.zeros_like(speed)
+    near_rest = setting.stribeck * np.array(setting.friction) * np.exp(-(speed / STRIBECK_SPEED)**2)
+    return np.asarray((near_rest + setting.rubbing * np.abs(torque - sliding)) * np.tanh(speed / SOFT_SPEED))
+
+
 def _as_it_is(spec: mujoco.MjSpec, setting: Setting, rng: np.random.Generator) -> None:
     """Masses other than the description's; friction, rotors, and a load that weighs nothing yet."""
     for body in spec.bodies:
         if body.mass > 1e-6:
-            body.mass *= rng.uniform(0.8, 1.25)
+            body.mass *= rng.uniform(*setting.masses)
             body.ipos = np.array(body.ipos) + rng.uniform(-0.01, 0.01, 3)
     for name, dry in zip(setting.joints, setting.friction, strict=True):
         joint = spec.joint(name)
@@ -171,6 +223,9 @@ def _as_it_is(spec: mujoco.MjSpec, setting: Setting, rng: np.random.Generator) -
 
 def _reported(setting: Setting, position: Array, velocity: Array, outputs: Array, rng: np.random.Generator) -> Samples:
     """Sampled at the driver's rate with its filters and noise."""
+    if setting.encoder:
+        position = setting.encoder * np.round(position / setting.encoder)
+        velocity = np.gradient(position, STEP_S, axis=0)
     if setting.velocity_filter_hz:
         below = butter(2, setting.velocity_filter_hz, fs=1.0 / STEP_S)
         velocity = lfilter(*below, velocity, axis=0)
@@ -184,10 +239,13 @@ def _reported(setting: Setting, position: Array, velocity: Array, outputs: Array
     colour = setting.noise_colour
     noise = lfilter([np.sqrt(1.0 - colour**2)], [1.0, -colour], noise, axis=0)
     outputs = outputs + setting.noise * outputs.std(axis=0) * noise
-    position = position + ENCODER * rng.standard_normal(position.shape)
+    if setting.effort_step:
+        step = setting.effort_step * outputs.std(axis=0)
+        outputs = step * np.round(outputs / step)
+    position = position + (not setting.encoder) * ENCODER * rng.standard_normal(position.shape)
     if setting.zeros:
         position = position - np.array(setting.zeros)
-    velocity = velocity + 1e-3 * rng.standard_normal(velocity.shape)
+    velocity = velocity + (not setting.encoder) * 1e-3 * rng.standard_normal(velocity.shape)
     stamps = np.arange(len(position)) * (10**9 // setting.rate_hz)
     return Samples(stamps, position, velocity, np.zeros_like(velocity), outputs, 0)
 
@@ -210,6 +268,39 @@ def _with_rests(path: Array, rest_s: float) -> Array:
     clock = np.cumsum(pace)
     clock = clock[clock < len(path) - 1]
     return np.column_stack([np.interp(clock, np.arange(len(path)), joint) for joint in path.T])
+
+
+def _slow(setting: Setting, rng: np.random.Generator) -> Array:
+    """Wide and slow: a tenth of a radian in a second."""
+    return _waves(setting, rng, (0.1, 0.35), (0.01, 0.06))
+
+
+def _quick(setting: Setting, rng: np.random.Generator) -> Array:
+    """Small and fast, about one pose."""
+    return _waves(setting, rng, (0.02, 0.06), (0.4, 1.5)) + rng.uniform(-0.2, 0.2, len(setting.joints))
+
+
+def _part(setting: Setting, rng: np.random.Generator) -> Array:
+    """On one side of home alone."""
+    return 0.4 * _sines(setting, rng) + rng.choice([-0.3, 0.3], len(setting.joints))
+
+
+def _waves(setting: Setting, rng: np.random.Generator, size: tuple[float, float],
+           frequencies: tuple[float, float]) -> Array:
+    count = len(setting.joints)
+    time = np.arange(round(setting.seconds / STEP_S))[:, None] * STEP_S
+    path = sum(rng.uniform(*size, count) * np.sin(2 * np.pi * rng.uniform(*frequencies, count) * time
+                                                  + rng.uniform(0, 2 * np.pi, count)) for _ in range(3))
+    return np.asarray(path)
+
+
+def _spiral(setting: Setting, rng: np.random.Generator) -> Array:
+    """Pairs of joints go outwards and back, each at a pace of its own."""
+    count = len(setting.joints)
+    time = np.arange(round(setting.seconds / STEP_S))[:, None] * STEP_S
+    pace = np.repeat(rng.uniform(0.1, 0.35, count), 2)[:count]
+    radius = np.abs(np.sin(np.pi * rng.uniform(0.02, 0.05) * time)) * rng.uniform(0.3, 0.6, count)
+    return np.asarray(radius * np.sin(2.0 * np.pi * pace * time + np.pi / 2.0 * np.arange(count)))
 
 
 def _circles(setting: Setting, rng: np.random.Generator) -> Array:
@@ -261,7 +352,8 @@ def _moves(setting: Setting, rng: np.random.Generator, moving: Callable[[int], A
     return np.concatenate(parts)[:length]
 
 
-MOTIONS = {'sines': _sines, 'circles': _circles, 'twice': _twice, 'points': _points, 'in turn': _in_turn}
+MOTIONS = {'sines': _sines, 'circles': _circles, 'twice': _twice, 'points': _points, 'in turn': _in_turn,
+           'slow': _slow, 'quick': _quick, 'part': _part, 'spiral': _spiral}
 
 
 def cases(robots: Path) -> Iterator[Case]:

@@ -60,7 +60,7 @@ class Model:
             len(hyperparameters.output_scale), features.count if features else 0,
             self.gamma * prior_scale[self.learnt], hyperparameters.rho, hyperparameters.sigma,
             None if prior_mean is None else prior_mean[self.learnt], forgetting,
-            np.array(hyperparameters.output_scale))
+            np.array(hyperparameters.output_scale), hyperparameters.repeats)
         self._directions: Indices = np.zeros(0, dtype=np.int64)
         if directions is not None and variant.pi != 'absent':
             self._directions = directions

@@ -28,7 +28,7 @@ import secrets
 from collections.abc import Mapping
 from copy import deepcopy
 from itertools import count
-from math import ceil, exp, log
+from math import ceil, exp, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -96,6 +96,7 @@ class Regression(NamedTuple):
     information: Matrix  # (p + 1, p + 1) R
     scale: Vector  # (n,) of each output
     sigma: float
+    learning: float  # sigma of a sample that is learnt, which tells less where noise repeats itself
 
 
 class Update(NamedTuple):
@@ -116,12 +117,14 @@ class SemiParametricRecursion:
     :param prior_mean: (p,) mean of theta, zero unless given.
     :param forgetting: weight of the past after each sample, in (0, 1]; 1 never forgets.
     :param scale: (n,) scale of each output, in its unit; 1 unless given.
+    :param repeats: samples of this noise that together tell as much as one of white noise.
     :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting
         outside (0, 1].
     """
 
     def __init__(self, n_outputs: int, n_features: int, prior_std: Array, rho: float, sigma: float,
-                 prior_mean: Array | None = None, forgetting: float = 1.0, scale: Array | None = None) -> None:
+                 prior_mean: Array | None = None, forgetting: float = 1.0, scale: Array | None = None,
+                 repeats: float = 1.0) -> None:
         self.n_outputs, self.n_features, self.n_columns = n_outputs, n_features, len(prior_std)
         self.sigma, self.rho, self.forgetting = float(sigma), float(rho), float(forgetting)
         self._prior_std = np.array(prior_std, dtype=float)
@@ -141,7 +144,7 @@ class SemiParametricRecursion:
         diagonal = np.arange(self.n_columns)
         information[diagonal, diagonal] = 1.0 / self._prior_std[::-1]
         information[:-1, -1] = (self.theta / self._prior_std)[::-1]
-        self._regression = Regression(information, self.scale, self.sigma)
+        self._regression = Regression(information, self.scale, self.sigma, self.sigma * sqrt(repeats))
         self._nothing_known = np.zeros(n_outputs)
         self.revise()
 
@@ -230,6 +233,13 @@ class SemiParametricRecursion:
         """(p, p) covariance of theta given the features' prior and all samples learnt."""
         inverse, _ = dtrtrs(self._regression.information[:-1, :-1], np.eye(self.n_columns))
         return np.asarray((inverse @ inverse.T)[::-1, ::-1])
+
+    def theta_covariance_of_white_noise(self) -> Array:
+        """(p, p) the covariance of theta if each of the samples learnt told as much as one of white
+        noise does."""
+        root, prior = self.theta_root(), np.diag(1.0 / self._prior_std**2)
+        told = (self._regression.learning / self.sigma) ** 2 * (root.T @ root - prior)
+        return np.asarray(np.linalg.inv(told + prior))
 
     def theta_root(self) -> Array:
         """(p, p) R of the information R'R, which is the inverse of :meth:`theta_covariance`."""
@@ -440,14 +450,14 @@ def learn(root: Root, regression: Regression, prior: Prior, outputs: Vector, upd
     theta, innovations, gain = update
     n, size = innovations.shape
     regressed = prior.projection.regressed.reshape((n, size))
-    s = variance(prior.projection.f, regression.sigma)
+    s = variance(prior.projection.f, regression.learning)
     for i in range(len(gain)):
         gain[i] = prior.projection.reach[i] / s
     for k in range(n):
         for c in range(size - 1):
             innovations[k, c] = columns[k, c] - regressed[k, c]
         innovations[k, size - 1] = outputs[k] - regressed[k, size - 1]
-    placed = wait(root, prior.projection, innovations.reshape(n * size), regression.sigma)
+    placed = wait(root, prior.projection, innovations.reshape(n * size), regression.learning)
     if size == 1:
         return placed
     rows = np.zeros((n + TOGETHER - 1, size))  # those beyond n stay zero

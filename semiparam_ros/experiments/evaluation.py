@@ -241,7 +241,9 @@ class OfflineLearner(LearnerListener):
         self.learner.clear_pending()
 
     def begin(self, origin: int) -> None:
-        """Go on with another recording, whose time starts at ``origin`` [ns]."""
+        """Go on with another recording, whose time starts at ``origin`` [ns]: what is half seen is
+        dropped, as after a jump of the clock."""
+        self.learner.clear_pending()
         self.estimator.begin_recording(origin)
         history = self.learner.history
         history.origin = origin if history.origin is None else history.origin

@@ -390,7 +390,9 @@ class ChangeDetector:
         """Compare with the model as it stands from now on."""
         assert self._model is not None
         self._reference, self._held, self._compared = self._model.theta.copy(), False, np.zeros(3)
-        everything, columns = self._model.recursion.theta_covariance(), self._own_columns
+        # what noise repeats is in kappa
+        everything = self._model.recursion.theta_covariance_of_white_noise()
+        columns = self._own_columns
         scale = np.outer(self._own_scale, self._own_scale)
         self._covariance = everything[np.ix_(columns, columns)] / scale
 

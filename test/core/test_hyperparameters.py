@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from semiparam_ros.core.hyperparameters.estimation import estimate, plain_least_squares
 from semiparam_ros.core.hyperparameters.feature_count import FEW_NAT, fewest_features
@@ -15,6 +16,7 @@ from semiparam_ros.core.hyperparameters.maximisation import (
     maximise_evidence,
     maximise_from,
 )
+from semiparam_ros.core.hyperparameters.repeated_noise import repeated
 from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
 from semiparam_ros.core.hyperparameters.window import input_groups
 from semiparam_ros.core.variants import VARIANTS
@@ -53,6 +55,38 @@ class Draw:
 @pytest.fixture(scope='module')
 def draw():
     return Draw()
+
+
+def slow_noise(rng, steps, memory):
+    """(steps,) of standard deviation one, alike over ``memory`` steps."""
+    white, decay = rng.standard_normal(steps), np.exp(-1.0 / memory)
+    return lfilter([np.sqrt(1.0 - decay**2)], [1.0, -decay], white)
+
+
+@pytest.mark.parametrize('alike', [5.0, 50.0])
+def test_slow_noise_tells_as_much_as_so_many_samples_of_white_noise(alike):
+    """The variance of least squares under it is so many times that under white noise."""
+    rng, steps, memory = np.random.default_rng(1), 2000, 30.0
+    columns = np.array([slow_noise(rng, steps, alike) for _ in range(20)])
+    noises = np.array([slow_noise(rng, steps, memory) for _ in range(200)])
+    times = np.mean((columns @ noises.T) ** 2) / np.mean(np.sum(columns**2, axis=1))
+    columns = columns.T[:, None, :]
+    assert repeated(columns, 1e9, memory) == pytest.approx(times, rel=0.15)
+    assert repeated(columns, 0.0, memory) == 1.0
+
+
+@pytest.mark.parametrize(('memory', 'true', 'counts'), [(40.0, 0.1, True), (None, 0.1, False), (40.0, 30.0, False)])
+def test_noise_that_is_alike_for_long_is_learnt_as_fewer_samples(memory, true, counts):
+    """But where the prior is far off samples count whole, and so they do under white noise."""
+    rng, steps, n = np.random.default_rng(2), 600, 3
+    time = np.arange(steps)[:, None] / rng.uniform(80.0, 400.0, n * 4)
+    coupled = np.sin(2.0 * np.pi * time).reshape(steps, n, 4) + 0.02 * rng.standard_normal((steps, n, 4))
+    noise = rng.standard_normal((steps, n)) if memory is None else np.column_stack(
+        [slow_noise(rng, steps, memory) for _ in range(n)])
+    outputs = coupled @ (true * rng.standard_normal(4)) + noise
+    inputs = rng.standard_normal((steps, 6))
+    found = estimate('P', outputs, coupled, inputs, np.zeros((0, 6)), physical=True, prior_scale=np.full(4, 0.3))
+    assert (found.repeats > 5.0) == counts
 
 
 @pytest.mark.parametrize('variant', VARIANTS)

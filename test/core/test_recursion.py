@@ -150,6 +150,23 @@ def test_outputs_of_different_scales_are_those_of_one_scale_in_other_units():
     np.testing.assert_allclose(scaled.weights(), scale[:, None] * one.weights(), **SAME)
 
 
+def test_samples_that_repeat_each_other_are_learnt_as_fewer_and_predicted_with_all_their_noise():
+    n, d, p, sigma, repeats = 2, 4, 3, 0.1, 25.0
+    phi, columns, outputs = problem(3, 40, n, d, p)
+    fewer = SemiParametricRecursion(n, d, np.ones(p), 1.0, sigma, repeats=repeats)
+    noisier = SemiParametricRecursion(n, d, np.ones(p), 1.0, sigma * np.sqrt(repeats))
+    said = [run(each, phi, columns, outputs).predict(phi[0], columns[0]) for each in (fewer, noisier)]
+    np.testing.assert_allclose(fewer.theta, noisier.theta, **SAME)
+    np.testing.assert_allclose(fewer.theta_covariance(), noisier.theta_covariance(), **SAME)
+    wider = (repeats - 1.0) * sigma**2 * np.eye(n)
+    np.testing.assert_allclose(said[0].covariance + wider, said[1].covariance, **SAME)
+    white = SemiParametricRecursion(n, 0, np.ones(p), 1.0, sigma)
+    tempered = SemiParametricRecursion(n, 0, np.ones(p), 1.0, sigma, repeats=repeats)
+    for each in (white, tempered):
+        run(each, phi[:, :0], columns, outputs)
+    np.testing.assert_allclose(tempered.theta_covariance_of_white_noise(), white.theta_covariance(), **SAME)
+
+
 def test_forgetting_weighs_the_past_as_the_batch_solution_does():
     phi, columns, outputs = problem(3, 400, 3, 6, 4)
     wide = 1e4  # so that the prior, which the recursion renews and the batch solution forgets, does not matter

@@ -2,14 +2,16 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
 from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TRIED
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
-from support.changing_arm import LOADED_S, SETTINGS, free, loaded, offered, pushed
+from support.changing_arm import LOADED_S, SETTINGS, described, free, loaded, offered, pushed
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 
@@ -153,6 +155,17 @@ def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_a
     stage.offer(replace(later, stamps=later.stamps - round(3600e9)))
     assert all(since < samples.stamps[0] for since in asked)
     assert not stage.learner.changes.records[number].unnamed
+
+
+def test_another_recording_begins_with_nothing_half_seen():
+    """Its stamps may be those of an earlier day, so no change of the one before is over in it."""
+    _, samples, _ = loaded()
+    offline = OfflineLearner(described(), [], lambda: None)
+    for part in (samples[: np.searchsorted(samples.time, LOADED_S[0] + 3.0)], samples[:600]):
+        offline.begin(samples.origin)
+        for sample in part:
+            offline.step(sample, True)
+    assert offline.learner.changes.state == 'as it was'
 
 
 def test_a_change_knows_since_when_it_was_taken_for_a_contact():

@@ -36,6 +36,18 @@ def free(seed=3):
     return body_of(found), samples_of(found)
 
 
+def described(seed=3):
+    """Settings of the arm that hold its description."""
+    found = _recording(False, seed)
+    return replace(
+        SETTINGS,
+        robot_description=found.urdf,
+        joints=tuple(found.joint_names),
+        sensor_frame=found.frame_id,
+        wrench_convention=found.convention,
+    )
+
+
 def loaded(between=LOADED_S, seed=3):
     """The same with a load between two times [s], and its mass [kg]."""
     (body, samples), with_it = free(seed), _recording(True, seed)
