@@ -18,7 +18,7 @@ from semiparam_ros.effects import effect_from_text, effect_to_text
 from semiparam_ros.errors import SemiparamError
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 
-WINDOW, COUNT = 60, 360
+WINDOW, COUNT = 60, 260
 ARM = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
 
 
