@@ -461,8 +461,9 @@ def learn(root: Root, regression: Regression, prior: Prior, outputs: Vector, upd
     if size == 1:
         return placed
     rows = np.zeros((n + TOGETHER - 1, size))  # those beyond n stay zero
+    repeats = (regression.learning / regression.sigma) ** 2
     for k in range(n):
-        weight = 1.0 / np.sqrt(s * regression.scale[k] * regression.scale[k] + prior.doubt[k])
+        weight = 1.0 / np.sqrt(s * regression.scale[k] * regression.scale[k] + repeats * prior.doubt[k])
         for c in range(size - 1):
             rows[k, size - 2 - c] = weight * innovations[k, c]
         rows[k, size - 1] = weight * innovations[k, size - 1]

@@ -343,17 +343,18 @@ def learnt(columns, outputs, of_turning):
     return model.theta
 
 
-def test_noise_of_one_sample_is_that_of_weighted_least_squares():
+@pytest.mark.parametrize('repeats', [1.0, 25.0])
+def test_noise_of_one_sample_is_that_of_weighted_least_squares(repeats):
     columns, outputs = turning()
     doubts = np.random.default_rng(0).uniform(0.0, 1.0, outputs.shape)
-    model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1)
+    model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1, repeats=repeats)
     information, right = np.diag([1.0, 1.0 / 9.0]), np.zeros(2)
     for rows, output, doubt in zip(columns, outputs, doubts, strict=True):
         prior, noise = model.predict(np.zeros(0), rows, doubt=doubt), 0.1**2 + doubt
         np.testing.assert_allclose(prior.covariance, rows @ np.linalg.solve(information, rows.T) + noise)
         model.learn(prior, output)
-        information += rows.T @ rows / noise
-        right += rows[0] * output / noise
+        information += rows.T @ rows / (repeats * noise)
+        right += rows[0] * output / (repeats * noise)
     np.testing.assert_allclose(model.theta, np.linalg.solve(information, right))
 
 
