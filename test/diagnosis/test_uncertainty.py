@@ -59,7 +59,7 @@ def test_what_errors_of_a_smoothed_motion_shift_is_taken_off_and_counts_as_a_dev
     truth, inputs = smooth_motion(4, 1500, rate=20.0, seed=2, speed=0.6), Inputs('smoothed more', 1)
     exact, used = BODY.regressors(truth) @ BODY.base_parameters, inputs.mask(np.ones(len(truth), dtype=bool))
     told = []
-    for seed in range(3):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         seen = replace(truth, position=truth.position + 3e-3 * white(rng), velocity=truth.velocity + 5e-2 * white(rng),
                        acceleration=np.zeros_like(exact), outputs=exact + 1e-4 * exact.std(axis=0) * white(rng))
