@@ -391,7 +391,7 @@ class ChangeDetector:
         assert self._model is not None
         self._reference, self._held, self._compared = self._model.theta.copy(), False, np.zeros(3)
         # what noise repeats is in kappa
-        everything = self._model.recursion.theta_covariance_of_white_noise()
+        everything = self._model.recursion.theta_covariance(white=True)
         columns = self._own_columns
         scale = np.outer(self._own_scale, self._own_scale)
         self._covariance = everything[np.ix_(columns, columns)] / scale

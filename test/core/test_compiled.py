@@ -172,12 +172,13 @@ def test_the_features(features, estimates):
 @pytest.mark.parametrize('columns', [0, 1, 5, 22])
 def test_the_columns(columns):
     rng = np.random.default_rng(3)
-    model = SemiParametricRecursion(N, 12, np.ones(columns), 1.0, 0.1, forgetting=0.999, scale=np.linspace(0.5, 2.0, N))
+    model = SemiParametricRecursion(N, 12, np.ones(columns), 1.0, 0.1, forgetting=0.999,
+                                    scale=np.linspace(0.5, 2.0, N), repeats=4.0)
     for index in range(60):
         phi, coupled, outputs = rng.standard_normal(12), rng.standard_normal((N, columns)), rng.standard_normal(N)
         coupled[:, :1] *= index % 3  # a column of zeros at times
-        known = rng.standard_normal(N)
-        prior, (mean, covariance) = model.predict(phi, coupled, known), plain.predict(model, phi, coupled, known)
+        given = phi, coupled, rng.standard_normal(N), rng.uniform(0.0, 1.0, N)
+        prior, (mean, covariance) = model.predict(*given), plain.predict(model, *given)
         for found, expected in ((prior.mean, mean), (prior.covariance, covariance),
                                 (prior.std, np.sqrt(covariance.diagonal()))):
             np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)

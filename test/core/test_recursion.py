@@ -164,7 +164,7 @@ def test_samples_that_repeat_each_other_are_learnt_as_fewer_and_predicted_with_a
     tempered = SemiParametricRecursion(n, 0, np.ones(p), 1.0, sigma, repeats=repeats)
     for each in (white, tempered):
         run(each, phi[:, :0], columns, outputs)
-    np.testing.assert_allclose(tempered.theta_covariance_of_white_noise(), white.theta_covariance(), **SAME)
+    np.testing.assert_allclose(tempered.theta_covariance(white=True), white.theta_covariance(), **SAME)
 
 
 def test_forgetting_weighs_the_past_as_the_batch_solution_does():
@@ -362,3 +362,21 @@ def test_friction_that_turns_over_late_does_not_bend_the_mass():
     columns, outputs = turning()
     off, ours = (np.abs(learnt(columns, outputs, of_turning) - [0.5, 2.0]) for of_turning in (False, True))
     assert off[0] > 0.05 and (ours < 0.2 * off).all()
+
+
+@pytest.mark.parametrize(('forgetting', 'changes'), [(1.0, False), (0.97, False), (1.0, True)])
+def test_what_is_forgotten_and_renewed_of_the_prior_does_not_count_as_samples(forgetting, changes):
+    """The third coefficient is never excited: whatever repeats, no more is known of it than by one model's prior."""
+    rng = np.random.default_rng(0)
+    models = [SemiParametricRecursion(2, 0, np.ones(3), 1.0, 0.1, forgetting=forgetting, repeats=repeats)
+              for repeats in (1.0, 100.0)]
+    for number in range(1500):
+        columns = rng.standard_normal((2, 3)) * [1.0, 1.0, 0.0]
+        for model in models:
+            if changes and number == 1200:
+                model.follow_change()
+            model.learn(model.predict(np.zeros(0), columns), columns.sum(axis=1))
+    white, fewer = (model.theta_covariance(white=True) for model in models)
+    np.testing.assert_allclose(white, models[0].theta_covariance(), rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(fewer[2, 2], white[2, 2])
+    assert np.linalg.eigvalsh(fewer).min() > 0.0

@@ -64,7 +64,7 @@ def project(root, phi):
     return root_s.T @ phi, root_s @ (root_s.T @ phi), regressed
 
 
-def predict(recursion, phi, columns, known):
+def predict(recursion, phi, columns, known, doubt):
     """Mean and covariance of the outputs."""
     root, regression = recursion.arrays
     f, _, regressed = project(root, phi)
@@ -72,15 +72,16 @@ def predict(recursion, phi, columns, known):
     regressed[:, -1] += known
     left, s = columns - regressed[:, :-1], regression.sigma**2 + f @ f
     half = solve_triangular(regression.information[:-1, :-1], left.T[::-1], trans=1)
-    return regressed[:, -1] + left @ recursion.theta, np.diag(s * regression.scale**2) + half.T @ half
+    return regressed[:, -1] + left @ recursion.theta, np.diag(s * regression.scale**2 + doubt) + half.T @ half
 
 
 def learn(recursion, prior, outputs):
     """(p,) theta, and (n, p + 1) innovations of a sample."""
     _, regression = recursion.arrays
     innovations = np.column_stack([prior.columns, outputs]) - prior.regressed
-    s = regression.sigma**2 + prior.projection.f @ prior.projection.f
-    rows = innovations / (np.sqrt(s) * regression.scale[:, None])
+    s = regression.learning**2 + prior.projection.f @ prior.projection.f
+    repeats = (regression.learning / regression.sigma) ** 2
+    rows = innovations / np.sqrt(s * regression.scale**2 + repeats * prior.doubt)[:, None]
     rows = np.hstack([rows[:, -2::-1], rows[:, -1:]])
     r = np.linalg.qr(np.vstack([regression.information, rows]), mode='r')
     return solve_triangular(r[:-1, :-1], r[:-1, -1])[::-1], innovations

@@ -38,7 +38,7 @@ def repeats_of(window: Window, at: Point) -> float:
     others = zip(flat, grams.sum(axis=0) - grams, moments.sum(axis=0) - moments, strict=True)
     for fold, ((x, y), gram, moment) in enumerate(others):
         for number, repeats in enumerate(tried):
-            theta = np.linalg.lstsq(gram + repeats * np.eye(len(gram)), moment)[0]  # it may be singular
+            theta = np.linalg.lstsq(gram + repeats * np.eye(len(gram)), moment, rcond=None)[0]  # singular to rounding
             losses[number, fold] = np.log(np.mean((y - x @ theta) ** 2))
     best = int(losses.mean(axis=1).argmin())
     gained = losses[0] - losses[best]
