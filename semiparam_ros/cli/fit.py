@@ -108,6 +108,9 @@ def _show(settings: Settings, found: Hyperparameters) -> None:
     if found.drift_share > 0.01:
         rows.append(('drift', f'{100 * found.drift_share:.0f} % of the noise variance is slow, with a memory of '
                               f'{figure(found.drift_memory)} samples'))
+    if found.autocorrelation_time > 1.0:
+        rows.append(('correlation', f'{figure(found.autocorrelation_time)} samples tell as much of the rigid body as '
+                                    'one would if noise were white'))
     for name, text in rows:
         options.output.print(f'{name:13s} {text}')
 

@@ -60,7 +60,7 @@ class Model:
             len(hyperparameters.output_scale), features.count if features else 0,
             self.gamma * prior_scale[self.learnt], hyperparameters.rho, hyperparameters.sigma,
             None if prior_mean is None else prior_mean[self.learnt], forgetting,
-            np.array(hyperparameters.output_scale), hyperparameters.repeats)
+            np.array(hyperparameters.output_scale), hyperparameters.autocorrelation_time)
         self._directions: Indices = np.zeros(0, dtype=np.int64)
         if directions is not None and variant.pi != 'absent':
             self._directions = directions
@@ -96,15 +96,15 @@ class Model:
         """Prior of a recursion of this variant with features phi (D,)."""
         known = None if self.pi is None else columns[:, :len(self.pi)] @ self.pi
         learnt = columns[:, self.learnt] if self.learnt.start else columns
-        doubt = None if not len(self._directions) else \
+        extra_variance = None if not len(self._directions) else \
             turning_variance(self._directions, recursion.theta if self.pi is None else self.pi, columns)
-        return recursion.predict(phi, learnt, known, doubt)
+        return recursion.predict(phi, learnt, known, extra_variance)
 
 
 def information_gain(prior: Prior, noise_std: Array) -> float:
     """Bound on what learning a sample can tell of the model [nat]: the log of predictive over noise
     deviation (n,), summed over the outputs, whose correlation is left out."""
-    return 0.5 * sum(map(log, (prior.std**2 / (noise_std**2 + prior.doubt)).tolist()))
+    return 0.5 * sum(map(log, (prior.std**2 / (noise_std**2 + prior.extra_variance)).tolist()))
 
 
 @dataclass(frozen=True)

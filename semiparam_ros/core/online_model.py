@@ -83,7 +83,7 @@ class OnlineModel:
         model = self.model
         prior = model.predict(x, shown)
         of_sensor = (shown - needed)[:, model.covered] @ model.theta
-        ratio = float(((prior.std**2 - prior.doubt) / model.noise_std**2).max()) - 1.0
+        ratio = float(((prior.std**2 - prior.extra_variance) / model.noise_std**2).max()) - 1.0
         return DesiredOutputs(prior.mean, prior.mean - of_sensor, prior.covariance, ratio)
 
     def coefficients(self) -> Coefficients:

@@ -79,7 +79,7 @@ class Prior(NamedTuple):
     std: Vector  # (n,) of each output, noise included
     phi: Vector  # (D,) features
     projection: Projection  # with phi' Theta (n, p + 1), of y with what is known of it, row by row
-    doubt: Vector  # (n,) variance of each output's noise in this sample alone, beyond that of all
+    extra_variance: Vector  # (n,) variance of each output's noise in this sample alone, beyond that of all
     columns: Matrix  # (n, p) the coupled columns
     revision: int  # of the model that it was computed from
 
@@ -96,7 +96,7 @@ class Regression(NamedTuple):
     information: Matrix  # (p + 1, p + 1) R
     scale: Vector  # (n,) of each output
     sigma: float
-    learning: float  # sigma of a sample that is learnt, which tells less where noise repeats itself
+    tempered_sigma: float  # sigma of a sample that is learnt, which tells less where noise is correlated
 
 
 class Update(NamedTuple):
@@ -117,14 +117,14 @@ class SemiParametricRecursion:
     :param prior_mean: (p,) mean of theta, zero unless given.
     :param forgetting: weight of the past after each sample, in (0, 1]; 1 never forgets.
     :param scale: (n,) scale of each output, in its unit; 1 unless given.
-    :param repeats: samples of this noise that together tell as much as one of white noise.
+    :param autocorrelation_time: r, samples of this noise that together tell as much as one of white noise.
     :raises SemiparamError: a standard deviation that is not positive and finite, or forgetting
         outside (0, 1].
     """
 
     def __init__(self, n_outputs: int, n_features: int, prior_std: Array, rho: float, sigma: float,
                  prior_mean: Array | None = None, forgetting: float = 1.0, scale: Array | None = None,
-                 repeats: float = 1.0) -> None:
+                 autocorrelation_time: float = 1.0) -> None:
         self.n_outputs, self.n_features, self.n_columns = n_outputs, n_features, len(prior_std)
         self.sigma, self.rho, self.forgetting = float(sigma), float(rho), float(forgetting)
         self._prior_std = np.array(prior_std, dtype=float)
@@ -146,22 +146,24 @@ class SemiParametricRecursion:
         self._prior_information: Array = self._prior_std**-2
         """(p,) of R'R, what is the prior's and not the samples': it is forgotten and renewed."""
         information[:-1, -1] = (self.theta / self._prior_std)[::-1]
-        self._regression = Regression(information, self.scale, self.sigma, self.sigma * sqrt(repeats))
+        self._regression = Regression(information, self.scale, self.sigma, self.sigma * sqrt(autocorrelation_time))
         self._nothing_known = np.zeros(n_outputs)
         self.revise()
 
-    def predict(self, phi: Array, columns: Array, known: Array | None = None, doubt: Array | None = None) -> Prior:
+    def predict(self, phi: Array, columns: Array, known: Array | None = None,
+                extra_variance: Array | None = None) -> Prior:
         """Mean and covariance of the outputs at features (D,) and coupled columns (n, p).
 
         :param known: (n,) part of the outputs that the model does not have to learn.
-        :param doubt: (n,) variance of each output's noise in this sample, beyond sigma^2 scale^2; 0 unless given.
+        :param extra_variance: (n,) variance of each output's noise in this sample, beyond sigma^2 scale^2; 0 unless
+            given.
         """
         n, known = self.n_outputs, self._nothing_known if known is None else known
-        doubt = self._nothing_known if doubt is None else doubt
+        extra_variance = self._nothing_known if extra_variance is None else extra_variance
         size, n_estimates = self.n_features, n * (self.n_columns + 1)
         projection = Projection(np.empty(size), np.empty(size), np.empty(n_estimates))
         prior = Prior(np.empty(n), np.empty((n, n)), np.empty(n), np.ascontiguousarray(phi),
-                      projection, doubt, np.ascontiguousarray(columns), self.revision)
+                      projection, extra_variance, np.ascontiguousarray(columns), self.revision)
         _predict(self._weights.root, self._regression, self.theta, known, prior)
         return prior
 
@@ -234,12 +236,12 @@ class SemiParametricRecursion:
     def theta_covariance(self, white: bool = False) -> Array:
         """(p, p) covariance of theta given the features' prior and all samples learnt.
 
-        :param white: as if each sample told as much as one of white noise: R'R then holds ``repeats`` times what it
+        :param white: as if each sample told as much as one of white noise: R'R then holds r times what it
             has of the samples, and the same of the prior.
         """
         inverse, _ = dtrtrs(self._regression.information[:-1, :-1], np.eye(self.n_columns))
         if white:
-            more = (self._regression.learning / self.sigma) ** 2 - 1.0
+            more = (self._regression.tempered_sigma / self.sigma) ** 2 - 1.0
             prior_root = np.sqrt(self._prior_information[::-1, None]) * inverse
             shares, directions = np.linalg.eigh(prior_root.T @ prior_root)  # of the prior in R'R
             inverse = inverse @ directions / np.sqrt(1.0 + more * (1.0 - np.minimum(shares, 1.0)))
@@ -383,7 +385,7 @@ def predict(root: Root, regression: Regression, theta: Vector, known: Vector, pr
             for c in range(p):
                 value += half[k, c] * half[j, c]
             covariance[k, j] = covariance[j, k] = value
-        covariance[k, k] += s * scale[k] * scale[k] + prior.doubt[k]
+        covariance[k, k] += s * scale[k] * scale[k] + prior.extra_variance[k]
         std[k] = np.sqrt(covariance[k, k])
 
 
@@ -458,20 +460,20 @@ def learn(root: Root, regression: Regression, prior: Prior, outputs: Vector, upd
     theta, innovations, gain = update
     n, size = innovations.shape
     regressed = prior.projection.regressed.reshape((n, size))
-    s = variance(prior.projection.f, regression.learning)
+    s = variance(prior.projection.f, regression.tempered_sigma)
     for i in range(len(gain)):
         gain[i] = prior.projection.reach[i] / s
     for k in range(n):
         for c in range(size - 1):
             innovations[k, c] = columns[k, c] - regressed[k, c]
         innovations[k, size - 1] = outputs[k] - regressed[k, size - 1]
-    placed = wait(root, prior.projection, innovations.reshape(n * size), regression.learning)
+    placed = wait(root, prior.projection, innovations.reshape(n * size), regression.tempered_sigma)
     if size == 1:
         return placed
     rows = np.zeros((n + TOGETHER - 1, size))  # those beyond n stay zero
-    repeats = (regression.learning / regression.sigma) ** 2
+    r = (regression.tempered_sigma / regression.sigma) ** 2
     for k in range(n):
-        weight = 1.0 / np.sqrt(s * regression.scale[k] * regression.scale[k] + repeats * prior.doubt[k])
+        weight = 1.0 / np.sqrt(s * regression.scale[k] * regression.scale[k] + r * prior.extra_variance[k])
         for c in range(size - 1):
             rows[k, size - 2 - c] = weight * innovations[k, c]
         rows[k, size - 1] = weight * innovations[k, size - 1]

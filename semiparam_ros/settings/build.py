@@ -60,7 +60,7 @@ def given_hyperparameters(settings: Table) -> Hyperparameters | None:
         gamma=gamma[0] if gamma else 0.0, rho=rho[0] if rho else 0.0, tau=settings.hyperparameters_tau,
         sigma=settings.hyperparameters_sigma[0], output_scale=settings.hyperparameters_output_scale,
         pi=settings.hyperparameters_pi or None,
-        repeats=settings.hyperparameters_repeats[0] if settings.hyperparameters_repeats else 1.0)
+        autocorrelation_time=next(iter(settings.hyperparameters_autocorrelation_time), 1.0))
 
 
 def hyperparameter_values(hyperparameters: Hyperparameters, input_mean: tuple[float, ...],
@@ -68,8 +68,8 @@ def hyperparameter_values(hyperparameters: Hyperparameters, input_mean: tuple[fl
     """The parameters that hand hyperparameters on to the next start; the inverse of :func:`given_hyperparameters`."""
     scalars = {name: float(getattr(hyperparameters, name)) for name in ('gamma', 'rho', 'sigma')}
     values: dict[str, tuple[float, ...]] = {name: (value,) if value > 0.0 else () for name, value in scalars.items()}
-    repeats = hyperparameters.repeats
-    values |= {'repeats': (float(repeats),) if repeats > 1.0 else (), 'tau': hyperparameters.tau,
+    r = hyperparameters.autocorrelation_time
+    values |= {'autocorrelation_time': (float(r),) if r > 1.0 else (), 'tau': hyperparameters.tau,
                'output_scale': hyperparameters.output_scale, 'pi': hyperparameters.pi or (),
                'input_mean': input_mean, 'input_scale': input_scale}
     found: dict[str, Value] = {f'hyperparameters.{name}': value for name, value in values.items()}

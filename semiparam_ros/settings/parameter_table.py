@@ -253,8 +253,9 @@ class Table:
         'features.length_scales says.', minimum=1e-9)
     hyperparameters_sigma: tuple[float, ...] = declare(
         'hyperparameters.sigma', (), 'Standard deviation of the noise, in output scales (one value).', minimum=1e-12)
-    hyperparameters_repeats: tuple[float, ...] = declare(
-        'hyperparameters.repeats', (), 'Samples that tell as much of the rigid body as one would if noise did not stay '
+    hyperparameters_autocorrelation_time: tuple[float, ...] = declare(
+        'hyperparameters.autocorrelation_time', (),
+        'Samples that tell as much of the rigid body as one would if noise did not stay '
         'alike for a while (one value); empty: 1.', minimum=1.0)
     hyperparameters_output_scale: tuple[float, ...] = declare(
         'hyperparameters.output_scale', (), 'Scale of each output.', unit='N, N m', minimum=1e-12)

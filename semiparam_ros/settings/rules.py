@@ -14,7 +14,8 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.parameter_table import Table, shown
 
 KINDS_OF_INPUT = 3
-HYPERPARAMETERS = ('gamma', 'rho', 'tau', 'sigma', 'repeats', 'output_scale', 'pi', 'input_mean', 'input_scale')
+HYPERPARAMETERS = ('gamma', 'rho', 'tau', 'sigma', 'autocorrelation_time', 'output_scale', 'pi', 'input_mean',
+                   'input_scale')
 FEATURES = ('rho', 'tau', 'input_mean', 'input_scale')
 NOISE = ('sigma', 'output_scale')
 NEEDED = {'P': ('gamma', *NOISE), 'NP': (*FEATURES, *NOISE), 'SP': (*FEATURES, *NOISE, 'pi'),
@@ -100,7 +101,8 @@ def hyperparameters_have_sizes(table: Table) -> str | None:
     """Scalars hold one value, the others as many as there are inputs or outputs."""
     expected: list[tuple[str, Sequence[float], int | None]] = [
         ('gamma', table.hyperparameters_gamma, 1), ('rho', table.hyperparameters_rho, 1),
-        ('sigma', table.hyperparameters_sigma, 1), ('repeats', table.hyperparameters_repeats, 1),
+        ('sigma', table.hyperparameters_sigma, 1),
+        ('autocorrelation_time', table.hyperparameters_autocorrelation_time, 1),
         ('tau', table.hyperparameters_tau, _n_length_scales(table)),
         ('output_scale', table.hyperparameters_output_scale, _n_outputs(table)),
         ('input_mean', table.hyperparameters_input_mean, _n_inputs(table)),

@@ -173,7 +173,7 @@ def test_the_features(features, estimates):
 def test_the_columns(columns):
     rng = np.random.default_rng(3)
     model = SemiParametricRecursion(N, 12, np.ones(columns), 1.0, 0.1, forgetting=0.999,
-                                    scale=np.linspace(0.5, 2.0, N), repeats=4.0)
+                                    scale=np.linspace(0.5, 2.0, N), autocorrelation_time=4.0)
     for index in range(60):
         phi, coupled, outputs = rng.standard_normal(12), rng.standard_normal((N, columns)), rng.standard_normal(N)
         coupled[:, :1] *= index % 3  # a column of zeros at times

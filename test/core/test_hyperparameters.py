@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from semiparam_ros.core.hyperparameters.autocorrelation import integrated_autocorrelation_time
 from semiparam_ros.core.hyperparameters.estimation import estimate, plain_least_squares
 from semiparam_ros.core.hyperparameters.feature_count import FEW_NAT, fewest_features
 from semiparam_ros.core.hyperparameters.marginal_likelihood import Window, evidence, harmonics
@@ -16,7 +17,6 @@ from semiparam_ros.core.hyperparameters.maximisation import (
     maximise_evidence,
     maximise_from,
 )
-from semiparam_ros.core.hyperparameters.repeated_noise import repeated
 from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
 from semiparam_ros.core.hyperparameters.window import input_groups
 from semiparam_ros.core.variants import VARIANTS
@@ -71,8 +71,8 @@ def test_slow_noise_tells_as_much_as_so_many_samples_of_white_noise(alike):
     noises = np.array([slow_noise(rng, steps, memory) for _ in range(200)])
     times = np.mean((columns @ noises.T) ** 2) / np.mean(np.sum(columns**2, axis=1))
     columns = columns.T[:, None, :]
-    assert repeated(columns, 1e9, memory) == pytest.approx(times, rel=0.15)
-    assert repeated(columns, 0.0, memory) == 1.0
+    assert integrated_autocorrelation_time(columns, 1e9, memory) == pytest.approx(times, rel=0.15)
+    assert integrated_autocorrelation_time(columns, 0.0, memory) == 1.0
 
 
 @pytest.mark.parametrize(('memory', 'true', 'counts'), [(40.0, 0.1, True), (None, 0.1, False), (40.0, 30.0, False)])
@@ -86,7 +86,7 @@ def test_noise_that_is_alike_for_long_is_learnt_as_fewer_samples(memory, true, c
     outputs = coupled @ (true * rng.standard_normal(4)) + noise
     inputs = rng.standard_normal((steps, 6))
     found = estimate('P', outputs, coupled, inputs, np.zeros((0, 6)), physical=True, prior_scale=np.full(4, 0.3))
-    assert (found.repeats > 5.0) == counts
+    assert (found.autocorrelation_time > 5.0) == counts
 
 
 @pytest.mark.parametrize('variant', VARIANTS)

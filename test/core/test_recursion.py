@@ -151,17 +151,17 @@ def test_outputs_of_different_scales_are_those_of_one_scale_in_other_units():
 
 
 def test_samples_that_repeat_each_other_are_learnt_as_fewer_and_predicted_with_all_their_noise():
-    n, d, p, sigma, repeats = 2, 4, 3, 0.1, 25.0
+    n, d, p, sigma, r = 2, 4, 3, 0.1, 25.0
     phi, columns, outputs = problem(3, 40, n, d, p)
-    fewer = SemiParametricRecursion(n, d, np.ones(p), 1.0, sigma, repeats=repeats)
-    noisier = SemiParametricRecursion(n, d, np.ones(p), 1.0, sigma * np.sqrt(repeats))
+    fewer = SemiParametricRecursion(n, d, np.ones(p), 1.0, sigma, autocorrelation_time=r)
+    noisier = SemiParametricRecursion(n, d, np.ones(p), 1.0, sigma * np.sqrt(r))
     said = [run(each, phi, columns, outputs).predict(phi[0], columns[0]) for each in (fewer, noisier)]
     np.testing.assert_allclose(fewer.theta, noisier.theta, **SAME)
     np.testing.assert_allclose(fewer.theta_covariance(), noisier.theta_covariance(), **SAME)
-    wider = (repeats - 1.0) * sigma**2 * np.eye(n)
+    wider = (r - 1.0) * sigma**2 * np.eye(n)
     np.testing.assert_allclose(said[0].covariance + wider, said[1].covariance, **SAME)
     white = SemiParametricRecursion(n, 0, np.ones(p), 1.0, sigma)
-    tempered = SemiParametricRecursion(n, 0, np.ones(p), 1.0, sigma, repeats=repeats)
+    tempered = SemiParametricRecursion(n, 0, np.ones(p), 1.0, sigma, autocorrelation_time=r)
     for each in (white, tempered):
         run(each, phi[:, :0], columns, outputs)
     np.testing.assert_allclose(tempered.theta_covariance(white=True), white.theta_covariance(), **SAME)
@@ -338,23 +338,23 @@ def turning(seconds=20.0, rate=100, lag=3):
 def learnt(columns, outputs, of_turning):
     model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1)
     for rows, output in zip(columns, outputs, strict=True):
-        doubt = turning_variance(np.array([1]), model.theta, rows) if of_turning else None
-        model.learn(model.predict(np.zeros(0), rows, doubt=doubt), output)
+        extra_variance = turning_variance(np.array([1]), model.theta, rows) if of_turning else None
+        model.learn(model.predict(np.zeros(0), rows, extra_variance=extra_variance), output)
     return model.theta
 
 
-@pytest.mark.parametrize('repeats', [1.0, 25.0])
-def test_noise_of_one_sample_is_that_of_weighted_least_squares(repeats):
+@pytest.mark.parametrize('r', [1.0, 25.0])
+def test_noise_of_one_sample_is_that_of_weighted_least_squares(r):
     columns, outputs = turning()
-    doubts = np.random.default_rng(0).uniform(0.0, 1.0, outputs.shape)
-    model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1, repeats=repeats)
+    variances = np.random.default_rng(0).uniform(0.0, 1.0, outputs.shape)
+    model = SemiParametricRecursion(1, 0, np.array([1.0, 3.0]), 1.0, 0.1, autocorrelation_time=r)
     information, right = np.diag([1.0, 1.0 / 9.0]), np.zeros(2)
-    for rows, output, doubt in zip(columns, outputs, doubts, strict=True):
-        prior, noise = model.predict(np.zeros(0), rows, doubt=doubt), 0.1**2 + doubt
+    for rows, output, extra_variance in zip(columns, outputs, variances, strict=True):
+        prior, noise = model.predict(np.zeros(0), rows, extra_variance=extra_variance), 0.1**2 + extra_variance
         np.testing.assert_allclose(prior.covariance, rows @ np.linalg.solve(information, rows.T) + noise)
         model.learn(prior, output)
-        information += rows.T @ rows / (repeats * noise)
-        right += rows[0] * output / (repeats * noise)
+        information += rows.T @ rows / (r * noise)
+        right += rows[0] * output / (r * noise)
     np.testing.assert_allclose(model.theta, np.linalg.solve(information, right))
 
 
@@ -366,10 +366,10 @@ def test_friction_that_turns_over_late_does_not_bend_the_mass():
 
 @pytest.mark.parametrize(('forgetting', 'changes'), [(1.0, False), (0.97, False), (1.0, True)])
 def test_what_is_forgotten_and_renewed_of_the_prior_does_not_count_as_samples(forgetting, changes):
-    """The third coefficient is never excited: whatever repeats, no more is known of it than by one model's prior."""
+    """The third coefficient is never excited: whatever r is, no more is known of it than by one model's prior."""
     rng = np.random.default_rng(0)
-    models = [SemiParametricRecursion(2, 0, np.ones(3), 1.0, 0.1, forgetting=forgetting, repeats=repeats)
-              for repeats in (1.0, 100.0)]
+    models = [SemiParametricRecursion(2, 0, np.ones(3), 1.0, 0.1, forgetting=forgetting, autocorrelation_time=r)
+              for r in (1.0, 100.0)]
     for number in range(1500):
         columns = rng.standard_normal((2, 3)) * [1.0, 1.0, 0.0]
         for model in models:

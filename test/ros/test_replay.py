@@ -135,7 +135,8 @@ def test_paced_playback_offers_what_the_bag_recorded_and_the_overrides_change_it
             assert tool.wait() == 0, tool.output
     assert offer['/wrench'].reliability.name == 'BEST_EFFORT' and offer['/wrench'].durability.name == 'VOLATILE'
     assert offer['/joint_states'].durability.name == 'TRANSIENT_LOCAL'
-    assert tool.said('/peer receives nothing on /wrench') and len(peer.heard['/wrench']) == 0
+    assert tool.said('/peer receives nothing on /wrench'), tool.output
+    assert len(peer.heard['/wrench']) == 0
     assert len(peer.heard['/joint_states']) == 60
 
 

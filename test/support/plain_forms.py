@@ -64,7 +64,7 @@ def project(root, phi):
     return root_s.T @ phi, root_s @ (root_s.T @ phi), regressed
 
 
-def predict(recursion, phi, columns, known, doubt):
+def predict(recursion, phi, columns, known, extra_variance):
     """Mean and covariance of the outputs."""
     root, regression = recursion.arrays
     f, _, regressed = project(root, phi)
@@ -72,16 +72,16 @@ def predict(recursion, phi, columns, known, doubt):
     regressed[:, -1] += known
     left, s = columns - regressed[:, :-1], regression.sigma**2 + f @ f
     half = solve_triangular(regression.information[:-1, :-1], left.T[::-1], trans=1)
-    return regressed[:, -1] + left @ recursion.theta, np.diag(s * regression.scale**2 + doubt) + half.T @ half
+    return regressed[:, -1] + left @ recursion.theta, np.diag(s * regression.scale**2 + extra_variance) + half.T @ half
 
 
 def learn(recursion, prior, outputs):
     """(p,) theta, and (n, p + 1) innovations of a sample."""
     _, regression = recursion.arrays
     innovations = np.column_stack([prior.columns, outputs]) - prior.regressed
-    s = regression.learning**2 + prior.projection.f @ prior.projection.f
-    repeats = (regression.learning / regression.sigma) ** 2
-    rows = innovations / np.sqrt(s * regression.scale**2 + repeats * prior.doubt)[:, None]
+    s = regression.tempered_sigma**2 + prior.projection.f @ prior.projection.f
+    r = (regression.tempered_sigma / regression.sigma) ** 2
+    rows = innovations / np.sqrt(s * regression.scale**2 + r * prior.extra_variance)[:, None]
     rows = np.hstack([rows[:, -2::-1], rows[:, -1:]])
     r = np.linalg.qr(np.vstack([regression.information, rows]), mode='r')
     return solve_triangular(r[:-1, :-1], r[:-1, -1])[::-1], innovations

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from semiparam_ros.core.hyperparameters.autocorrelation import autocorrelation_time
 from semiparam_ros.core.hyperparameters.feature_count import fewest_features
 from semiparam_ros.core.hyperparameters.marginal_likelihood import Window
 from semiparam_ros.core.hyperparameters.maximisation import EvidenceMaximum, draft_maximum, maximise_evidence
-from semiparam_ros.core.hyperparameters.repeated_noise import repeats_of
 from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
 from semiparam_ros.core.hyperparameters.window import (
     LengthScales,
@@ -39,8 +39,8 @@ class Hyperparameters:
     :param features: number D of random features that these are for; 0: the class has none, or it is not known.
     :param drift_share: part of sigma^2 that is a slow drift, 0 to 1. :param drift_memory: its e-folding time
         [samples]; both only say what the window showed, predictions take all of sigma for white.
-    :param repeats: samples that together tell as much of the coupled columns as one of white noise (see
-        ``repeated_noise``), where P learns them with physical priors; learning counts them so.
+    :param autocorrelation_time: r, samples that together tell as much of the coupled columns as one of white noise
+        (see ``autocorrelation``), where P learns them with physical priors; learning counts them so.
     """
 
     gamma: float
@@ -52,7 +52,7 @@ class Hyperparameters:
     drift_share: float = 0.0
     drift_memory: float = 0.0
     features: int = 0
-    repeats: float = 1.0
+    autocorrelation_time: float = 1.0
 
 
 def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectrum: Array, *,
@@ -113,7 +113,7 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
                          2 * len(of_kind.spectrum))
     if kind != 'P' or not physical:
         return found
-    return replace(found, repeats=repeats_of(of_kind, maximum.at))
+    return replace(found, autocorrelation_time=autocorrelation_time(of_kind, maximum.at))
 
 
 def _by_evidence(kind: str, found: EvidenceMaximum, pi: Array | None, features: int) -> Hyperparameters:

@@ -15,6 +15,8 @@ from semiparam_ros.ros.recorded_qos import to_rclpy
 from semiparam_ros.ros.replay.node import ReplayNode
 
 SETTLE_S = 0.3
+NAMED_S = 3.0
+"""A node's name comes after its subscriptions; who is not of ROS never tells one."""
 
 
 class Subscriber(NamedTuple):
@@ -52,7 +54,8 @@ class SubscriberCheck:
         if found != self._seen or not self._connected(found):
             self._seen, self._since = found, time.monotonic()
             return False
-        return len({each.owner for each in found}) >= self._count and time.monotonic() - self._since > SETTLE_S
+        settle_s = SETTLE_S if all(each.owner.startswith('/') for each in found) else NAMED_S
+        return len({each.owner for each in found}) >= self._count and time.monotonic() - self._since > settle_s
 
     def _connected(self, found: Iterable[Subscriber]) -> bool:
         expected = dict.fromkeys(self._node.outputs, 0)

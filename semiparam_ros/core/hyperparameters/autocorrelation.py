@@ -22,10 +22,10 @@ FOLDS = 5
 """Parts of the window; each is left out in turn."""
 
 
-def repeats_of(window: Window, at: Point) -> float:
+def autocorrelation_time(window: Window, at: Point) -> float:
     """Of 1, the root of r and r the one that predicts the left-out parts best, of a rigid body with
     physical priors; 1 where that is within a standard error (Breiman et al. 1984)."""
-    most = repeated(window.coupled * window.prior_scale, at.kappa, at.memory)
+    most = integrated_autocorrelation_time(window.coupled * window.prior_scale, at.kappa, at.memory)
     tried = np.array([1.0, np.sqrt(most), most])
     scale = at.sigma * np.sqrt(1.0 + at.kappa) * at.output_scale
     rows = window.coupled / scale[:, None] * window.prior_scale
@@ -37,15 +37,15 @@ def repeats_of(window: Window, at: Point) -> float:
     losses = np.zeros((len(tried), FOLDS))
     others = zip(flat, grams.sum(axis=0) - grams, moments.sum(axis=0) - moments, strict=True)
     for fold, ((x, y), gram, moment) in enumerate(others):
-        for number, repeats in enumerate(tried):
-            theta = np.linalg.lstsq(gram + repeats * np.eye(len(gram)), moment, rcond=None)[0]  # singular to rounding
+        for number, r in enumerate(tried):
+            theta = np.linalg.lstsq(gram + r * np.eye(len(gram)), moment, rcond=None)[0]  # singular to rounding
             losses[number, fold] = np.log(np.mean((y - x @ theta) ** 2))
     best = int(losses.mean(axis=1).argmin())
     gained = losses[0] - losses[best]
     return float(tried[best]) if gained.mean() > gained.std() / np.sqrt(FOLDS - 1.0) else 1.0
 
 
-def repeated(columns: Array, kappa: float, memory: float) -> float:
+def integrated_autocorrelation_time(columns: Array, kappa: float, memory: float) -> float:
     """The r of columns (t, n, p), each as large as it may count."""
     t = len(columns)
     varying = columns.reshape(t, -1)
