@@ -18,7 +18,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.compiled import Matrix, compiled
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonErrors
 from semiparam_ros.core.initial_window import InitialWindow
-from semiparam_ros.core.mixture import student, weigh
+from semiparam_ros.core.mixture import shares, student, weigh
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.online_model import ModelState, OnlineModel
 from semiparam_ros.core.opinion_pool import pool_both, pool_together, pool_weights
@@ -162,8 +162,13 @@ class Ensemble:
             each.horizon.clear()
         self._horizons.clear()
 
-    def forget_offset(self) -> None:
-        """Begin the wandering offsets at zero again."""
+    def leave_motion(self) -> None:
+        """Forget what followed the motion that is over: the wandering offsets, and half of the
+        weights, for those of blocks that were left out; the next motion may go on or be another."""
+        if len(self.models) > 1:
+            weights = 0.5 * (self.weights + self._weights_elsewhere())
+            self._log_weights = np.maximum(np.log(weights / weights.max(axis=0)), LEAST_LOG_WEIGHT)
+            self.weights = shares(self._log_weights)
         for each in self.models:
             if each.wandering is not None:
                 each.wandering.forget()

@@ -306,12 +306,8 @@ class Estimator:
     def begin_recording(self, origin: int) -> None:
         """Go on with another recording, whose time starts at ``origin`` [ns]; what is learnt stays."""
         self.clear_pending()
-        self.forget_offset()
+        self.ensemble.leave_motion()
         self.origin, self._newest, self.motion = origin, None, None
-
-    def forget_offset(self) -> None:
-        """Begin the wandering offset at zero again."""
-        self.ensemble.forget_offset()
 
     def state(self) -> EstimatorState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""

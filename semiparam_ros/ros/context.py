@@ -9,8 +9,8 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TypeVar
@@ -158,6 +158,17 @@ def call_in_executor(node: Node, function: Callable[[], Result]) -> Result:
     if not outcome.done():
         raise SemiparamError(f'the executor of {node.get_name()} has not answered for {CALL_S:g} s.')
     return outcome.result()
+
+
+@contextmanager
+def destroyed_on_failure(node: Node) -> Iterator[None]:
+    """Destroy a node whose construction fails. The error would keep it until rclpy is shut down, and
+    its end after that may be a segmentation fault."""
+    try:
+        yield
+    except BaseException:
+        node.destroy_node()
+        raise
 
 
 def start_rclpy(ros_arguments: Sequence[str]) -> None:

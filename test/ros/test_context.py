@@ -8,7 +8,7 @@ import pytest
 import rclpy
 from rclpy.node import Node
 
-from semiparam_ros.ros.context import RosProcess, call_in_executor
+from semiparam_ros.ros.context import RosProcess, call_in_executor, destroyed_on_failure
 from support.replay_peers import EVERYTHING, Peer
 
 
@@ -32,6 +32,22 @@ def test_a_function_runs_in_the_executors_thread_and_what_it_raises_comes_back(r
         assert call_in_executor(node, thread_name) == 'executor'
         assert ros.error is None
     assert not rclpy.ok()
+
+
+def test_a_node_whose_construction_fails_is_gone_before_rclpy_is_shut_down(ros_domain):
+    class Failing(Node):
+        def __init__(self):
+            super().__init__('failing')
+            with destroyed_on_failure(self):
+                fail()
+
+    with RosProcess([], lambda: None) as ros:
+        other = Node('other')
+        ros.spin(other)
+        with pytest.raises(KeyError, match='of the function') as raised:
+            Failing()
+        assert 'failing' not in other.get_node_names()
+    del raised
 
 
 ACKNOWLEDGED = """
@@ -68,7 +84,7 @@ import rclpy
 from rclpy.qos import qos_profile_sensor_data, qos_profile_system_default
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
-from semiparam_ros.ros.context import RosProcess, call_in_executor
+from semiparam_ros.ros.context import RosProcess, call_in_executor, destroyed_on_failure
 from semiparam_ros.ros.estimator.subscriptions import InputStream
 from semiparam_ros.ros.record.node import RecordNode
 from semiparam_ros.ros.record.options import Limits

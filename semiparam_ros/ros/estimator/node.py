@@ -24,7 +24,7 @@ from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Answer, Learner, LearnerListener
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import ProcessBackground, Scheduler, Worker
-from semiparam_ros.ros.context import DELIVER_S
+from semiparam_ros.ros.context import DELIVER_S, destroyed_on_failure
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.changing import Changing
 from semiparam_ros.ros.estimator.consistent import ConsistentTopic
@@ -66,6 +66,10 @@ class EstimatorNode(Node, LearnerListener):
 
     def __init__(self, schedule: Scheduler, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
         super().__init__(NAME)
+        with destroyed_on_failure(self):
+            self._build(schedule, files, worker)
+
+    def _build(self, schedule: Scheduler, files: Sequence[Path], worker: Worker | None) -> None:
         self.learner: Learner | None = None
         self.errors = InternalErrors(self.get_logger().error, self._complain)
         self._rejections = Rejections()
