@@ -259,19 +259,31 @@ class Client:
 class Gaps:
     """The longest time [s] in which nothing was answered although something was published.
 
-    Looked at again and again; time in which this process was not given the machine does not count.
+    Looked at again and again; time in which this process, or the node's main thread, was not given the machine does not
+    count.
     """
 
     LONGEST_LOOK_S = 0.05
 
-    def __init__(self):
+    def __init__(self, node):
         self.worst = self._silent = 0.0
+        self._node, self._delayed = node, 0.0
+        self._delayed = self._delay()
         self._looked, self._answers = time.monotonic(), 0
+
+    def _delay(self):
+        """[s] that the node's main thread could have run and did not; as before once it has ended."""
+        try:
+            return 1e-9 * int(Path(f'/proc/{self._node.process.pid}/schedstat').read_text().split()[1])
+        except FileNotFoundError:
+            return self._delayed
 
     def look(self, published, answered):
         """So many samples so far."""
         now = time.monotonic()
-        passed, self._looked = min(now - self._looked, self.LONGEST_LOOK_S), now
+        delayed = self._delay()
+        passed = min(max(now - self._looked - (delayed - self._delayed), 0.0), self.LONGEST_LOOK_S)
+        self._looked, self._delayed = now, delayed
         waits = published > answered == self._answers
         self._silent, self._answers = self._silent + passed if waits else 0.0, answered
         self.worst = max(self.worst, self._silent)

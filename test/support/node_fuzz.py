@@ -33,7 +33,7 @@ class Pair:
     """The node under fire and the other, each with a client in its namespace."""
 
     def __init__(self, folder, settings):
-        self.nodes, self.clients, self.states, self.gaps = [], [], [], Gaps()
+        self.nodes, self.clients, self.states = [], [], []
         self.answered, self.worst, self.memory = 0, dict.fromkeys(ANSWERS, 0.0), []
         self.taken_over, self.window = 0, settings.initial_samples
         with ExitStack() as opened:
@@ -49,6 +49,7 @@ class Pair:
             for client in self.clients:
                 client.connect()
                 client.offer(*TOPICS)
+            self.gaps = [Gaps(node) for node in self.nodes]
             self.opened = opened.pop_all()
 
     def compare(self, count):
@@ -57,8 +58,7 @@ class Pair:
         From the end of the initial window on each goes on with the rigid body until its own estimate is there, and the
         two may take a different number of samples until then: those alone are not compared.
         """
-        for client in self.clients:
-            gaps = self.gaps if client is self.clients[0] else Gaps()
+        for client, gaps in zip(self.clients, self.gaps, strict=True):
             client.wait(lambda heard=client.heard, gaps=gaps: gaps.look(
                 count, self.answered + len(heard['residual'])) or all(
                 self.answered + len(heard[topic]) >= count for topic in ANSWERS), f'{count} answers')
@@ -143,7 +143,7 @@ def fuzz(folder, options):
         chance, start = random.Random(options.seed), time.monotonic()
         for index, sample in enumerate(samples):
             time.sleep(max(0.0, start + index / options.rate - time.monotonic()))
-            pair.gaps.look(index, pair.answered + len(fuzzed.heard['residual']))
+            pair.gaps[0].look(index, pair.answered + len(fuzzed.heard['residual']))
             fuzzer.throw(sample, bad=chance.choice([1, 2]))
             for publish in (spared.state, spared.accelerations):
                 publish(sample, JOINTS)
@@ -160,7 +160,7 @@ def fuzz(folder, options):
         codes = pair.stop()
         log = pair.nodes[0].output
     return {'samples': len(samples), 'took_s': took, 'fuzzer': fuzzer, 'invalid_requests': invalid_requests,
-            'counted': counted, 'memory': pair.memory, 'alive': alive, 'codes': codes, 'gap_s': pair.gaps.worst,
+            'counted': counted, 'memory': pair.memory, 'alive': alive, 'codes': codes, 'gap_s': pair.gaps[0].worst,
             'worst': pair.worst, 'apart': apart, 'numbers': numbers, 'parameters equal': same,
             'internal': log.count('internal error') + log.count('Traceback')}
 

@@ -232,7 +232,7 @@ def fuzz(folder, options, settings):
         client.outputs['robot_description'].publish(String(data=URDF))
         client.wait(lambda: client.node.count_publishers('estimator/residual'), 'the answers')
         changes.wait_until_open([client])
-        chance, gaps, start = random.Random(options.seed), Gaps(), time.monotonic()
+        chance, gaps, start = random.Random(options.seed), Gaps(node), time.monotonic()
         for index, sample in enumerate(samples):
             time.sleep(max(0.0, start + index / options.rate - time.monotonic()))
             gaps.look(index % CHECK_EVERY, len(client.heard['residual']))
