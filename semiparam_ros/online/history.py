@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
+from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, LONGEST_STEP_S
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
-from semiparam_ros.online.contact_gate import LONGEST_STEP_S
 from semiparam_ros.online.learning import Learning
 
 KEPT_OF_REST = 20

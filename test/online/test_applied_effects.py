@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.robot.frames import loaded_links
+from semiparam_ros.core.robot.frames import last_link
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.effects.cables import CableSpring
@@ -200,7 +200,7 @@ def test_what_is_applied_is_saved_with_the_model_and_goes_on(tmp_path):
 
 def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
     body, samples = free()
-    link = list(loaded_links(body))[-1]
+    link = last_link(body)
     applied, theta = AppliedEffects(body), np.array([0.5, 0.01, 0.0, 0.02, *np.zeros(6)])
     for kind, values in ((f'payload@{link}', theta), ('sensor_offset', np.arange(6.0))):
         effect = effect_from_text(kind + '{"start_s": 1.0}')
@@ -222,7 +222,7 @@ def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
 
 def test_a_load_without_a_name_is_taken_off_and_is_not_saved():
     body, samples = free()
-    link = list(loaded_links(body))[-1]
+    link = last_link(body)
     applied, theta = AppliedEffects(body), np.array([0.5, 0.01, 0.0, 0.02, *np.zeros(6)])
     off = []
     for number, sample in enumerate(samples[:40]):
