@@ -16,6 +16,7 @@ from semiparam_ros.bags import sample_messages
 from semiparam_ros.bags.array_files import array_lines, holds_arrays, raise_unmatched
 from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.sample_messages import SampleMessage
+from semiparam_ros.bags.text_lines import text_lines
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
@@ -260,7 +261,7 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     """The rows of a table. Blank lines and those that begin with # or % are passed by; names may stand in line 1."""
     name = repr(str(path))
     arrays = holds_arrays(Path(path))
-    numbers = array_lines(Path(path), _lines) if arrays else _lines(Path(path), progress)
+    numbers = array_lines(Path(path)) if arrays else text_lines(Path(path), progress)
     first = next(numbers, None)
     if first is None:
         return
@@ -269,7 +270,7 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     unknown = [column for columns in layout.columns.values() for column in columns
                if isinstance(column, str) and column not in header]
     if unknown and arrays:
-        raise_unmatched(Path(path), _lines, unknown[0])
+        raise_unmatched(Path(path), unknown[0])
     layout = layout.checked()
     indices = column_indices(layout, header, name)
     width = 1 + max(index for columns in indices.values() for index in columns)
@@ -281,30 +282,6 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
                                  'named. White space, commas, semicolons or tabs separate them.')
         yield convert.row({role: [cells[index] for index in columns] for role, columns in indices.items()}, number,
                           where)
-
-
-def _lines(path: Path, progress: Callable[[int], None] = lambda done: None) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of each line."""
-    read = 0
-    try:
-        with path.open('rb') as file:
-            for number, raw in enumerate(file, 1):
-                read += len(raw)
-                line = raw.decode('utf-8-sig' if number == 1 else 'utf-8').strip()
-                if line and line[0] not in '#%':
-                    yield number, _cells(line)
-                if number % 100 == 0:
-                    progress(read)
-    except OSError as error:
-        raise SemiparamError(f'{str(path)!r} cannot be read: {error.strerror}.') from error
-    except UnicodeDecodeError as error:
-        raise SemiparamError(f'{str(path)!r} is neither a bag nor a text table.') from error
-    progress(read)
-
-
-def _cells(line: str) -> list[str]:
-    separator = next((mark for mark in ';,\t' if mark in line), None)
-    return [cell.strip().strip('"') for cell in line.split(separator)]
 
 
 def _is_number(cell: str) -> bool:

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
-from typing import Protocol
 
 from rich.console import Console
 from rich.status import Status
@@ -30,18 +28,10 @@ POLL_S = 0.05
 QUIET_S = 0.5
 
 
-class Recording(Protocol):
-    """Recording as it is shown."""
-
-    @property
-    def messages(self) -> int:
-        """Messages written."""
-
-
 class RecordProgress:
     """Context manager; :meth:`update` is to be called every now and then."""
 
-    def __init__(self, recording: Recording, console: Console, shown: bool = True) -> None:
+    def __init__(self, recording: RecordNode, console: Console, shown: bool = True) -> None:
         self._recording = recording
         self._console = console
         self._shown = shown
@@ -54,8 +44,7 @@ class RecordProgress:
             self._status.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._status is not None:
             self._status.stop()
 
