@@ -274,14 +274,13 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     layout = layout.checked()
     indices = column_indices(layout, header, name)
     width = 1 + max(index for columns in indices.values() for index in columns)
-    convert = _Units(layout)
     for number, (line, cells) in enumerate(numbers if header else chain([first], numbers)):
         where = f'{name} line {line}'
         if len(cells) < width:
             raise SemiparamError(f'{where} has {len(cells)} columns; expected at least {width}, the highest that is '
                                  'named. White space, commas, semicolons or tabs separate them.')
-        yield convert.row({role: [cells[index] for index in columns] for role, columns in indices.items()}, number,
-                          where)
+        yield _row(layout, {role: [cells[index] for index in columns] for role, columns in indices.items()},
+                   number, where)
 
 
 def _is_number(cell: str) -> bool:
@@ -292,38 +291,33 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-class _Units:
-    """Conversion from the units and signs of the file to SI units."""
+def _row(layout: TableLayout, cells: Mapping[str, list[str]], number: int, where: str) -> RecordedRow:
+    """The ``number``-th row (from 0) from its cells by role, in SI units."""
+    angle = math.pi / 180.0 if layout.degrees else 1.0
+    factors = {'position': angle, 'velocity': angle, 'acceleration': angle, 'effort': layout.effort_sign,
+               'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
+    scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
+              for role, factor in factors.items()}
+    if layout.effort_factors and scaled['effort']:
+        scaled['effort'] = [value * layout.effort_factors.get(joint, 1.0)
+                            for joint, value in zip(layout.joints, scaled['effort'], strict=True)]
+    stamp = _stamp(layout, cells['time'][0] if 'time' in cells else None, number, where)
+    return RecordedRow(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'],
+                       scaled['effort'], scaled['force'] + scaled['torque'], scaled['temperature'])
 
-    def __init__(self, layout: TableLayout) -> None:
-        angle = math.pi / 180.0 if layout.degrees else 1.0
-        self._factors = {'position': angle, 'velocity': angle, 'acceleration': angle, 'effort': layout.effort_sign,
-                         'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
-        self._layout = layout
 
-    def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> RecordedRow:
-        """The ``number``-th row (from 0) from its cells by role."""
-        scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
-                  for role, factor in self._factors.items()}
-        if self._layout.effort_factors and scaled['effort']:
-            scaled['effort'] = [value * self._layout.effort_factors.get(joint, 1.0)
-                                for joint, value in zip(self._layout.joints, scaled['effort'], strict=True)]
-        stamp = self._stamp(cells['time'][0] if 'time' in cells else None, number, where)
-        return RecordedRow(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'],
-                           scaled['effort'], scaled['force'] + scaled['torque'], scaled['temperature'])
-
-    def _stamp(self, cell: str | None, number: int, where: str) -> int:
-        """Stamp [ns] of a row. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
-        if cell is None:
-            # Multiplied, not added up: rounding must not pile up over a long recording.
-            time = (Decimal(str(self._layout.start)) + number * Decimal(str(self._layout.period))) * NANOSECONDS
-        else:
-            _float(cell, 'time', where)
-            time = Decimal(cell) * TIME_UNITS[self._layout.time_unit]
-        if not (time.is_finite() and 0 <= time < _LATEST_STAMP):
-            raise SemiparamError(f'{where} has the time {time / NANOSECONDS:f} s; expected 0 to '
-                                 f'{_LATEST_STAMP // NANOSECONDS} s.')
-        return round(time)
+def _stamp(layout: TableLayout, cell: str | None, number: int, where: str) -> int:
+    """Stamp [ns] of a row. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
+    if cell is None:
+        # Multiplied, not added up: rounding must not pile up over a long recording.
+        time = (Decimal(str(layout.start)) + number * Decimal(str(layout.period))) * NANOSECONDS
+    else:
+        _float(cell, 'time', where)
+        time = Decimal(cell) * TIME_UNITS[layout.time_unit]
+    if not (time.is_finite() and 0 <= time < _LATEST_STAMP):
+        raise SemiparamError(f'{where} has the time {time / NANOSECONDS:f} s; expected 0 to '
+                             f'{_LATEST_STAMP // NANOSECONDS} s.')
+    return round(time)
 
 
 def _float(cell: str, role: str, where: str) -> float:

@@ -76,29 +76,28 @@ class Decision(NamedTuple):
     """What was decided of a change at a stamp [ns]: one of ``ASSUMED`` to ``LEARNT``.
 
     :param evidence: [nat] of what came since it was tried, or since it was over. :param error_share:
-        the error while it was applied over what it would have been without; NaN for what never was.
+        the error while it was applied over what it would have been without; None for what never was.
     """
 
     what: str
     stamp: int
-    evidence: float = float('nan')
-    error_share: float = float('nan')
+    evidence: float | None = None
+    error_share: float | None = None
 
     @property
     def sentence(self) -> str:
         """For people, without a full stop."""
         found = f'{self.what} at {self.stamp / NANOSECONDS:.2f} s'
-        if self.evidence == self.evidence:
+        if self.evidence is not None:
             found += f' (evidence {self.evidence:.0f} nat)'
-        if self.error_share == self.error_share:
+        if self.error_share is not None:
             found += f'; the error was {self.error_share:.0%} of what it would have been'
         return found
 
     def as_dict(self) -> dict[str, object]:
         """For the log."""
-        values = {'evidence': self.evidence, 'error_share': self.error_share}
-        known = {name: value if value == value else None for name, value in values.items()}
-        return {'what': self.what, 'stamp_s': self.stamp / NANOSECONDS, **known}
+        return {'what': self.what, 'stamp_s': self.stamp / NANOSECONDS, 'evidence': self.evidence,
+                'error_share': self.error_share}
 
 
 ASSUMED = 'taken off until it is named'
@@ -359,7 +358,7 @@ class ChangeWatch:
         """What stood out was this effect that came, or went: go on with the model as it was."""
         score, since = trial.score, trial.since
         came_again = trial.remembered and not trial.applied
-        share = trial.share if trial.applied else float('nan')
+        share = trial.share if trial.applied else None
         known = self.records.get(trial.number)
         beside = None if detector.followed is None else detector.followed.change.number
         self.applied.switch(trial, now)

@@ -107,6 +107,15 @@ def wrench_layout(frame_id: str) -> Layout:
     return Layout([frame_id, Floats(6, in_sequence=False)])
 
 
+def decoded(raw: bytes, message_class: type) -> Any:
+    """The message as rclpy decodes it; raises SemiparamError for bytes that are none."""
+    try:
+        return deserialize_message(raw, message_class)
+    except Exception as failure:  # of several kinds, from rmw and from the conversion of texts
+        raise SemiparamError(f'a message of {len(raw)} bytes is no {message_class.__name__} '
+                             f'({type(failure).__name__}).') from None
+
+
 class Reader:
     """Reads the messages of one topic.
 
@@ -134,11 +143,7 @@ class Reader:
         return Reading(stamp, frame_id, (texts, *numbers))
 
     def _decoded(self, raw: bytes) -> Reading:
-        try:
-            reading = self._read(deserialize_message(raw, self._message_class))
-        except Exception as failure:  # of several kinds, from rmw and from the conversion of texts
-            raise SemiparamError(f'a message of {len(raw)} bytes is no {self._message_class.__name__} '
-                                 f'({type(failure).__name__}).') from None
+        reading = self._read(decoded(raw, self._message_class))
         if self._layout is not None:
             if len(self._known) >= MOST_LAYOUTS:
                 self._known.clear()

@@ -354,13 +354,15 @@ def model_report(learner: Learner, tally: Tally) -> Report:
 
 def feedforward_report(feedforward: Feedforward) -> Report:
     """Report of how many desired states were answered, and what had to be said of them."""
-    counts = feedforward.counts()
-    values = {'answered': counts.answered, 'answered by the robot description': counts.described,
-              'cut to the effort limits': counts.limited, 'outside of what was learnt': counts.doubtful,
-              'withheld': counts.withheld, 'last mark': feedforward.last}
+    counts = feedforward.counts
+    values = {'answered': counts['answered'], 'answered by the robot description': counts['described'],
+              'cut to the effort limits': counts['limited'],
+              'outside of what was learnt': counts['doubtful'],
+              'withheld': counts['withheld'], 'last mark': feedforward.last}
     if feedforward.withheld:
-        return Report(WARN, f'{counts.withheld} trajectories withheld: {feedforward.withheld}', values)
-    return Report(OK, f'{counts.answered} desired states answered, {counts.withheld} trajectories withheld.', values)
+        return Report(WARN, f'{counts["withheld"]} trajectories withheld: {feedforward.withheld}', values)
+    return Report(OK, f'{counts["answered"]} desired states answered, '
+                      f'{counts["withheld"]} trajectories withheld.', values)
 
 
 def errors_report(errors: InternalErrors, twins: str = '') -> Report:
