@@ -27,7 +27,7 @@ class Losses:
     ``byte_ranges`` are the half-open ranges of the file that could not be used.
     """
 
-    path: str
+    path: str = ''
     saved: int = 0
     intact: int | None = None
     chunks: int = 0

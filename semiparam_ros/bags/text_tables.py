@@ -184,11 +184,6 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
         yield f'time_unit is {layout.time_unit!r}; expected one of {", ".join(TIME_UNITS)}.'
 
 
-def column_indices(layout: TableLayout, header: Sequence[str], where: str) -> dict[str, list[int]]:
-    """Indices from 0 into a row by role, names looked up in the header line."""
-    return {role: [_index(column, header, where) for column in columns] for role, columns in layout.columns.items()}
-
-
 def _parts(column: int | str, header: Sequence[str]) -> list[int | str]:
     """Columns of the array that is named, or the column itself."""
     return [name for name in header if name.rpartition(':')[0] == column] or [column]
@@ -272,7 +267,8 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     if unknown and arrays:
         raise_unmatched(Path(path), unknown[0])
     layout = layout.checked()
-    indices = column_indices(layout, header, name)
+    indices = {role: [_index(column, header, name) for column in columns]
+               for role, columns in layout.columns.items()}
     width = 1 + max(index for columns in indices.values() for index in columns)
     for number, (line, cells) in enumerate(numbers if header else chain([first], numbers)):
         where = f'{name} line {line}'

@@ -481,18 +481,13 @@ class ChangeDetector:
         if self.followed is None:
             self.touched = False
             self._power.append(float(block.own[-1].sum()))
-        if self._held:
-            self._compare(block)
+        if self._held:  # charge what the model from before leaves, with the change that is followed
+            left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
+            self._compared = COMPARED * self._compared + (left, block.live, 1.0)
             if self._compared[2] < LEAST_COMPARED or self._compared[1] > self._compared[0]:
                 return
         self.followed = None
         self._refer()
-
-    def _compare(self, block: MotionBlock) -> None:
-        """Charge what is left of a block by the model from before, with the change that is
-        followed, and as it stands."""
-        left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
-        self._compared = COMPARED * self._compared + (left, block.live, 1.0)
 
     def _outstanding(self, moments: Array) -> list[float]:
         """How far anything stands out of the last blocks, which have these h (B, K), over each of
