@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 
@@ -111,8 +110,7 @@ class RecordSession:
                 writer.abort()
 
     def _record(self, writer: BagWriter) -> RecordAccount:
-        with ExitStack() as stack:
-            ros = stack.enter_context(RosProcess(self._ros_arguments, self._stopping.set))
+        with RosProcess(self._ros_arguments, self._stopping.set) as ros:
             node = RecordNode(writer, self._options.limits)
             ros.spin(node)
             try:
@@ -129,7 +127,7 @@ class RecordSession:
 
     def _find(self, node: RecordNode) -> None:
         """Subscribe to everything named, and say so once it is connected."""
-        missing: tuple[str, ...] = ()
+        missing: list[str] = []
 
         def ready() -> bool:
             nonlocal missing
@@ -144,17 +142,17 @@ class RecordSession:
         self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.')
         self._began = time.monotonic()
 
-    def _look(self, node: RecordNode) -> tuple[str, ...]:
+    def _look(self, node: RecordNode) -> list[str]:
         """Subscribe to what the graph has now; the names that are still missing."""
-        found = topics.find(node, self._options)
-        for topic, type_name in found.topics.items():
+        found, missing = topics.find(node, self._options)
+        for topic, type_name in found.items():
             obstacle = topics.obstacle(type_name)
             if not obstacle:
                 call_in_executor(node, partial(node.follow, topic, type_name))
             elif topic not in self._skipped:
                 self._skipped[topic] = f'{topic} is not recorded: {obstacle}.'
                 self._say(self._skipped[topic])
-        return found.missing
+        return missing
 
     def _wait_for_the_end(self, node: RecordNode, writer: BagWriter) -> None:
         """Write until a limit is reached, doing what is due meanwhile; raises Stopped on a signal."""
