@@ -33,11 +33,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
+from semiparam_ros.bags.header_stamp import read_stamp, with_stamp
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.cdr import joint_state_layout, read_stamp, with_stamp, wrench_layout
+from semiparam_ros.ros.cdr import joint_state_layout, wrench_layout
 from semiparam_ros.ros.context import spin_for
 from semiparam_ros.settings import Settings, dump_params
 from semiparam_ros.settings.build import build_rigid_body

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from semiparam_ros.bags.text_lines import Cells, text_lines
 from semiparam_ros.errors import SemiparamError
 
 SUFFIXES = ('.npz', '.npy', '.mat')
 TABLES = ('.csv', '.txt', '.dat', '.tsv')
-Cells = Iterator[tuple[int, list[str]]]
 
 
 def is_table_folder(path: Path) -> bool:
@@ -26,23 +26,20 @@ def holds_arrays(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES or is_table_folder(path)
 
 
-def array_lines(path: Path, text_lines: Callable[[Path], Cells]) -> Cells:
+def array_lines(path: Path) -> Cells:
     """A header line of names, then a line of cells for each sample, as a text table would have them.
 
     An array of several columns gives NAME:1, NAME:2 and so on. Raises SemiparamError where nothing can be read.
-
-    :param text_lines: reads one text table.
     """
-    arrays = _folder(path, text_lines) if path.is_dir() else _file(path)
-    columns = _columns(arrays, repr(str(path)))
+    columns = _columns(_arrays(path), repr(str(path)))
     yield 1, list(columns)
     for number, row in enumerate(zip(*(values.tolist() for values in columns.values()), strict=True), 2):
         yield number, [repr(value) for value in row]
 
 
-def raise_unmatched(path: Path, text_lines: Callable[[Path], Cells], column: str) -> None:
+def raise_unmatched(path: Path, column: str) -> None:
     """Raise SemiparamError where a column is of an array that is left out because its rows do not match the others'."""
-    arrays = _folder(path, text_lines) if path.is_dir() else _file(path)
+    arrays = _arrays(path)
     columns = _columns(arrays, repr(str(path)))
     count = len(next(iter(columns.values())))
     for name in (column, column.rpartition(':')[0]):
@@ -56,7 +53,11 @@ def _tables(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in TABLES)
 
 
-def _folder(folder: Path, text_lines: Callable[[Path], Cells]) -> dict[str, Any]:
+def _arrays(path: Path) -> dict[str, Any]:
+    return _folder(path) if path.is_dir() else _file(path)
+
+
+def _folder(folder: Path) -> dict[str, Any]:
     arrays = {}
     for path in _tables(folder):
         try:

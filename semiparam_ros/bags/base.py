@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import os
-import struct
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 from semiparam_ros.bags import schemas
+from semiparam_ros.bags.header_stamp import read_stamp
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.schemas import UNKNOWN, Decoder, Schema
-from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 
 ORDERS = ('log', 'publish', 'header')
-_STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
 
 
 @dataclass
@@ -29,7 +27,7 @@ class Losses:
     ``byte_ranges`` are the half-open ranges of the file that could not be used.
     """
 
-    path: str
+    path: str = ''
     saved: int = 0
     intact: int | None = None
     chunks: int = 0
@@ -54,9 +52,6 @@ class Losses:
             parts.append('unreadable bytes ' + _ranges(self.byte_ranges))
         parts += [f'{count} messages on {topic} do not decode' for topic, count in sorted(self.undecodable.items())]
         return f'{self.path!r} is damaged: ' + '; '.join(parts) + '.'
-
-    def __str__(self) -> str:
-        return self.sentence
 
 
 def _ranges(ranges: list[tuple[int, int]], shown: int = 4) -> str:
@@ -142,20 +137,16 @@ class BagReader(ABC):
         wanted = set(self.topics) if topics is None else set(topics) & set(self.topics)
         found = self._log_order(wanted, start_ns, end_ns)
         if order != 'log':
-            found = iter(sorted(found, key=self._publish_time if order == 'publish' else self.header_time))
+            time = attrgetter('publish_time') if order == 'publish' else self.header_time
+            found = iter(sorted(found, key=time))
         return self._decoded(found) if decode else found
-
-    @staticmethod
-    def _publish_time(message: Message) -> int:
-        return message.publish_time
 
     def header_time(self, message: Message) -> int:
         """Stamp of the message's header [ns], read without decoding; the log time where there is no header."""
         info = self.topics[message.topic]
         if info.encoding != 'cdr' or not schemas.has_header(info.type, info.schema) or len(message.raw) < 12:
             return message.log_time
-        seconds, nanoseconds = _STAMP[message.raw[1] & 1].unpack_from(message.raw, 4)
-        return int(seconds) * NANOSECONDS + int(nanoseconds)
+        return read_stamp(message.raw)
 
     def _decoded(self, found: Iterator[Message]) -> Iterator[Message]:
         decoders = {topic: self._decoder(info) for topic, info in self.topics.items()}
@@ -182,6 +173,5 @@ class BagReader(ABC):
     def __enter__(self) -> BagReader:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

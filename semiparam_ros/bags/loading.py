@@ -20,14 +20,10 @@ if TYPE_CHECKING:
     from semiparam_ros.bags.base import BagReader, Losses
 
 
-class Topics(NamedTuple):
-    """Names of the topics in the bag."""
-
-    joint_states: str = layout.JOINT_STATES
-    wrench: str = layout.WRENCH
-    accelerations: str = layout.JOINT_ACCELERATIONS
-    temperature: str = layout.TEMPERATURE
-    robot_description: str = layout.ROBOT_DESCRIPTION
+KINDS = {layout.JOINT_STATES: readings.JOINT_STATE, layout.WRENCH: readings.WRENCH,
+         layout.JOINT_ACCELERATIONS: readings.ACCELERATIONS,
+         layout.TEMPERATURE: readings.TEMPERATURE}
+"""How each topic is read."""
 
 
 class LoadedBag(NamedTuple):
@@ -52,7 +48,7 @@ WARM_UP_NS = 1_000_000_000
 """Time [ns] of each stretch that filters have before its first sample counts."""
 
 
-def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics | None = None,
+def load_samples(path: str | os.PathLike[str], settings: Table,
                  most: Callable[[float], int] | None = None) -> LoadedBag:
     """Read the samples of a bag, equal to those that the node makes from the same messages.
 
@@ -64,19 +60,19 @@ def load_samples(path: str | os.PathLike[str], settings: Table, topics: Topics |
     """
     from semiparam_ros.bags.reader import open_bag  # the node, which shares this module, reads no bags
 
-    topics = topics or Topics()
     with open_bag(path) as bag:
-        measured = measured_accelerations(settings, topics.accelerations in bag.topics)
-        needed = _needed(topics, settings.outputs, measured)
-        if settings.temperatures and topics.temperature in bag.topics:
-            needed[topics.temperature] = layout.TYPES[layout.TEMPERATURE]
+        measured = measured_accelerations(settings, layout.JOINT_ACCELERATIONS in bag.topics)
+        needed = [layout.JOINT_STATES, *[layout.WRENCH] * (settings.outputs == 'wrench'),
+                  *[layout.JOINT_ACCELERATIONS] * measured]
+        if settings.temperatures and layout.TEMPERATURE in bag.topics:
+            needed.append(layout.TEMPERATURE)
         _require(bag, needed)
-        description = recorded_description(bag, topics.robot_description)
+        description = recorded_description(bag)
         joints = _joints(settings, description, bag)
         stream = sample_stream(settings, joints, measured, capacity=None)
-        outputs = topics.wrench if settings.outputs == 'wrench' else topics.joint_states
+        outputs = layout.WRENCH if settings.outputs == 'wrench' else layout.JOINT_STATES
         windows = _windows(bag, bag.topics[outputs].count, most)
-        frame_id, stretches = _read_windows(bag, stream, topics, needed, windows)
+        frame_id, stretches = _read_windows(bag, stream, needed, windows)
         samples = [sample for stretch in stretches for sample in stretch]
         if not samples:
             raise SemiparamError(_nothing_matched(bag, stream, needed, bool(settings.joints)))
@@ -99,26 +95,18 @@ def sample_stream(settings: Table, joints: tuple[str, ...], measured: bool,
                         output_joints(settings, joints), settings.temperatures)
 
 
-def recorded_description(bag: BagReader, topic: str = layout.ROBOT_DESCRIPTION) -> str | None:
+def recorded_description(bag: BagReader) -> str | None:
     """The last robot description of a bag, None where there is none."""
     text = None
-    for message in bag.messages([topic]):
+    for message in bag.messages([layout.ROBOT_DESCRIPTION]):
         text = getattr(message.data, 'data', None) or text
     return text
 
 
-def _needed(topics: Topics, outputs: str, measured: bool) -> dict[str, str]:
-    """Topics that take part, with the types they must have."""
-    needed = {topics.joint_states: layout.TYPES[layout.JOINT_STATES]}
-    if outputs == 'wrench':
-        needed[topics.wrench] = layout.TYPES[layout.WRENCH]
-    if measured:
-        needed[topics.accelerations] = layout.TYPES[layout.JOINT_ACCELERATIONS]
-    return needed
-
-
-def _require(bag: BagReader, needed: dict[str, str]) -> None:
-    for topic, type_name in needed.items():
+def _require(bag: BagReader, needed: Iterable[str]) -> None:
+    """Raise SemiparamError where a topic that takes part is missing, or of another type."""
+    for topic in needed:
+        type_name = layout.TYPES[topic]
         if topic not in bag.topics:
             alike = [name for name, info in bag.topics.items() if info.type == type_name]
             remedy = f' (semiparam convert --topic {alike[0]}={topic} renames one)' if len(alike) == 1 else ''
@@ -153,17 +141,17 @@ def _windows(bag: BagReader, count: int, most: Callable[[float], int] | None) ->
     return [(start - WARM_UP_NS, start + length) for start in starts]
 
 
-def _read_windows(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collection[str],
+def _read_windows(bag: BagReader, stream: SampleStream, needed: Collection[str],
                   windows: Iterable[tuple[int, int] | None]) -> tuple[str, list[list[Sample]]]:
     """Read (frame of the wrenches, samples of each window), without those that filters had first."""
     frame_id, stretches, read_until = '', list[list[Sample]](), bag.start_ns
     for window in windows:
         if window is not None:
             stream.reset()
-            if topics.temperature in needed:  # it holds from before the stretch on
-                _read(bag, stream, topics, [topics.temperature], read_until, window[0])
+            if layout.TEMPERATURE in needed:  # it holds from before the stretch on
+                _read(bag, stream, [layout.TEMPERATURE], read_until, window[0])
             read_until = window[1]
-        frame, stretch = _read(bag, stream, topics, needed, *(window or (None, None)))
+        frame, stretch = _read(bag, stream, needed, *(window or (None, None)))
         if window is not None and window[0] + WARM_UP_NS > bag.start_ns and stretch:
             counts = stretch[0].stamp + WARM_UP_NS
             stretch = [sample for sample in stretch if sample.stamp >= counts]
@@ -172,28 +160,27 @@ def _read_windows(bag: BagReader, stream: SampleStream, topics: Topics, needed: 
     return frame_id, stretches
 
 
-def _read(bag: BagReader, stream: SampleStream, topics: Topics, needed: Collection[str], start: int | None = None,
-          end: int | None = None) -> tuple[str, list[Sample]]:
+def _read(bag: BagReader, stream: SampleStream, needed: Collection[str], start: int | None,
+          end: int | None) -> tuple[str, list[Sample]]:
     """Read (frame of the wrenches, samples) from the messages of some topics in the order recorded,
     from one log time [ns] on and before another; None: all."""
-    kinds = {topics.joint_states: readings.JOINT_STATE, topics.wrench: readings.WRENCH,
-             topics.accelerations: readings.ACCELERATIONS, topics.temperature: readings.TEMPERATURE}
     samples: list[Sample] = []
     frame_id = ''
     for message in bag.messages(needed, start_ns=start, end_ns=end):
-        kind = kinds[message.topic]
+        kind = KINDS[message.topic]
         try:
             reading = kind.read(message.data)
         except (AttributeError, TypeError, ValueError) as error:
             raise SemiparamError(f'{str(bag.path)!r}: the bag defines {message.type} in a way of its own, without what '
                                  f'{message.topic} is read for ({error}).') from error
         samples += kind.feed(stream, reading.stamp, *reading.fields)
-        if not frame_id and message.topic == topics.wrench:
+        if not frame_id and message.topic == layout.WRENCH:
             frame_id = reading.frame_id
     return frame_id, samples
 
 
-def _nothing_matched(bag: BagReader, stream: SampleStream, needed: dict[str, str], joints_given: bool) -> str:
+def _nothing_matched(bag: BagReader, stream: SampleStream, needed: Iterable[str],
+                     joints_given: bool) -> str:
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
     lost = ', '.join(f'{bag.losses.undecodable[topic]} on {topic}' for topic in needed
                      if topic in bag.losses.undecodable)

@@ -21,6 +21,8 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
+from semiparam_ros.bags.base import Losses
+
 MAGIC = b'\x89MCAP0\r\n'
 FOOTER_BYTES = 9 + 20
 Buffer: TypeAlias = bytes | bytearray | mmap.mmap
@@ -213,21 +215,14 @@ class Segment:
 
 @dataclass
 class Index:
-    """Segments in the order of the file, definitions, messages of each channel, and what is wrong.
-
-    ``intact`` is the number of messages before any damage, None where nothing tells.
-    """
+    """Segments in the order of the file, definitions, messages of each channel, and what is wrong so far."""
 
     segments: list[Segment] = field(default_factory=list)
     definitions: Definitions = field(default_factory=lambda: Definitions({}, {}))
     counts: dict[int, int] = field(default_factory=dict)
-    intact: int | None = None
     start_ns: int = 0
     end_ns: int = 0
-    chunks: int = 0
-    chunks_lost: int = 0
-    byte_ranges: list[tuple[int, int]] = field(default_factory=list)
-    reasons: list[str] = field(default_factory=list)
+    losses: Losses = field(default_factory=Losses)
 
 
 class Incomplete(Exception):
@@ -252,10 +247,10 @@ def read_summary(buffer: Buffer) -> Index:
         raise Incomplete
     index.segments = [_segment(buffer, entry) for entry in sorted(chunks, key=lambda c: c.chunk_start_offset)]
     if any(segment.chunk != chunk_at(buffer, segment.offset, len(buffer)) for segment in index.segments):
-        index.reasons.append('the header of a chunk contradicts the index')
-    index.counts, index.intact = dict(statistics.channel_message_counts), statistics.message_count
+        index.losses.reasons.append('the header of a chunk contradicts the index')
+    index.counts, index.losses.intact = dict(statistics.channel_message_counts), statistics.message_count
     index.start_ns, index.end_ns = statistics.message_start_time, statistics.message_end_time
-    index.chunks = len(chunks)
+    index.losses.chunks = len(chunks)
     return index
 
 

@@ -7,6 +7,7 @@ import mmap
 import os
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from mcap.records import Channel
@@ -37,9 +38,9 @@ class McapBag(BagReader):
         self.start_ns, self.end_ns = self._index.start_ns, self._index.end_ns
         self._channel_topics, self._others = _one_type_each(self._index)
         self.topics = _topics(self._index, self._channel_topics)
-        if not self.topics and self._index.reasons:
+        if not self.topics and self._index.losses.reasons:
             self.close()
-            raise SemiparamError(f'{str(path)!r} holds no readable message: {"; ".join(self._index.reasons)}.')
+            raise SemiparamError(f'{str(path)!r} holds no readable message: {"; ".join(self._index.losses.reasons)}.')
 
     def _log_order(self, topics: Collection[str], start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         info = {channel: (topic, self.topics[topic].type) for channel, topic in self._channel_topics.items()
@@ -54,7 +55,9 @@ class McapBag(BagReader):
         """Entries of all segments in order of time. Chunks may overlap: an entry waits for those that begin before."""
         heap: list[tuple[int, int, int, Entry]] = []
         for number, segment in enumerate(sorted(self._index.segments, key=lambda s: s.start_ns)):
-            if segment.start_ns >= high or segment.end_ns < low or not _holds(segment, channels):
+            if segment.start_ns >= high or segment.end_ns < low:
+                continue
+            if segment.channels is not None and segment.channels.isdisjoint(channels):
                 continue
             while heap and heap[0][0] < segment.start_ns:
                 yield heapq.heappop(heap)[3]
@@ -87,19 +90,15 @@ class McapBag(BagReader):
             if segment not in self._read:
                 self._entries(segment)
         lost = [segment for segment in self._index.segments if self._read[segment] is None]
-        index = self._index
-        return Losses(str(self.path), sum(count or 0 for count in self._read.values()), index.intact, index.chunks,
-                      index.chunks_lost + len(lost),
-                      sorted(index.byte_ranges + [(segment.offset, segment.end) for segment in lost]),
-                      index.reasons + self._others + self._reasons, dict(self._undecodable))
+        known = self._index.losses
+        return replace(known, path=str(self.path), saved=sum(count or 0 for count in self._read.values()),
+                       chunks_lost=known.chunks_lost + len(lost),
+                       byte_ranges=sorted(known.byte_ranges + [(segment.offset, segment.end) for segment in lost]),
+                       reasons=known.reasons + self._others + self._reasons, undecodable=dict(self._undecodable))
 
     def close(self) -> None:
         self._buffer.close()
         self._file.close()
-
-
-def _holds(segment: Segment, channels: Collection[int]) -> bool:
-    return segment.channels is None or not segment.channels.isdisjoint(channels)
 
 
 def _index(buffer: mmap.mmap) -> Index:
@@ -111,7 +110,7 @@ def _index(buffer: mmap.mmap) -> Index:
         return recovery.scan(buffer, reason)
     except Damage as damage:
         return recovery.scan(buffer, '; '.join(filter(None, (reason, str(damage)))))
-    index.reasons += [reason] if reason else []
+    index.losses.reasons += [reason] if reason else []
     return index
 
 

@@ -55,9 +55,9 @@ def _profile(entry: Mapping[str, object]) -> Qos:
     return Qos(_policy(entry.get('history'), _HISTORY, 'keep_last'), depth if isinstance(depth, int) else 10,
                _policy(entry.get('reliability'), _RELIABILITY, 'reliable'),
                _policy(entry.get('durability'), _DURABILITY, 'volatile'),
-               _nanoseconds(entry.get('deadline')), _nanoseconds(entry.get('lifespan')),
+               duration_ns(entry.get('deadline')), duration_ns(entry.get('lifespan')),
                _policy(entry.get('liveliness'), _LIVELINESS, 'automatic'),
-               _nanoseconds(entry.get('liveliness_lease_duration')))
+               duration_ns(entry.get('liveliness_lease_duration')))
 
 
 def _policy(value: object, names: Mapping[int, str], default: str) -> str:
@@ -66,7 +66,7 @@ def _policy(value: object, names: Mapping[int, str], default: str) -> str:
     return name if name in names.values() and name not in ('system_default', 'unknown', 'best_available') else default
 
 
-def _nanoseconds(value: object) -> int:
+def duration_ns(value: object) -> int:
     """A duration {sec, nsec}; zero stands for none, as in rmw."""
     if not isinstance(value, Mapping):
         return INFINITE_NS

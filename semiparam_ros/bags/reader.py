@@ -5,8 +5,8 @@ from __future__ import annotations
 import heapq
 import os
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -137,26 +137,21 @@ def is_ros1(path: Path, magic: bytes) -> bool:
 
 
 def _sqlite_bag(path: Path) -> BagReader:
-    with _needs_rosbags(path, 'rosbag2 bag'):
-        from semiparam_ros.bags.rosbags_reader import SqliteBag
-    return SqliteBag(path)
+    return _rosbags_reader(path, 'rosbag2 bag').SqliteBag(path)
 
 
 def _ros1_bag(path: Path) -> BagReader:
-    with _needs_rosbags(path, 'ROS 1 bag'):
-        from semiparam_ros.bags.rosbags_reader import Ros1Bag
-    return Ros1Bag(path)
+    return _rosbags_reader(path, 'ROS 1 bag').Ros1Bag(path)
 
 
 _FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Callable[[Path], BagReader]], ...] = (
     (is_mcap, McapBag), (is_sqlite, _sqlite_bag), (is_ros1, _ros1_bag))
 
 
-@contextmanager
-def _needs_rosbags(path: Path, kind: str) -> Iterator[None]:
-    """Turn the import error of a missing ``rosbags`` into one sentence; any other import error passes."""
+def _rosbags_reader(path: Path, kind: str) -> Any:
+    """The module that needs ``rosbags``; one sentence where that is missing, any other import error passes."""
     try:
-        yield
+        return import_module('semiparam_ros.bags.rosbags_reader')
     except ModuleNotFoundError as error:
         if error.name != 'rosbags':
             raise

@@ -38,7 +38,9 @@ class _Scan:
 
     def __init__(self, buffer: Buffer, reason: str | None) -> None:
         self.buffer = buffer
-        self.index = Index(reasons=[] if reason is None else [reason])
+        self.index = Index()
+        self.losses = self.index.losses
+        self.losses.reasons += [] if reason is None else [reason]
         self._counts: Counter[int] = Counter()
         self._loose: list[tuple[int, int, Entry]] = []
         self._lost_chunk = False
@@ -91,14 +93,14 @@ class _Scan:
     def _add_chunk(self, chunk: Chunk) -> bool:
         """Add a chunk and return whether it is readable; a lost one is entered in the account."""
         self._close_run()
-        self.index.chunks += 1
+        self.losses.chunks += 1
         self._lost_chunk = False
         try:
             data = mcap_format.unpack(self.buffer, chunk, self._has_crcs)
             found = mcap_format.entries(data, self.index.definitions)
         except Damage as damage:
             self._lose(chunk.offset, chunk.end, str(damage))
-            self.index.chunks_lost += 1
+            self.losses.chunks_lost += 1
             self._lost_chunk = True
             return False
         self._has_crcs |= chunk.crc != 0
@@ -141,29 +143,29 @@ class _Scan:
         return following.end if self._add_chunk(following) else following.offset + _MARKER_OFFSET
 
     def _lose_chunks(self, count: int) -> None:
-        self.index.chunks += count
-        self.index.chunks_lost += count
+        self.losses.chunks += count
+        self.losses.chunks_lost += count
 
     def _lose(self, start: int, end: int, reason: str) -> None:
-        ranges = self.index.byte_ranges
+        ranges = self.losses.byte_ranges
         if ranges and start <= ranges[-1][1]:
             start = ranges.pop()[0]
         if end > start:
             ranges.append((start, end))
-        if reason not in self.index.reasons:
-            self.index.reasons.append(reason)
+        if reason not in self.losses.reasons:
+            self.losses.reasons.append(reason)
 
     def _finish(self) -> None:
         self._close_run()
         index, known = self.index, self.index.definitions.channels
         unnamed = sum(count for channel, count in self._counts.items() if channel not in known)
         if unnamed:
-            index.reasons.append(f'{unnamed} messages belong to topics whose definitions are lost')
+            self.losses.reasons.append(f'{unnamed} messages belong to topics whose definitions are lost')
         index.counts = {channel: count for channel, count in self._counts.items() if channel in known}
         index.start_ns = min((segment.start_ns for segment in index.segments), default=0)
         index.end_ns = max((segment.end_ns for segment in index.segments), default=0)
         if self._whole and not self._broken:
-            index.intact = sum(self._counts.values()) + self._indexed_loss
+            self.losses.intact = sum(self._counts.values()) + self._indexed_loss
 
 
 def _begins_like_a_chunk(buffer: Buffer, offset: int) -> bool:

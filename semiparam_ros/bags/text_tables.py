@@ -16,6 +16,7 @@ from semiparam_ros.bags import sample_messages
 from semiparam_ros.bags.array_files import array_lines, holds_arrays, raise_unmatched
 from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.sample_messages import SampleMessage
+from semiparam_ros.bags.text_lines import text_lines
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
@@ -183,11 +184,6 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
         yield f'time_unit is {layout.time_unit!r}; expected one of {", ".join(TIME_UNITS)}.'
 
 
-def column_indices(layout: TableLayout, header: Sequence[str], where: str) -> dict[str, list[int]]:
-    """Indices from 0 into a row by role, names looked up in the header line."""
-    return {role: [_index(column, header, where) for column in columns] for role, columns in layout.columns.items()}
-
-
 def _parts(column: int | str, header: Sequence[str]) -> list[int | str]:
     """Columns of the array that is named, or the column itself."""
     return [name for name in header if name.rpartition(':')[0] == column] or [column]
@@ -260,7 +256,7 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     """The rows of a table. Blank lines and those that begin with # or % are passed by; names may stand in line 1."""
     name = repr(str(path))
     arrays = holds_arrays(Path(path))
-    numbers = array_lines(Path(path), _lines) if arrays else _lines(Path(path), progress)
+    numbers = array_lines(Path(path)) if arrays else text_lines(Path(path), progress)
     first = next(numbers, None)
     if first is None:
         return
@@ -269,42 +265,18 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     unknown = [column for columns in layout.columns.values() for column in columns
                if isinstance(column, str) and column not in header]
     if unknown and arrays:
-        raise_unmatched(Path(path), _lines, unknown[0])
+        raise_unmatched(Path(path), unknown[0])
     layout = layout.checked()
-    indices = column_indices(layout, header, name)
+    indices = {role: [_index(column, header, name) for column in columns]
+               for role, columns in layout.columns.items()}
     width = 1 + max(index for columns in indices.values() for index in columns)
-    convert = _Units(layout)
     for number, (line, cells) in enumerate(numbers if header else chain([first], numbers)):
         where = f'{name} line {line}'
         if len(cells) < width:
             raise SemiparamError(f'{where} has {len(cells)} columns; expected at least {width}, the highest that is '
                                  'named. White space, commas, semicolons or tabs separate them.')
-        yield convert.row({role: [cells[index] for index in columns] for role, columns in indices.items()}, number,
-                          where)
-
-
-def _lines(path: Path, progress: Callable[[int], None] = lambda done: None) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of each line."""
-    read = 0
-    try:
-        with path.open('rb') as file:
-            for number, raw in enumerate(file, 1):
-                read += len(raw)
-                line = raw.decode('utf-8-sig' if number == 1 else 'utf-8').strip()
-                if line and line[0] not in '#%':
-                    yield number, _cells(line)
-                if number % 100 == 0:
-                    progress(read)
-    except OSError as error:
-        raise SemiparamError(f'{str(path)!r} cannot be read: {error.strerror}.') from error
-    except UnicodeDecodeError as error:
-        raise SemiparamError(f'{str(path)!r} is neither a bag nor a text table.') from error
-    progress(read)
-
-
-def _cells(line: str) -> list[str]:
-    separator = next((mark for mark in ';,\t' if mark in line), None)
-    return [cell.strip().strip('"') for cell in line.split(separator)]
+        yield _row(layout, {role: [cells[index] for index in columns] for role, columns in indices.items()},
+                   number, where)
 
 
 def _is_number(cell: str) -> bool:
@@ -315,38 +287,33 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-class _Units:
-    """Conversion from the units and signs of the file to SI units."""
+def _row(layout: TableLayout, cells: Mapping[str, list[str]], number: int, where: str) -> RecordedRow:
+    """The ``number``-th row (from 0) from its cells by role, in SI units."""
+    angle = math.pi / 180.0 if layout.degrees else 1.0
+    factors = {'position': angle, 'velocity': angle, 'acceleration': angle, 'effort': layout.effort_sign,
+               'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
+    scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
+              for role, factor in factors.items()}
+    if layout.effort_factors and scaled['effort']:
+        scaled['effort'] = [value * layout.effort_factors.get(joint, 1.0)
+                            for joint, value in zip(layout.joints, scaled['effort'], strict=True)]
+    stamp = _stamp(layout, cells['time'][0] if 'time' in cells else None, number, where)
+    return RecordedRow(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'],
+                       scaled['effort'], scaled['force'] + scaled['torque'], scaled['temperature'])
 
-    def __init__(self, layout: TableLayout) -> None:
-        angle = math.pi / 180.0 if layout.degrees else 1.0
-        self._factors = {'position': angle, 'velocity': angle, 'acceleration': angle, 'effort': layout.effort_sign,
-                         'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
-        self._layout = layout
 
-    def row(self, cells: Mapping[str, list[str]], number: int, where: str) -> RecordedRow:
-        """The ``number``-th row (from 0) from its cells by role."""
-        scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
-                  for role, factor in self._factors.items()}
-        if self._layout.effort_factors and scaled['effort']:
-            scaled['effort'] = [value * self._layout.effort_factors.get(joint, 1.0)
-                                for joint, value in zip(self._layout.joints, scaled['effort'], strict=True)]
-        stamp = self._stamp(cells['time'][0] if 'time' in cells else None, number, where)
-        return RecordedRow(stamp, scaled['position'], scaled['velocity'], scaled['acceleration'],
-                           scaled['effort'], scaled['force'] + scaled['torque'], scaled['temperature'])
-
-    def _stamp(self, cell: str | None, number: int, where: str) -> int:
-        """Stamp [ns] of a row. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
-        if cell is None:
-            # Multiplied, not added up: rounding must not pile up over a long recording.
-            time = (Decimal(str(self._layout.start)) + number * Decimal(str(self._layout.period))) * NANOSECONDS
-        else:
-            _float(cell, 'time', where)
-            time = Decimal(cell) * TIME_UNITS[self._layout.time_unit]
-        if not (time.is_finite() and 0 <= time < _LATEST_STAMP):
-            raise SemiparamError(f'{where} has the time {time / NANOSECONDS:f} s; expected 0 to '
-                                 f'{_LATEST_STAMP // NANOSECONDS} s.')
-        return round(time)
+def _stamp(layout: TableLayout, cell: str | None, number: int, where: str) -> int:
+    """Stamp [ns] of a row. Decimal, since a float holds seconds since 1970 to 0.2 us only."""
+    if cell is None:
+        # Multiplied, not added up: rounding must not pile up over a long recording.
+        time = (Decimal(str(layout.start)) + number * Decimal(str(layout.period))) * NANOSECONDS
+    else:
+        _float(cell, 'time', where)
+        time = Decimal(cell) * TIME_UNITS[layout.time_unit]
+    if not (time.is_finite() and 0 <= time < _LATEST_STAMP):
+        raise SemiparamError(f'{where} has the time {time / NANOSECONDS:f} s; expected 0 to '
+                             f'{_LATEST_STAMP // NANOSECONDS} s.')
+    return round(time)
 
 
 def _float(cell: str, role: str, where: str) -> float:

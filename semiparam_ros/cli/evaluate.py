@@ -175,7 +175,7 @@ def load_bags(paths: Sequence[Path], settings: Settings,
         if left_out:
             options.console.print(f'{path}: left out {left_out}.')
         if bag.losses:
-            options.console.print(str(bag.losses))
+            options.console.print(bag.losses.sentence)
     return bags
 
 
@@ -240,7 +240,7 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
             'train': [str(path) for path in args.train], 'frozen': args.frozen, 'outputs': list(channels),
             'variants': results,
             'changes': None if changes is None else [record.as_dict() for record in changes.values()],
-            'left_out': [dict(bag.faults) for bag in bags], 'losses': [str(bag.losses) for bag in bags]})
+            'left_out': [dict(bag.faults) for bag in bags], 'losses': [bag.losses.sentence for bag in bags]})
     if args.plot:
         from semiparam_ros.report.horizon_figure import plot_indices
 

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from scipy.optimize import curve_fit
 
-from semiparam_ros.core.robot.frames import load_transform, observed_links
+from semiparam_ros.core.robot.frames import load_seen_from, observed_links
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -43,14 +43,13 @@ def load_at(body: RigidBody, found: Identified, flange: str | None) -> CarriedBo
 
 
 def _as_one(body: RigidBody, loads: Sequence[CarriedBody], flange: str) -> CarriedBody:
-    carrier, to_body = load_transform(body, flange)
     total = np.zeros(10)
     for load in loads:
-        index, transform = load_transform(body, load.link)
-        if index != carrier:
+        there = load_seen_from(body, flange, load.link)
+        if there is None:
             raise SemiparamError(f"what is carried at '{load.link}' moves against '{flange}'; "
                                  'expected a link that is fixed to it.')
-        total += np.linalg.solve(to_body, transform @ load.parameters)
+        total += there @ load.parameters
     return CarriedBody(flange, total, float(np.linalg.norm([load.mass_std for load in loads])))
 
 

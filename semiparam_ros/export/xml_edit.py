@@ -10,6 +10,7 @@ from xml.sax.saxutils import quoteattr
 
 from semiparam_ros.errors import SemiparamError
 
+_TAG = re.compile(rb"""(?:[^>"']|"[^"]*"|'[^']*')*>?""")
 _ATTRIBUTE = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
@@ -53,7 +54,8 @@ class Editor:
 
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         start = self._parser.CurrentByteIndex
-        element = Element(tag, attributes, start, inside=self._end_of_tag(start))
+        whole = _TAG.match(self._text, start)
+        element = Element(tag, attributes, start, inside=whole.end() if whole else start)
         if self._open:
             self._open[-1].children.append(element)
         else:
@@ -66,18 +68,6 @@ class Editor:
             element.closing = element.end = element.inside
         else:
             element.closing, element.end = place, self._text.index(b'>', place) + 1
-
-    def _end_of_tag(self, start: int) -> int:
-        quote = b''
-        for place in range(start, len(self._text)):
-            letter = self._text[place:place + 1]
-            if quote:
-                quote = b'' if letter == quote else quote
-            elif letter in (b'"', b"'"):
-                quote = letter
-            elif letter == b'>':
-                return place + 1
-        return len(self._text)
 
     def _is_empty(self, element: Element) -> bool:
         return self._text[element.inside - 2:element.inside] == b'/>'

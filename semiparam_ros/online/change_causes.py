@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.robot.frames import load_transform, loaded_links
+from semiparam_ros.core.robot.frames import last_link, load_transform
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale
 from semiparam_ros.core.robot.small_turns import TILTS
@@ -59,7 +59,7 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
         causes.append(Cause(kind, where, slice(start, start + directions.shape[1]), price))
         parts.append(directions)
 
-    link = list(loaded_links(body))[-1]
+    link = last_link(body)
     index, transform = load_transform(body, link)
     load = np.zeros((turns.stop, transform.shape[1]))
     load[rigid] = body.basis[10 * index : 10 * index + 10].T @ transform * load_scale(body, link)

@@ -30,7 +30,14 @@ from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.applied_effects import AppliedEffects, KnownEffect
-from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, Change, ChangeDetector, MotionBlock
+from semiparam_ros.online.changes import (
+    BLOCK_S,
+    CONTACT_S,
+    Change,
+    ChangeDetector,
+    Followed,
+    MotionBlock,
+)
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.worker import Background, Urgency
@@ -69,29 +76,28 @@ class Decision(NamedTuple):
     """What was decided of a change at a stamp [ns]: one of ``ASSUMED`` to ``LEARNT``.
 
     :param evidence: [nat] of what came since it was tried, or since it was over. :param error_share:
-        the error while it was applied over what it would have been without; NaN for what never was.
+        the error while it was applied over what it would have been without; None for what never was.
     """
 
     what: str
     stamp: int
-    evidence: float = float('nan')
-    error_share: float = float('nan')
+    evidence: float | None = None
+    error_share: float | None = None
 
     @property
     def sentence(self) -> str:
         """For people, without a full stop."""
         found = f'{self.what} at {self.stamp / NANOSECONDS:.2f} s'
-        if self.evidence == self.evidence:
+        if self.evidence is not None:
             found += f' (evidence {self.evidence:.0f} nat)'
-        if self.error_share == self.error_share:
+        if self.error_share is not None:
             found += f'; the error was {self.error_share:.0%} of what it would have been'
         return found
 
     def as_dict(self) -> dict[str, object]:
         """For the log."""
-        values = {'evidence': self.evidence, 'error_share': self.error_share}
-        known = {name: value if value == value else None for name, value in values.items()}
-        return {'what': self.what, 'stamp_s': self.stamp / NANOSECONDS, **known}
+        return {'what': self.what, 'stamp_s': self.stamp / NANOSECONDS, 'evidence': self.evidence,
+                'error_share': self.error_share}
 
 
 ASSUMED = 'taken off until it is named'
@@ -284,7 +290,7 @@ class ChangeWatch:
             if trial.effect.is_load:
                 values = (trial.coefficients, trial.std) if named is None else named.coefficients
                 loads.append((str(trial.effect.where), *values))
-        followed = None if self.detector is None else self.detector.followed
+        followed = self._followed
         record = None if followed is None else self.records.get(followed.change.number)
         if record is not None and record.named is not None and record.effect is not None:
             if record.effect.is_load and not record.effect.ends:
@@ -297,6 +303,10 @@ class ChangeWatch:
         parts = [(values, std) for where, values, std in loads if where == link]
         total = np.sum([values for values, _ in parts], axis=0)
         return True, Load(link, total, np.diag(np.sum([std**2 for _, std in parts], axis=0)))
+
+    @property
+    def _followed(self) -> Followed | None:
+        return None if self.detector is None else self.detector.followed
 
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
@@ -348,7 +358,7 @@ class ChangeWatch:
         """What stood out was this effect that came, or went: go on with the model as it was."""
         score, since = trial.score, trial.since
         came_again = trial.remembered and not trial.applied
-        share = trial.share if trial.applied else float('nan')
+        share = trial.share if trial.applied else None
         known = self.records.get(trial.number)
         beside = None if detector.followed is None else detector.followed.change.number
         self.applied.switch(trial, now)
@@ -385,6 +395,9 @@ class ChangeWatch:
     def _forget_record(self, number: int) -> None:
         """It was no change of its own, but another one that was over, or came again."""
         self.records.pop(number, None)
+        self._name_no_more(number)
+
+    def _name_no_more(self, number: int) -> None:
         self._due = [(when, other) for when, other in self._due if other != number]
 
     def _decide(self, number: int, decision: Decision) -> None:
@@ -458,7 +471,7 @@ class ChangeWatch:
             return
         if effect.from_outside or (effect.ends and record.change.ended is None):
             return
-        followed = None if self.detector is None else self.detector.followed
+        followed = self._followed
         waits = followed is not None and followed.change.number == number and self.holds
         known = self.applied.of_change(number) is not None
         if (waits or known) and self.applied.offer(number, effect, *named.coefficients, self._now):
@@ -486,17 +499,14 @@ class ChangeWatch:
         for number in list(self.records)[:-MOST_RECORDS]:
             del self.records[number]
         if anew or change.ended is not None:
-            self._due = [(when, number) for when, number in self._due if number != change.number]
-            followed = None if self.detector is None else self.detector.followed
-            moved_s = 0.0 if followed is None else BLOCK_S * followed.blocks
+            self._name_no_more(change.number)
+            moved_s = 0.0 if self._followed is None else BLOCK_S * self._followed.blocks
             times = NAMED_AFTER_S if change.ended is None else (moved_s,)
             self._due += [(self._moved_s - moved_s + seconds, change.number) for seconds in times]
         self._due.sort()
         self._told(record)
 
-    def _name(
-        self, number: int, history: History, effects: Sequence[ColumnBlock]
-    ) -> None:
+    def _name(self, number: int, history: History, effects: Sequence[ColumnBlock]) -> None:
         """Ask the background what it was, beside all else that is known."""
         record = self.records.get(number)
         if record is None:
@@ -556,7 +566,7 @@ class ChangeWatch:
             self._told(self.records[number])
 
     def _retract(self, number: int) -> None:
-        self._due = [(when, other) for when, other in self._due if other != number]
-        followed = None if self.detector is None else self.detector.followed
+        self._name_no_more(number)
+        followed = self._followed
         if self.detector is not None and followed is not None and followed.change.number == number:
             self.detector.reset()

@@ -59,8 +59,9 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
-from semiparam_ros.core.robot.frames import loaded_links
+from semiparam_ros.core.robot.frames import last_link
 from semiparam_ros.core.robot.small_turns import small_turns
+from semiparam_ros.core.stamps import observed_s
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.change_causes import (
@@ -73,7 +74,6 @@ from semiparam_ros.online.change_causes import (
 from semiparam_ros.online.contact_gate import (
     BEYOND,
     JUST_BEYOND,
-    LONGEST_STEP_S,
     SPEEDS,
     UNSEEN_FACTOR,
     UNSEEN_S,
@@ -261,7 +261,7 @@ class ChangeDetector:
         self._own_columns = np.abs(self._directions[:, self._own_part]).argmax(axis=0)
         self._own_scale = self._directions[self._own_columns, self._own_part]
         body = columns.body
-        self._hand = ExternalWrench(body, list(loaded_links(body))[-1])
+        self._hand = ExternalWrench(body, last_link(body))
         self._turns, self._rigid = small_turns(body), columns.blocks['rigid_body']
         self._names, self._felt_scale = body.output_names, contact_scale(body)
         self._load_scale = load_scale(body, str(self.causes[0].where))
@@ -357,12 +357,7 @@ class ChangeDetector:
         """
         sample, theta = prediction.sample, model.theta
         self.finished = None
-        seconds = (
-            0.0
-            if self._newest is None
-            else min(max(1e-9 * (sample.stamp - self._newest), 0.0), LONGEST_STEP_S)
-        )
-        self._newest = sample.stamp
+        seconds, self._newest = observed_s(sample.stamp, self._newest), sample.stamp
         speed = np.abs(sample.velocity)
         if not prediction.ready or prediction.off or float(speed.max()) < SPEEDS[0]:
             return None
@@ -486,18 +481,13 @@ class ChangeDetector:
         if self.followed is None:
             self.touched = False
             self._power.append(float(block.own[-1].sum()))
-        if self._held:
-            self._compare(block)
+        if self._held:  # charge what the model from before leaves, with the change that is followed
+            left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
+            self._compared = COMPARED * self._compared + (left, block.live, 1.0)
             if self._compared[2] < LEAST_COMPARED or self._compared[1] > self._compared[0]:
                 return
         self.followed = None
         self._refer()
-
-    def _compare(self, block: MotionBlock) -> None:
-        """Charge what is left of a block by the model from before, with the change that is
-        followed, and as it stands."""
-        left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
-        self._compared = COMPARED * self._compared + (left, block.live, 1.0)
 
     def _outstanding(self, moments: Array) -> list[float]:
         """How far anything stands out of the last blocks, which have these h (B, K), over each of

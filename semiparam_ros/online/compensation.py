@@ -18,10 +18,8 @@ import numpy as np
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.frames import load_in_base
+from semiparam_ros.core.stamps import observed_s
 from semiparam_ros.core.types import Array
-
-LONGEST_STEP_S = 0.1
-"""A pause is no time to follow anything in."""
 
 
 def bodies_and_bias(estimator: Estimator, prediction: Prediction) -> tuple[Array, Array]:
@@ -54,7 +52,7 @@ class Compensation:
     def __init__(self, time_constant: float) -> None:
         self.time_constant = time_constant
         self._followed: Array | None = None
-        self._newest = 0
+        self._newest: int | None = None
 
     def taken_off(self, prediction: Prediction, bodies: Array, bias: Array) -> Array:
         """(6,) what is to be taken off the measured wrench of a sample, in N and N m.
@@ -63,12 +61,11 @@ class Compensation:
         """
         wanted = np.concatenate([bodies, bias])
         stamp = prediction.sample.stamp
-        seconds = min(max(1e-9 * (stamp - self._newest), 0.0), LONGEST_STEP_S)
+        seconds, self._newest = observed_s(stamp, self._newest), stamp
         if self._followed is None or not self.time_constant:
             self._followed = wanted
         else:
             share = 1.0 - exp(-seconds / self.time_constant)
             self._followed = self._followed + share * (wanted - self._followed)
-        self._newest = stamp
         followed = self._followed
         return prediction.columns[:, :len(bodies)] @ followed[:len(bodies)] + followed[len(bodies):]

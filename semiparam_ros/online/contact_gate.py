@@ -39,13 +39,11 @@ from semiparam_ros.core.robot.contact_place import ContactPlace
 from semiparam_ros.core.robot.external_wrench import FORCE_N
 from semiparam_ros.core.robot.frames import force_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.core.stamps import NANOSECONDS, observed_s
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.settings.parameter_table import Table
 
 BLOCK_S = 0.5
-LONGEST_STEP_S = 0.1
-"""What a sample adds to a block at most: a pause is no time under observation."""
 BEYOND, UNSEEN_FACTOR = 0.1, 4.0
 """A position, velocity or acceleration so far outside of those learnt, as a share of their range,
 is unseen motion: for a time after it, and until hyperparameters follow it, thresholds are so many
@@ -183,6 +181,10 @@ class Band:
         self.clear()
 
 
+SAVED_OF_TURNS = ('speed', 'left', 'peak', 'peaks', 'counts', 'moved', 'place')
+"""Arrays of :class:`TurnPeaks` that a state has."""
+
+
 class TurnPeaks:
     """Usual peaks (n,) of efforts while their own joints turn round or set out, at whatever speed.
 
@@ -235,15 +237,12 @@ class TurnPeaks:
 
     def state(self) -> Memory:
         """For a file; :meth:`restore` takes it back."""
-        return {'speed': self.speed.copy(), 'left': self.left.copy(), 'peak': self.peak.copy(),
-                'peaks': self.peaks.copy(), 'counts': self.counts.copy(), 'moved': self.moved.copy(),
-                'place': self.place.copy()}
+        return {name: getattr(self, name).copy() for name in SAVED_OF_TURNS}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Go on from a state."""
-        self.speed, self.left, self.peak, self.peaks, self.moved, self.place = (
-            state[name] for name in ('speed', 'left', 'peak', 'peaks', 'moved', 'place'))
-        self.counts = state['counts'].astype(int)
+        for name in SAVED_OF_TURNS:
+            setattr(self, name, state[name].astype(getattr(self, name).dtype))
         for joint in range(len(self.counts)):
             self._renew(joint)
 
@@ -361,7 +360,7 @@ class ContactGate:
                 self.reset()
             return False
         stamp = prediction.sample.stamp
-        seconds = self._seconds_to(stamp)
+        seconds, self._newest = observed_s(stamp, self._newest), stamp
         moving, at = self._follow_speed(prediction, seconds)
         innovation = prediction.sample.outputs - prediction.model_mean
         seen = self._beside_usual(prediction, innovation, at, seconds)
@@ -381,11 +380,6 @@ class ContactGate:
         self._rest(innovation, seconds, moving)
         self._learn_usual(seen, at, familiar, seconds)
         return False
-
-    def _seconds_to(self, stamp: int) -> float:
-        """Time under observation since the last sample."""
-        before, self._newest = self._newest, stamp
-        return 0.0 if before is None else min(max(1e-9 * (stamp - before), 0.0), LONGEST_STEP_S)
 
     def _beside_usual(self, prediction: Prediction, innovation: Array, at: int,
                       seconds: float) -> BesideUsual:
@@ -509,8 +503,7 @@ class ContactGate:
         if self._turns is not None:
             turns = state['turns']
             self._turns.restore({name: self._sized(turns[name], 2 if name == 'peaks' else 1)
-                                 for name in ('speed', 'left', 'peak', 'peaks', 'counts', 'moved',
-                                              'place')})
+                                 for name in SAVED_OF_TURNS})
 
     def _sized(self, values: Array, dimensions: int) -> Array:
         if values.ndim != dimensions or values.shape[-1] != self._n_outputs:

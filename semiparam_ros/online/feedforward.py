@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import Counter
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
@@ -19,29 +19,18 @@ class WithheldError(SemiparamError):
     """There is no model yet to answer desired states."""
 
 
-class Counts(NamedTuple):
-    """Counts of desired states; ``withheld`` of trajectories."""
-
-    answered: int
-    described: int
-    limited: int
-    doubtful: int
-    withheld: int
-
-
 class Feedforward:
-    """Answers desired states by a learner's model, and counts what it had to say of them."""
+    """Answers desired states by a learner's model, and counts what it had to say of them.
+
+    ``counts``: states that were answered, described, limited and doubtful, and trajectories withheld.
+    """
 
     def __init__(self) -> None:
-        self._counts = [0] * len(Counts._fields)
+        self.counts: Counter[str] = Counter()
         self.last = ''
         """What was last to be said of an answer."""
         self.withheld = ''
         """Why the latest trajectory was withheld; '' when it was answered."""
-
-    def counts(self) -> Counts:
-        """Since the start."""
-        return Counts(*self._counts)
 
     def answer(self, learner: Learner, position: Array, velocity: Array, acceleration: Array) -> Desired:
         """One desired state (n_joints,) each.
@@ -50,7 +39,7 @@ class Feedforward:
         """
         row, ready = (position, velocity, acceleration), learner.estimator.ready
         if not ready and learner.settings.feedforward_before_ready == 'withhold':
-            self._count(withheld=1)
+            self.counts['withheld'] += 1
             self.withheld = ('feedforward is withheld until the initial window is over; with '
                              'feedforward.before_ready description the robot description answers meanwhile.')
             raise WithheldError(self.withheld)
@@ -58,7 +47,9 @@ class Feedforward:
         answer = desired if ready else described
         found = answer(learner.estimator, *row, added=learner.added_to_desired(*row))
         doubtful = ready and is_doubtful(found)
-        self._count(answered=1, described=found.described, limited=bool(found.limited.any()), doubtful=doubtful)
+        for name, holds in (('answered', True), ('described', found.described),
+                            ('limited', bool(found.limited.any())), ('doubtful', doubtful)):
+            self.counts[name] += holds
         if doubtful:
             self.last = listed(found.outside) if found.outside else 'the state is unlike those learnt'
         if found.limited.any():
@@ -66,18 +57,15 @@ class Feedforward:
                                 zip(learner.body.effort_joints, found.limited, strict=True) if cut])
         return found
 
-    def sentence(self, before: Counts) -> str:
+    def sentence(self, before: Counter[str]) -> str:
         """Sentence on the states since some counts; '' for nothing."""
-        new = Counts(*(now - then for now, then in zip(self._counts, before, strict=True)))
-        parts = [f'{count} {what}' for count, what in (
-            (new.described, 'answered by the robot description alone'),
-            (new.limited, 'cut to the effort limits of the robot description'),
-            (new.doubtful, 'outside of what was learnt')) if count]
-        return f'of {new.answered} desired states {", ".join(parts)} ({self.last or "no model yet"}).' if parts else ''
-
-    def _count(self, **more: int) -> None:
-        self._counts = [count + int(more.get(name, 0))
-                        for name, count in zip(Counts._fields, self._counts, strict=True)]
+        new = self.counts - before
+        parts = [f'{new[name]} {what}' for name, what in (
+            ('described', 'answered by the robot description alone'),
+            ('limited', 'cut to the effort limits of the robot description'),
+            ('doubtful', 'outside of what was learnt')) if new[name]]
+        return (f'of {new["answered"]} desired states {", ".join(parts)} '
+                f'({self.last or "no model yet"}).' if parts else '')
 
 
 def is_doubtful(found: Desired) -> bool:

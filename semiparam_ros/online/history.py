@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
+from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, LONGEST_STEP_S
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
-from semiparam_ros.online.contact_gate import LONGEST_STEP_S
 from semiparam_ros.online.learning import Learning
 
 KEPT_OF_REST = 20
@@ -117,8 +116,9 @@ class SampleLog:
         """Keep one sample."""
         if not self._free:
             self._n_joints, width = len(sample.position), sum(map(len, sample[1:5]))
-            self._add_chunk(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)), np.empty(CHUNK, np.int8),
-                                 np.empty((CHUNK, len(sample.temperature)))), CHUNK)
+            self._chunks.append(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)), np.empty(CHUNK, np.int8),
+                                     np.empty((CHUNK, len(sample.temperature)))))
+            self._free = CHUNK
         chunk = self._chunks[-1]
         row = len(chunk.stamps) - self._free
         chunk.stamps[row], chunk.learnt[row], chunk.temperature[row] = sample.stamp, learnt, sample.temperature
@@ -128,13 +128,13 @@ class SampleLog:
         self._let_go()
 
     def extend(self, batch: SampleBatch) -> None:
-        """Keep those of a batch, which are not copied."""
+        """Keep those of a batch, which are not copied, after others of batches."""
+        assert not self._free, 'a chunk that is being written stays the last one'
         self._n_joints = batch.n_joints
         for rows in batch.rows:
             for start in range(0, len(rows.stamps), CHUNK):
                 part = rows.part(slice(start, start + CHUNK))
-                self._end_chunk()
-                self._add_chunk(part, 0)
+                self._chunks.append(part)
                 self._count += len(part.stamps)
         self._let_go()
 
@@ -157,16 +157,6 @@ class SampleLog:
         """All of them; time starts with the first."""
         rows = self.rows()
         return SampleBatch(rows, self._n_joints, int(rows[0].stamps[0]) if rows else None)
-
-    def _add_chunk(self, chunk: Rows, free: int) -> None:
-        self._chunks.append(chunk)
-        self._free = free
-
-    def _end_chunk(self) -> None:
-        """Nothing more is written into the last chunk."""
-        if self._free:
-            chunk = self._chunks.pop()
-            self._add_chunk(chunk.part(slice(0, len(chunk.stamps) - self._free)), 0)
 
     def _let_go(self) -> None:
         """Drop the oldest, a whole chunk at a time."""

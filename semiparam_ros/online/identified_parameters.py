@@ -12,7 +12,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.input_range import widen
 from semiparam_ros.core.model import Model
-from semiparam_ros.core.robot.frames import load_transform, loaded_links
+from semiparam_ros.core.robot.frames import last_link, load_seen_from, load_transform
 from semiparam_ros.core.robot.joint_friction import NAMES, UNITS
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
@@ -131,26 +131,18 @@ def carried_load(estimator: Estimator, before: Array | None = None, picked: Load
         theta, covariance = _block(model, slice(0, body.n_parameters))
         if not covariance.any():
             return None
-        link = list(loaded_links(body))[-1]
+        link = last_link(body)
         carried = [Load(link, *_added_load(body, link, theta if before is None else before, covariance))]
     elif not len(carried[0].parameters):
         return None
     carried += [] if picked is None else [picked]
     first, *others = carried
     for other in others:
-        moved = _seen_from(body, first.link, other)
-        if moved is not None:
-            first = Load(first.link, first.parameters + moved.parameters, first.covariance + moved.covariance)
+        there = load_seen_from(body, first.link, other.link)
+        if there is not None:
+            first = Load(first.link, first.parameters + there @ other.parameters,
+                         first.covariance + there @ other.covariance @ there.T)
     return first
-
-
-def _seen_from(body: RigidBody, link: str, load: Load) -> Load | None:
-    """A load in the frame of another link; None where that belongs to another body."""
-    (body_index, to_body), (other_index, from_body) = load_transform(body, load.link), load_transform(body, link)
-    if body_index != other_index:
-        return None
-    there = np.linalg.solve(from_body, to_body)
-    return Load(link, there @ load.parameters, there @ load.covariance @ there.T)
 
 
 def _block(model: Model, block: slice) -> tuple[Array, Array]:

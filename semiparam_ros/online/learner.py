@@ -115,8 +115,8 @@ class Learner:
         self.failed_windows: list[str] = []
         """Of each initial window that gave no hyperparameters the reason."""
         self._background, self._listener, self._checkpoint = background, listener, checkpoint
-        self._failures = 0
-        self.switcher = ModelSwitcher(body, background, self)
+        self.switcher = ModelSwitcher(body, background, self, listener.shadow_horizon_completed,
+                                      listener.failed)
         self.changes = ChangeWatch(body, background, listener.change_reported, listener.failed)
         self._begin(settings, model_jobs.new_estimator(settings, body))
 
@@ -479,14 +479,6 @@ class Learner:
     def shadow_failed(self, settings: Settings, sentence: str) -> None:
         """The others go on."""
         self._listener.announce(self._not_built(settings, sentence))
-
-    def shadow_horizon(self, variant: str, errors: HorizonErrors) -> None:
-        """Handed on."""
-        self._listener.shadow_horizon_completed(variant, errors)
-
-    def failed(self, place: str, error: BaseException) -> None:
-        """Handed on."""
-        self._listener.failed(place, error)
 
     def _not_built(self, settings: Settings, sentence: str) -> str:
         return f'{settings.variant} could not be built ({sentence}); {self.built.variant} goes on.'

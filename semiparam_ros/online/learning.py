@@ -32,14 +32,15 @@ class Learning(IntEnum):
     """The first one learnt after a lasting change of the robot: what was learnt before counts for less."""
 
 
-def learning_of(prediction: Prediction, learn: bool, gate: ContactGate, changes: ChangeWatch | None) -> Learning:
+def learning_of(prediction: Prediction, learn: bool, gate: ContactGate,
+                changes: ChangeWatch) -> Learning:
     """Fate of a sample which the model in force has predicted and the gate has just judged.
 
     :param learn: let it be learnt if it is news. :param changes: keep what may be a change from being learnt.
     """
     if not prediction.motion.is_news:
         return Learning.NO_NEWS
-    if learn and changes is not None and changes.holds:
+    if learn and changes.holds:
         return Learning.OFFSET
     return Learning.AFTER_CHANGE if learn and gate.changed else Learning(learn)
 

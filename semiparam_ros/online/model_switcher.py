@@ -12,6 +12,7 @@ Each is in one of four states:
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from enum import Enum
 from typing import Protocol
@@ -65,12 +66,6 @@ class SwitcherListener(Protocol):
 
     def shadow_failed(self, settings: Settings, sentence: str) -> None:
         """A shadow could not be built, or broke."""
-
-    def shadow_horizon(self, variant: str, errors: HorizonErrors) -> None:
-        """A shadow completed these horizon errors."""
-
-    def failed(self, place: str, error: BaseException) -> None:
-        """Something unexpected went wrong."""
 
 
 def same_model(one: Settings, other: Settings) -> bool:
@@ -193,9 +188,15 @@ class StandbyModel:
 
 
 class ModelSwitcher:
-    """Builds, feeds and retires the models beside the active one; there is never more than one successor."""
+    """Builds, feeds and retires the models beside the active one; there is never more than one successor.
 
-    def __init__(self, body: RigidBody, background: Background, listener: SwitcherListener) -> None:
+    :param horizon_completed: called with a shadow's variant and its horizon errors.
+    :param failed: called with a place, and what unexpectedly went wrong there.
+    """
+
+    def __init__(self, body: RigidBody, background: Background, listener: SwitcherListener,
+                 horizon_completed: Callable[[str, HorizonErrors], None],
+                 failed: Callable[[str, BaseException], None]) -> None:
         self.successor: StandbyModel | None = None
         self.draft: StandbyModel | None = None
         """Of the successor whose hyperparameters are estimated from the initial window; it takes over before that."""
@@ -205,6 +206,7 @@ class ModelSwitcher:
         self.renewed = False
         """Whether hyperparameters are from a later window than the initial one."""
         self._body, self._background, self._listener = body, background, listener
+        self._horizon_completed, self._failed = horizon_completed, failed
 
     @property
     def models(self) -> list[StandbyModel]:
@@ -235,18 +237,18 @@ class ModelSwitcher:
 
     def finish_window(self, settings: Settings, estimator: Estimator) -> None:
         """Build the successor of a provisional model whose initial window is full: its draft first."""
-        self.successor = StandbyModel(settings, self._body, self._background, self)
+        self.successor = self._new_model(settings)
         self.successor.wait_with(estimator)
         if not has_draft(settings.initial_samples):
             self.successor.finish_window()
             return
-        self.draft = StandbyModel(settings, self._body, self._background, self)
+        self.draft = self._new_model(settings)
         self.draft.wait_with(estimator)
         self.draft.finish_window(draft=True)
 
     def renew(self, settings: Settings, history: History, window: RecentWindow) -> None:
         """Build a successor of the same settings with hyperparameters from a later window."""
-        self.successor = StandbyModel(settings, self._body, self._background, self)
+        self.successor = self._new_model(settings)
         self.successor.start_renewed(history, window)
 
     def follow_renewed(self, settings: Settings, estimator: Estimator, history: History | None) -> None:
@@ -273,7 +275,7 @@ class ModelSwitcher:
                 self.on_live(shadow)
                 return True
         else:
-            self.successor = StandbyModel(settings, self._body, self._background, self)
+            self.successor = self._new_model(settings)
             self._start(self.successor, history)
         return False
 
@@ -286,23 +288,21 @@ class ModelSwitcher:
             if name not in wanted or not same_model(self.shadows[name].settings, wanted[name]):
                 self.shadows.pop(name).retire()
         for name in [name for name in wanted if name not in self.shadows and name not in self._failed_shadows]:
-            self.shadows[name] = StandbyModel(wanted[name], self._body, self._background, self)
+            self.shadows[name] = self._new_model(wanted[name])
             self._start(self.shadows[name], history)
 
     def retire_successor(self) -> None:
-        """It is no longer wanted."""
-        if self.successor is not None:
-            self.successor.retire()
-            self.successor = None
-        if self.draft is not None:
-            self.draft.retire()
-            self.draft = None
+        """It is no longer wanted, nor is its draft."""
+        for model in (self.successor, self.draft):
+            if model is not None:
+                model.retire()
+        self.successor = self.draft = None
 
     def retire_all(self, forget_hyperparameters: bool = False) -> None:
         """End them all."""
-        for model in self.models:
-            model.retire()
-        self.successor = self.draft = None
+        self.retire_successor()
+        for shadow in self.shadows.values():
+            shadow.retire()
         self.shadows.clear()
         if forget_hyperparameters:
             self._known.clear()
@@ -327,7 +327,7 @@ class ModelSwitcher:
             return
         sentence = sentence_of(error)
         if error is not None and not isinstance(error, SemiparamError):
-            self._listener.failed(f'the model {model.settings.variant} beside the active one', error)
+            self._failed(f'the model {model.settings.variant} beside the active one', error)
         if model is self.successor:
             self.successor = None
             self._listener.successor_failed(model.settings, sentence)
@@ -345,7 +345,10 @@ class ModelSwitcher:
     def on_horizon(self, model: StandbyModel, errors: HorizonErrors) -> None:
         """A model completed horizon errors; those of a successor are of no interest yet."""
         if model is not self.successor and model is not self.draft:
-            self._listener.shadow_horizon(model.settings.variant, errors)
+            self._horizon_completed(model.settings.variant, errors)
+
+    def _new_model(self, settings: Settings) -> StandbyModel:
+        return StandbyModel(settings, self._body, self._background, self)
 
     def _start(self, model: StandbyModel, history: History) -> None:
         known = self._known.get(_key(model.settings))

@@ -169,7 +169,11 @@ def snapshot(state: SavedState) -> Snapshot:
     renewal: dict[str, Array] = {}
     applied: dict[str, Array] = {}
     first, *others = learnt.models
-    meta = {**_meta(state), 'origin': learnt.origin, 'newest': learnt.newest, 'window_left': first.window_left,
+    known = known_of(state.estimator)
+    meta = {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
+            'settings': _as_saved(state.settings),
+            'known': None if known is None else [asdict(known.hyperparameters), *known[1:4]],
+            'origin': learnt.origin, 'newest': learnt.newest, 'window_left': first.window_left,
             'passed_over': first.passed_over,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate),
             'renewal': _as_json(state.renewal, renewal), 'applied': _as_json(state.applied, applied)}
@@ -302,13 +306,6 @@ def probe(body: RigidBody) -> Array:
     return np.vstack([body.base_parameters[None], *regressors])
 
 
-def _meta(state: SavedState) -> dict[str, Any]:
-    known = known_of(state.estimator)
-    return {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
-            'settings': _as_saved(state.settings),
-            'known': None if known is None else [asdict(known.hyperparameters), *known[1:4]]}
-
-
 def _as_saved(settings: Settings) -> dict[str, Any]:
     """The parameters that a state keeps, as they are when read back from JSON."""
     values = settings.mapping()
@@ -344,7 +341,8 @@ def _read(path: Path, names: Sequence[str] | None = None) -> dict[str, Array]:
     has bytes. Raises SemiparamError.
     """
     try:
-        _require_file(path)
+        if path.exists() and not path.is_file():  # opening a pipe would wait for somebody to write into it
+            raise OSError('it is a folder, a device or a pipe')
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             _check_sizes(entries, path.stat().st_size)
@@ -378,12 +376,6 @@ def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
             raise ValueError(f'{entry.filename} has {size} bytes for an array {shape} of {dtype}')
         values = np.frombuffer(bytearray(member.read()), dtype)
         return values.reshape(shape, order='F' if by_column else 'C')
-
-
-def _require_file(path: Path) -> None:
-    """Opening a pipe would wait for somebody to write into it."""
-    if path.exists() and not path.is_file():
-        raise OSError('it is a folder, a device or a pipe')
 
 
 def _require_finite(what: str, arrays: Mapping[str, Array | Stamps | Mask | Codes]) -> None:

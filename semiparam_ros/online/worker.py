@@ -24,7 +24,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, cast
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeVar, cast
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import transport
@@ -97,12 +97,7 @@ def forked_worker() -> Worker:
     """
     usual = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # until the worker has learnt to ignore it
     try:
-        fork = multiprocessing.get_context('fork')
-        ours, theirs = fork.Pipe()
-        process = fork.Process(target=_work, args=(theirs, ours), daemon=True)
-        process.start()
-        theirs.close()
-        return Worker(process, ours)
+        return _started('fork')
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, usual)
 
@@ -262,9 +257,14 @@ def _spawned_worker() -> Worker:
     resource_tracker.ensure_running()  # which would unblock the signal
     # The process inherits this: a Ctrl-C while it is still importing is not for it.
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    spawn = multiprocessing.get_context('spawn')
-    ours, theirs = spawn.Pipe()
-    process = spawn.Process(target=_work, args=(theirs,), daemon=True)
+    return _started('spawn')
+
+
+def _started(method: Literal['fork', 'spawn']) -> Worker:
+    context: Any = multiprocessing.get_context(method)
+    ours, theirs = context.Pipe()
+    inherited = (ours,) if method == 'fork' else ()
+    process = context.Process(target=_work, args=(theirs, *inherited), daemon=True)
     process.start()
     theirs.close()  # the process has its own: when it ends, nobody waits for the other half of a result
     return Worker(process, ours)

@@ -164,7 +164,9 @@ class Player:
         with closing(self._timeline.play(position)) as items:
             first = next(items, None)
             if first is None:
-                return self._nothing_from(position)
+                if self.loop and position <= self._timeline.start_ns:
+                    raise SemiparamError('there is nothing to loop: no message is left between the start and the end.')
+                return _Next.GO
             with self._changed:  # after the first read, which takes longest: till then the bag time stands still
                 self._clock.jump(position)
                 if self._paced:
@@ -174,11 +176,6 @@ class Player:
                 if verdict is not _Next.GO:
                     return verdict
                 self._send(item)
-        return _Next.GO
-
-    def _nothing_from(self, position: int) -> _Next:
-        if self.loop and position <= self._timeline.start_ns:
-            raise SemiparamError('there is nothing to loop: no message is left between the start and the end.')
         return _Next.GO
 
     def _send(self, item: Item) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from semiparam_ros.core.stamps import in_seconds
@@ -12,49 +12,11 @@ INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
-class Answers:
-    """Account of what one follower made of the requests; stamps in ns."""
-
-    topic: str
-    request_topic: str
-    requests: int
-    answers: int
-    unexpected: int
-    unanswered_stamps: tuple[int, ...]
-
-    @classmethod
-    def of(cls, topic: str, flow: FlowControl) -> Answers:
-        """The figures of a finished flow control."""
-        return cls(topic, flow.request_topic, flow.requests, flow.answers, flow.unexpected,
-                   tuple(flow.unanswered_stamps))
-
-    @property
-    def complete(self) -> bool:
-        """Tell whether every request was answered."""
-        return self.answers == self.requests
-
-    @property
-    def sentence(self) -> str:
-        """Sentence such as ``/estimator/residual answered 9 of 10 messages on /wrench; ...``"""
-        text = f'{self.topic} answered {self.answers} of {self.requests} messages on {self.request_topic}'
-        if self.unanswered_stamps:
-            text += f'; {len(self.unanswered_stamps)} unanswered, the first stamped {_stamp(self.unanswered_stamps[0])}'
-        if self.unexpected:
-            text += f'; {self.unexpected} answers to nothing that was asked'
-        return text + '.'
-
-    def to_dict(self) -> dict[str, object]:
-        """Convert to a dictionary for ``--json``; stamps in ns."""
-        return {'topic': self.topic, 'request_topic': self.request_topic, 'requests': self.requests,
-                'answers': self.answers, 'unexpected': self.unexpected, 'unanswered': len(self.unanswered_stamps),
-                'first_unanswered_stamp_ns': self.unanswered_stamps[0] if self.unanswered_stamps else None}
-
-
-@dataclass(frozen=True)
 class ReplayAccount:
     """Account of a playback, told at its end.
 
     :param ending: 'finished', 'stopped' or 'failed'
+    :param answers: the finished flow control of each topic of answers
     :param failures: what makes the exit code 1, one sentence each
     :param losses: one sentence for each damaged bag
     :param lossless: that every message is answered was promised
@@ -63,7 +25,7 @@ class ReplayAccount:
     ending: str
     duration_s: float
     published: dict[str, int]
-    answers: tuple[Answers, ...] = ()
+    answers: Mapping[str, FlowControl] = field(default_factory=dict)
     failures: tuple[str, ...] = ()
     losses: tuple[str, ...] = ()
     skipped: dict[str, str] = field(default_factory=dict)
@@ -87,14 +49,29 @@ class ReplayAccount:
         pace = f' ({self.messages / self.duration_s:.0f} messages/s)' if self.duration_s > 0.0 else ''
         verb = 'stopped after' if self.ending == 'stopped' else 'published'
         first = f'{verb} {self.messages} messages in {self.duration_s:.1f} s{pace}: {topics}.'
-        return [first, *(each.sentence for each in self.answers), *self.losses]
+        return [first, *(_answered(topic, flow) for topic, flow in self.answers.items()), *self.losses]
 
     def to_dict(self) -> dict[str, object]:
         """Convert to a dictionary for ``--json``."""
+        answers = [_as_dict(topic, flow) for topic, flow in self.answers.items()]
         return {'ending': self.ending, 'duration_s': self.duration_s, 'messages': self.messages,
-                'published': dict(self.published), 'answers': [each.to_dict() for each in self.answers],
+                'published': dict(self.published), 'answers': answers,
                 'failures': list(self.failures), 'losses': list(self.losses), 'skipped': dict(self.skipped)}
 
 
-def _stamp(stamp: int) -> str:
-    return f'{in_seconds(stamp)} s'
+def _answered(topic: str, flow: FlowControl) -> str:
+    """Sentence such as ``/estimator/residual answered 9 of 10 messages on /wrench; ...``"""
+    text = f'{topic} answered {flow.answers} of {flow.requests} messages on {flow.request_topic}'
+    unanswered = flow.unanswered_stamps
+    if unanswered:
+        text += f'; {len(unanswered)} unanswered, the first stamped {in_seconds(unanswered[0])} s'
+    if flow.unexpected:
+        text += f'; {flow.unexpected} answers to nothing that was asked'
+    return text + '.'
+
+
+def _as_dict(topic: str, flow: FlowControl) -> dict[str, object]:
+    unanswered = flow.unanswered_stamps
+    return {'topic': topic, 'request_topic': flow.request_topic, 'requests': flow.requests,
+            'answers': flow.answers, 'unexpected': flow.unexpected, 'unanswered': len(unanswered),
+            'first_unanswered_stamp_ns': unanswered[0] if unanswered else None}

@@ -1,10 +1,6 @@
 """Messages read from and written to their bytes (CDR), where decoding them would take too long.
 
-Header stamps read and written in place in serialised messages, so that nothing has to be decoded. A message whose first
-field is a std_msgs/Header serialises (XCDR1) as a 4-byte encapsulation, whose second byte names the byte order, then
-``int32 sec`` and ``uint32 nanosec``.
-
-Messages read from and written to their bytes, where a robot sends a thousand of them a second. rclpy makes objects of
+A robot sends a thousand messages a second. rclpy makes objects of
 every message, which takes nearly as long as predicting from it. Here the layout of a message (XCDR1) is worked out
 once, and holds for all messages with the same texts and lengths: of each of them only the stamp and the numbers are
 read, in one call.
@@ -12,7 +8,6 @@ read, in one call.
 
 from __future__ import annotations
 
-import struct
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -27,9 +22,6 @@ from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.message_types import message_class
 
-_OFFSET = 4
-_FORMAT = {0: '>iI', 1: '<iI'}
-
 ENCAPSULATION = bytes((0, sys.byteorder == 'little', 0, 0))
 """XCDR1 in the machine's byte order."""
 MOST_LAYOUTS = 64
@@ -39,38 +31,12 @@ MOST_BYTES = 100_000
 
 @cache
 def begins_with_header(type_name: str) -> bool:
-    """Tell whether messages of this type carry a stamp that the functions below find."""
+    """Tell whether messages of this type carry a stamp that :mod:`semiparam_ros.bags.header_stamp` finds."""
     try:
         fields = message_class(type_name).get_fields_and_field_types()
     except SemiparamError:
         return False
     return next(iter(fields.values()), '') == 'std_msgs/Header'
-
-
-def read_stamp(raw: bytes) -> int:
-    """The header stamp [ns] of a serialised message that begins with a header.
-
-    Raises SemiparamError for bytes too short to hold one.
-    """
-    try:
-        seconds, nanoseconds = struct.unpack_from(_format(raw), raw, _OFFSET)
-    except struct.error:
-        raise SemiparamError(f'a message of {len(raw)} bytes is too short for a header stamp.') from None
-    return int(seconds) * NANOSECONDS + int(nanoseconds)
-
-
-def with_stamp(raw: bytes, stamp: int) -> bytes:
-    """The same serialised message with its header stamp set to ``stamp`` [ns]."""
-    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
-    try:
-        field = struct.pack(_format(raw), seconds, nanoseconds)
-    except struct.error:
-        raise SemiparamError(f'a header stamp cannot hold {seconds} s: expected 32-bit seconds.') from None
-    return raw[:_OFFSET] + field + raw[_OFFSET + len(field):]
-
-
-def _format(raw: bytes) -> str:
-    return _FORMAT[raw[1] & 1] if len(raw) > 1 else '<iI'
 
 
 class Floats(NamedTuple):
@@ -141,6 +107,15 @@ def wrench_layout(frame_id: str) -> Layout:
     return Layout([frame_id, Floats(6, in_sequence=False)])
 
 
+def decoded(raw: bytes, message_class: type) -> Any:
+    """The message as rclpy decodes it; raises SemiparamError for bytes that are none."""
+    try:
+        return deserialize_message(raw, message_class)
+    except Exception as failure:  # of several kinds, from rmw and from the conversion of texts
+        raise SemiparamError(f'a message of {len(raw)} bytes is no {message_class.__name__} '
+                             f'({type(failure).__name__}).') from None
+
+
 class Reader:
     """Reads the messages of one topic.
 
@@ -168,11 +143,7 @@ class Reader:
         return Reading(stamp, frame_id, (texts, *numbers))
 
     def _decoded(self, raw: bytes) -> Reading:
-        try:
-            reading = self._read(deserialize_message(raw, self._message_class))
-        except Exception as failure:  # of several kinds, from rmw and from the conversion of texts
-            raise SemiparamError(f'a message of {len(raw)} bytes is no {self._message_class.__name__} '
-                                 f'({type(failure).__name__}).') from None
+        reading = self._read(decoded(raw, self._message_class))
         if self._layout is not None:
             if len(self._known) >= MOST_LAYOUTS:
                 self._known.clear()

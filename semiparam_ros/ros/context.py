@@ -12,16 +12,19 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TypeVar
 
 import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from rclpy.timer import Timer
 from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.errors import SemiparamError
@@ -75,8 +78,7 @@ class StopSignals:
             self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         if self.asked or not self._usual:
             return
         for number, handler in self._usual.items():
@@ -134,6 +136,11 @@ def spin_for(executor: Executor, seconds: float) -> None:
     a fifth of taking it; waiting for a future that nobody completes does neither.
     """
     executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+
+def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
+    """A timer by the machine's own clock: a simulated one follows a recording's speed, or stands still."""
+    return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def call_in_executor(node: Node, function: Callable[[], Result]) -> Result:
@@ -236,10 +243,9 @@ class RosProcess:
         if self._thread is not None:
             self._thread.join()
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop_spinning()
         if self._node is not None:
             self._node.destroy_node()
         try_shutdown()
-        self._signals.__exit__(kind, error, trace)
+        self._signals.__exit__()

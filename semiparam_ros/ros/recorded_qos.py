@@ -10,8 +10,7 @@ from typing import Any
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
-from semiparam_ros.bags.qos import INFINITE_NS, Qos
-from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.bags.qos import INFINITE_NS, Qos, duration_ns
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.yaml_file import read_yaml
 
@@ -91,8 +90,7 @@ def _seconds(name: str, value: object, where: str) -> int:
     if not isinstance(value, Mapping) or not set(value) <= {'sec', 'nsec'} \
             or not all(isinstance(part, int) and part >= 0 for part in value.values()):
         raise SemiparamError(f'{where}: {name} is {value!r}, expected {{sec: ..., nsec: ...}}.')
-    total = int(value.get('sec', 0)) * NANOSECONDS + int(value.get('nsec', 0))
-    return total if 0 < total < INFINITE_NS else INFINITE_NS
+    return duration_ns(value)
 
 
 def _duration(nanoseconds: int) -> Duration:

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
-from semiparam_ros.bags.loading import Topics, load_samples
+from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.qos import LATCHED, Qos, agreed, dump_profiles, parse_profiles
 from semiparam_ros.bags.reader import MergedBag, open_bag
 from semiparam_ros.bags.writer import BagWriter
@@ -353,7 +353,6 @@ def test_measured_accelerations_are_taken_where_they_were_recorded(tmp_path):
 def test_topics_of_other_names_are_named(tmp_path):
     path = robot_bag(tmp_path / 'bag.mcap', states='/arm')
     settings = Settings(joints=('a', 'b'), outputs='effort')
-    assert len(load_samples(path, settings, Topics(joint_states='/arm')).samples) == 10
     with pytest.raises(SemiparamError, match=r'has no topic /joint_states; it has /arm, /wrench '
                                              r'\(semiparam convert --topic /arm=/joint_states renames one\)\.$'):
         load_samples(path, settings)

@@ -9,7 +9,7 @@ import pytest
 
 from semiparam_ros.core.robot.contact_place import ContactPlace
 from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M, ExternalWrench
-from semiparam_ros.core.robot.frames import force_maps, loaded_links
+from semiparam_ros.core.robot.frames import force_maps, last_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools, tool_from_text
 from semiparam_ros.core.samples import Sample
@@ -74,7 +74,7 @@ def test_a_wrench_at_the_last_link_is_found_from_efforts_and_from_a_wrench(seed)
     rng = np.random.default_rng(seed)
     state, wrench = rng.uniform(0.3, 0.9, (3, 7)), np.array([*rng.uniform(-20, 20, 3), *rng.uniform(-3, 3, 3)])
     body = arm('effort')
-    link = list(loaded_links(body))[-1]
+    link = last_link(body)
     residual = efforts_against(body, state, link, wrench) - efforts_against(body, state, link, np.zeros(6))
     found = ExternalWrench(body).of(Leaves(state[0], np.full(7, 1e-4)), residual, ONE)
     np.testing.assert_allclose(found.wrench, wrench, atol=0.02)

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.robot.frames import loaded_links
+from semiparam_ros.core.robot.frames import last_link
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.effects.cables import CableSpring
 from semiparam_ros.online import state_file
-from semiparam_ros.online.applied_effects import AppliedEffects, as_measured
+from semiparam_ros.online.applied_effects import TRIED_S, AppliedEffects, as_measured
 from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED
-from semiparam_ros.online.changes import MotionBlock
+from semiparam_ros.online.changes import BLOCK_S, MotionBlock
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning
@@ -200,7 +200,7 @@ def test_what_is_applied_is_saved_with_the_model_and_goes_on(tmp_path):
 
 def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
     body, samples = free()
-    link = list(loaded_links(body))[-1]
+    link = last_link(body)
     applied, theta = AppliedEffects(body), np.array([0.5, 0.01, 0.0, 0.02, *np.zeros(6)])
     for kind, values in ((f'payload@{link}', theta), ('sensor_offset', np.arange(6.0))):
         effect = effect_from_text(kind + '{"start_s": 1.0}')
@@ -222,7 +222,7 @@ def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
 
 def test_a_load_without_a_name_is_taken_off_and_is_not_saved():
     body, samples = free()
-    link = list(loaded_links(body))[-1]
+    link = last_link(body)
     applied, theta = AppliedEffects(body), np.array([0.5, 0.01, 0.0, 0.02, *np.zeros(6)])
     off = []
     for number, sample in enumerate(samples[:40]):
@@ -266,6 +266,30 @@ def test_a_damaged_state_is_refused(damage):
         applied.restore({**state, **damage})
 
 
+def block_of(n, trials):
+    """A block of motion of n outputs, in which so many trials add nothing."""
+    nothing, none = np.zeros((0, 0)), np.zeros(0)
+    return MotionBlock(0, 10**9, nothing, none, 0.0, np.full((6, n), 100.0), (nothing, none),
+                       np.zeros((trials, 2, n)))
+
+
+def test_an_effect_for_which_nothing_speaks_is_tried_for_so_long_and_dropped():
+    body, _ = free()
+    applied, n = AppliedEffects(body), body.n_outputs
+    effect = effect_from_text('sensor_offset{"start_s": 1.0}')
+    for number in (1, 2):
+        applied.offer(number, effect, np.ones(n), np.ones(n), 0)
+    applied.switch(applied.trials[0], 10**9)
+    blocks = round(TRIED_S / BLOCK_S)
+    for count in range(blocks):
+        assert not applied.without_hope(), count
+        assert applied.judge(block_of(n, 2), 1.0, 600.0) is None
+    assert [trial.number for trial in applied.without_hope()] == [2], 'what is applied is tried no more'
+    applied.drop(2)
+    applied.drop(1)
+    assert [trial.number for trial in applied.trials] == [1], 'what is applied stays'
+
+
 def test_one_that_is_remembered_keeps_none_from_being_taken_back_when_nothing_is_applied_any_more():
     """After ``diagnosis.auto`` went from ``apply`` to ``report``."""
     body, _ = free()
@@ -275,10 +299,7 @@ def test_one_that_is_remembered_keeps_none_from_being_taken_back_when_nothing_is
         applied.offer(number, effect, np.ones(n), np.ones(n), 0)
         applied.switch(applied.trials[-1], 10**9)
     applied.switch(applied.trials[0], 20 * 10**9)
-    squares = np.full((6, n), 100.0)
-    nothing, none = np.zeros((0, 0)), np.zeros(0)
-    added = np.zeros((2, 2, n))
-    block = MotionBlock(0, 10**9, nothing, none, 0.0, squares, (nothing, none), added)
+    block = block_of(n, 2)
     block.added[0] = np.stack([np.full(n, 90.0), np.full(n, 1.0)])
     block.added[1] = np.stack([np.full(n, -50.0), np.full(n, 1.0)])
     assert applied.judge(block, 1.0, 600.0, applies=False) is applied.trials[1]

@@ -120,7 +120,8 @@ def test_it_is_withheld_until_there_is_a_model_or_answered_by_the_description(ou
     found = feedforward.answer(stage.learner, *samples[50][1:4])
     assert not found.described and not found.outside
     assert_safe(body, found)
-    assert feedforward.counts()[:2] == (2, 1) and feedforward.counts().withheld == 3
+    counts = feedforward.counts
+    assert (counts['answered'], counts['described'], counts['withheld']) == (2, 1, 3)
     stage.learner.change(replace(settings, feedforward_before_ready='withhold'))
     stage.learner.reset()
     with pytest.raises(SemiparamError, match='withheld'):
@@ -130,9 +131,8 @@ def test_it_is_withheld_until_there_is_a_model_or_answered_by_the_description(ou
 def test_efforts_are_cut_to_the_limits_of_the_description_and_said_so():
     settings = replace(SETTINGS, outputs='effort', variant='P')
     stage, feedforward = Stage(settings, body=RigidBody.from_urdf(URDF, settings.joints, 'effort')), Feedforward()
-    stage.offer(motion(60, body=stage.learner.body))
-    stage.background.run()
-    before = feedforward.counts()
+    stage.offer_and_build(motion(60, body=stage.learner.body))
+    before = feedforward.counts.copy()
     found = feedforward.answer(stage.learner, ROW[0], ROW[1], np.array([0.0, 4000.0]))
     assert found.efforts[1] == 10.0 and found.limited[1], 'the limit of joint b'
     assert 'acceleration of b' in found.outside
@@ -148,8 +148,7 @@ def test_what_is_no_limit_limits_nothing(text):
 
 def test_the_deviation_of_torques_is_that_of_the_wrench_carried_to_the_joints():
     stage = Stage(replace(SETTINGS, variant='P'))
-    stage.offer(motion(60))
-    stage.background.run()
+    stage.offer_and_build(motion(60))
     found, step = desired(stage.learner.estimator, *ROW), 1e-6
     wrench, covariance = found.outputs, stage.learner.estimator.predict_desired(*ROW).covariance
     base = joint_torques(BODY, *ROW, wrench)[0]

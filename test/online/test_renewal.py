@@ -129,8 +129,7 @@ def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, eve
 def test_an_estimate_from_a_later_window_gives_way_to_what_a_user_asks_for(wish):
     """And none begins before that is there."""
     stage = Stage(SLOWER)
-    stage.offer(DAY[:100])
-    stage.background.run()
+    stage.offer_and_build(DAY[:100])
     played = 100
     while not stage.background.jobs:
         stage.offer(DAY[played:played + 1])
@@ -153,8 +152,7 @@ def test_motion_within_the_window_is_no_reason():
 
 def test_a_window_that_gives_nothing_leaves_the_model_as_it_is_and_is_not_tried_for_ever():
     stage = Stage(SLOWER)
-    stage.offer(DAY[:120])
-    stage.background.run()
+    stage.offer_and_build(DAY[:120])
     ready = stage.learner.estimator
     for sample in DAY[120:]:
         stage.offer([sample])

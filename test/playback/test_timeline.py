@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from semiparam_ros.bags.header_stamp import read_stamp, with_stamp
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.options import ReplayOptions, parse_follow, parse_remap
 from semiparam_ros.playback.timeline import BagTimeline, Cut, PlayedTopic, Selection
-from semiparam_ros.ros.cdr import begins_with_header, read_stamp, with_stamp
+from semiparam_ros.ros.cdr import begins_with_header
 from semiparam_ros.ros.message_types import message_class
 
 SECOND = 10**9

@@ -114,8 +114,7 @@ def test_lost_samples_are_not_said_to_have_a_cause_that_is_not_known():
 
 def test_the_health_of_a_model_does_not_change_every_second():
     stage = Stage(SETTINGS)
-    stage.offer(motion(80))
-    stage.background.run()
+    stage.offer_and_build(motion(80))
     stage.offer(motion(100)[80:])
     tally, levels = Tally(stage.learner.body.joints), []
     for innovation in (1.0, 4.0, 1.0, 5.0, *[1.0] * REPORTS):
@@ -130,8 +129,7 @@ def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the
     tally = Tally(stage.learner.body.joints)
     stage.offer(samples[:30])
     assert believed_load(stage.learner, tally) == (None, 'withheld: the initial window is not over.')
-    stage.offer(samples[30:190])
-    stage.background.run()
+    stage.offer_and_build(samples[30:190])
     stage.offer(samples[190:])
     for answer in stage.answers:
         tally.add(answer)

@@ -14,10 +14,10 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
+from semiparam_ros.bags.header_stamp import read_stamp
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
-from semiparam_ros.ros.cdr import read_stamp
 from support.commands import refusal
 from support.replay_peers import (
     EVERYTHING,

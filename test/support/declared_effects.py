@@ -10,12 +10,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
+from semiparam_ros.bags.conversion import Edits, convert_bag
 from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -94,11 +98,11 @@ def ur3(name: str) -> Recording:
 
 def measured(settings: Settings, path: Path, topic: str, sign: float, every: int) -> Recording:
     """A measured bag, each ``every``-th sample of it."""
-    from semiparam_ros.bags.loading import Topics
-
-    bag = load_samples(path, settings, Topics(joint_states=topic))
-    samples = replace(bag.samples, outputs=sign * bag.samples.outputs)
-    return Recording(build_rigid_body(settings, bag.robot_description), thinned(samples, every))
+    with TemporaryDirectory() as folder:
+        with open_bag(path) as source, BagWriter(Path(folder) / 'bag.mcap') as written:
+            convert_bag(source, Edits({topic: '/joint_states'}, effort_sign=sign), written)
+        bag = load_samples(Path(folder) / 'bag.mcap', settings)
+    return Recording(build_rigid_body(settings, bag.robot_description), thinned(bag.samples, every))
 
 
 def panda() -> Recording:

@@ -44,6 +44,11 @@ class Stage:
         for sample in samples:
             self.learner.offer(sample)
 
+    def offer_and_build(self, samples):
+        """Offer them, then let the background do all that waits."""
+        self.offer(samples)
+        self.background.run()
+
     @property
     def means(self):
         return np.array([answer.prediction.mean for answer in self.answers])

@@ -5,29 +5,23 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections import defaultdict
 from pathlib import Path
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters, SetParametersAtomically
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from support.replay_peers import meet
+from support.replay_peers import ServedNode, meet
 
 PATIENCE_S = 240.0
 POLL_S = 0.005
@@ -73,24 +67,12 @@ class NodeProcess:
         self.stream.close()
 
 
-class Client:
+class Client(ServedNode):
     """Publishes inputs, keeps every answer, calls services and sets parameters of one estimator."""
 
     def __init__(self, node='estimator', namespace=''):
-        self.context = Context()
-        rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node('client', context=self.context, namespace=namespace,
-                                      start_parameter_services=False)
-        self.executor = EventsExecutor(context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__('client', namespace=namespace, start_parameter_services=False)
         self.target, self.heard, self.outputs, self.clients = node, defaultdict(list), {}, {}
-        self.stopping = threading.Event()
-        self.thread = threading.Thread(target=self._spin, daemon=True)
-        self.thread.start()
-
-    def _spin(self):
-        while not self.stopping.is_set():
-            self.executor.spin_once(timeout_sec=0.1)
 
     def listen(self, kind, *topics, qos=KEEP_ALL):
         """Hear these topics, the node's own and those with a leading slash, from the next message on."""
@@ -244,16 +226,6 @@ class Client:
         self.heard['/diagnostics'].clear()
         self.wait(lambda: condition(*self.report(title)), f'report {title}', timeout_s)
         return self.report(title)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.stopping.set()
-        self.thread.join()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        try_shutdown(context=self.context)
 
 
 class Gaps:

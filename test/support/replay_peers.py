@@ -98,17 +98,14 @@ def meet(node, other, wait_for):
     wait_for(answered, f'{other} knows {node.get_name()}')
 
 
-class Peer:
-    """A node in this process, with a context of its own, that keeps what it receives in ``heard[topic]``."""
+class ServedNode:
+    """A node in this process, with a context of its own and a thread that serves it."""
 
-    def __init__(self, name='peer', domain=None):
+    def __init__(self, name, domain=None, **options):
         self.context = rclpy.Context()
-        rclpy.init(args=[], context=self.context,
-                   domain_id=int(os.environ['ROS_DOMAIN_ID']) if domain is None else domain,
+        rclpy.init(args=[], context=self.context, domain_id=domain,
                    signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-        self.node = rclpy.create_node(name, context=self.context)
-        self.heard = {}
-        self.changed = threading.Condition()
+        self.node = rclpy.create_node(name, context=self.context, **options)
         self.executor = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.closing = False
@@ -117,6 +114,25 @@ class Peer:
     def _spin(self):
         while not self.closing:
             self.executor.spin_once(timeout_sec=0.1)
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.closing = True
+        self.thread.join()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+class Peer(ServedNode):
+    """Keeps what it receives in ``heard[topic]``."""
+
+    def __init__(self, name='peer', domain=None):
+        super().__init__(name, domain)
+        self.heard, self.changed = {}, threading.Condition()
 
     def listen(self, topic, type_name, qos=EVERYTHING, raw=False):
         heard = self.heard.setdefault(topic, [])
@@ -165,14 +181,3 @@ class Peer:
         future = client.call_async(request or kind.Request())
         self.wait_for(future.done, service)
         return future.result()
-
-    def __enter__(self):
-        self.thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self.closing = True
-        self.thread.join()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()

@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.frames import frame_index, loaded_links
+from semiparam_ros.core.robot.frames import frame_index, last_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 
@@ -55,7 +55,7 @@ class ExternalWrench:
         """Raises SemiparamError when the robot has no such link."""
         self._body, self._data = body, body.arm.createData()
         at_sensor = not frame and body.outputs == 'wrench'
-        self.frame = frame or (str(body.sensor_frame) if at_sensor else list(loaded_links(body))[-1])
+        self.frame = frame or (str(body.sensor_frame) if at_sensor else last_link(body))
         self._index = body.sensor_index if at_sensor else frame_index(body, self.frame)
         self._at_sensor = at_sensor
         self._expected: Array = np.repeat((FORCE_N, FORCE_N * LEVER_M), 3) ** 2

@@ -54,6 +54,11 @@ def loaded_links(body: RigidBody) -> dict[str, int]:
     return {name: joint - 1 for joint, (_, name) in sorted(links.items())}
 
 
+def last_link(body: RigidBody) -> str:
+    """The last of :func:`loaded_links`, where a hand is."""
+    return list(loaded_links(body))[-1]
+
+
 @lru_cache(maxsize=8)
 def observed_links(body: RigidBody) -> tuple[str, ...]:
     """Every link that the outputs feel, by name."""
@@ -189,6 +194,13 @@ def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     placement = frame.placement
     rotation, shift = placement.rotation, placement.translation
     return frame.parentJoint - 1, np.column_stack([_moved(unit, rotation, shift) for unit in np.eye(10)])
+
+
+def load_seen_from(body: RigidBody, link: str, carrier: str) -> Array | None:
+    """(10, 10) map of inertial parameters from ``carrier`` to another link of the same body; None where one moves
+    against the other."""
+    (index, to_body), (other, from_body) = load_transform(body, link), load_transform(body, carrier)
+    return np.asarray(np.linalg.solve(to_body, from_body), dtype=float) if index == other else None
 
 
 def load_in_base(body: RigidBody, link: str, parameters: Array) -> Array:

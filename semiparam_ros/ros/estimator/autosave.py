@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -16,6 +14,7 @@ from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import Scheduler
+from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.ros.estimator.diagnostics import ERROR, OK, Report
 from semiparam_ros.settings.snapshot import Settings
 
@@ -42,10 +41,9 @@ class Autosave:
         self._written: float | None = None
         self._count = 0
         if self._active:
-            clock = Clock(clock_type=ClockType.STEADY_TIME)
-            self._retry = node.create_timer(RETRY_S, self._save, clock=clock)
+            self._retry = steady_timer(node, RETRY_S, self._save)
             self._retry.cancel()
-            self._timer = node.create_timer(settings.checkpoint_period, self._save, clock=clock)
+            steady_timer(node, settings.checkpoint_period, self._save)
 
     def resume(self, settings: Settings, body: RigidBody) -> SavedState | None:
         """The checkpoint to go on from, None where none is asked for or none is good; says which, and why."""

@@ -15,7 +15,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.change_watch import QUIET, STATES, ChangeRecord
 from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.learner import Learner
-from semiparam_ros.ros.estimator.diagnostics import OK, WARN, Report, status
+from semiparam_ros.ros.estimator.diagnostics import OK, WARN, Report, status_message
 from semiparam_ros.ros.estimator.publishers import LATCHED
 
 FILE = 'changes.jsonl'
@@ -110,11 +110,7 @@ class Changing:
 
     def _publish(self, learner: Learner) -> None:
         self._state = learner.changes.state
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        name = self._node.get_fully_qualified_name().lstrip('/')
-        message.status = [status(f'{name}: change', '', self.report())]
-        self._publisher.publish(message)
+        self._publisher.publish(status_message(self._node, 'change', '', self.report()))
 
     def _write(self, line: str) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)

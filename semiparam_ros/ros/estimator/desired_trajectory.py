@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -27,7 +27,7 @@ from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.feedforward import STATUS, Feedforward, WithheldError, status
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.worker import Scheduler
-from semiparam_ros.ros.cdr import ENCAPSULATION, Layout, joint_state_layout
+from semiparam_ros.ros.cdr import ENCAPSULATION, Layout, decoded, joint_state_layout
 from semiparam_ros.ros.estimator.publishers import ValueMessage
 
 TOPIC = 'desired_trajectory'
@@ -89,10 +89,7 @@ class TrajectoryReader:
 
     def _usual(self, raw: bytes) -> bytes:
         """In the machine's byte order, whatever encoding the sender chose."""
-        try:
-            return bytes(serialize_message(deserialize_message(raw, JointTrajectory)))
-        except Exception as failure:  # of several kinds, from rmw and from the conversion of texts
-            raise self._refusal(failure) from None
+        return bytes(serialize_message(decoded(raw, JointTrajectory)))
 
     def _refusal(self, failure: Exception) -> Exception:
         if isinstance(failure, SemiparamError):
@@ -245,7 +242,7 @@ class DesiredTrajectory:
         efforts_of = [body.effort_joints.index(body.joints[column]) for column in columns]
         answer, answer_std = (TrajectoryWriter(trajectory.stamp, trajectory.frame_id,
                                                [body.joints[column] for column in columns]) for _ in range(2))
-        before = self.feedforward.counts()
+        before = self.feedforward.counts.copy()
         for stamp, state, point in points:
             learner = self._learner()
             found = self.feedforward.answer(learner, *state)

@@ -63,9 +63,9 @@ class Diagnosing:
         """[ns] Stamp of the last sample that the last diagnosis looked at."""
         self._report = node.create_publisher(String, '~/diagnosis', LATCHED)
         self._progress = node.create_publisher(String, '~/diagnosis_progress', 10)
-        create_deferred_trigger(node, '~/diagnose', self._diagnose, errors)
-        create_trigger(node, '~/cancel_diagnosis', self.cancel, errors)
-        create_deferred_trigger(node, '~/apply_diagnosis', self._apply, errors)
+        create_deferred_trigger(node, '~/diagnose', self._diagnose)
+        create_trigger(node, '~/cancel_diagnosis', self.cancel)
+        create_deferred_trigger(node, '~/apply_diagnosis', self._apply)
 
     def close(self) -> None:
         """End the process, whatever it is doing."""

@@ -13,8 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import InertiaStamped
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from semiparam_ros.core.horizon_error import HorizonErrors
@@ -35,6 +33,7 @@ from semiparam_ros.online.identified_parameters import (
 )
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_switcher import State
+from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.ros.estimator.consistent import ConsistentBodies, ConsistentTopic
 from semiparam_ros.ros.estimator.publishers import inertia_message
 from semiparam_ros.ros.estimator.subscriptions import WRENCH, InputStream
@@ -355,13 +354,15 @@ def model_report(learner: Learner, tally: Tally) -> Report:
 
 def feedforward_report(feedforward: Feedforward) -> Report:
     """Report of how many desired states were answered, and what had to be said of them."""
-    counts = feedforward.counts()
-    values = {'answered': counts.answered, 'answered by the robot description': counts.described,
-              'cut to the effort limits': counts.limited, 'outside of what was learnt': counts.doubtful,
-              'withheld': counts.withheld, 'last mark': feedforward.last}
+    counts = feedforward.counts
+    values = {'answered': counts['answered'], 'answered by the robot description': counts['described'],
+              'cut to the effort limits': counts['limited'],
+              'outside of what was learnt': counts['doubtful'],
+              'withheld': counts['withheld'], 'last mark': feedforward.last}
     if feedforward.withheld:
-        return Report(WARN, f'{counts.withheld} trajectories withheld: {feedforward.withheld}', values)
-    return Report(OK, f'{counts.answered} desired states answered, {counts.withheld} trajectories withheld.', values)
+        return Report(WARN, f'{counts["withheld"]} trajectories withheld: {feedforward.withheld}', values)
+    return Report(OK, f'{counts["answered"]} desired states answered, '
+                      f'{counts["withheld"]} trajectories withheld.', values)
 
 
 def errors_report(errors: InternalErrors, twins: str = '') -> Report:
@@ -409,11 +410,14 @@ def parameters_report(found: Sequence[LearntCoefficient], more: Mapping[str, obj
     return Report(OK, f'{len(found)} coefficients.', values)
 
 
-def status(name: str, hardware_id: str, report: Report) -> DiagnosticStatus:
+def status_message(node: Node, title: str, robot_name: str, report: Report) -> DiagnosticArray:
     """The message of one report."""
+    name = f'{node.get_fully_qualified_name().lstrip("/")}: {title}'
     values = [KeyValue(key=key, value=str(value)) for key, value in report.values.items()]
-    return DiagnosticStatus(level=report.level, name=name, message=report.message, hardware_id=hardware_id,
-                            values=values)
+    message = DiagnosticArray(status=[DiagnosticStatus(
+        level=report.level, name=name, message=report.message, hardware_id=robot_name, values=values)])
+    message.header.stamp = node.get_clock().now().to_msg()
+    return message
 
 
 class Reports:
@@ -435,7 +439,6 @@ class Reports:
         self._news = self._robot_name = self._stage = self._known_twins = ''
         self._errors, self._twins, self._unseen = errors, twins, unseen
         self._node, self._inputs, self._learner = node, inputs, learner
-        self._name = node.get_fully_qualified_name().lstrip('/')
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
         self._payload_std = node.create_publisher(InertiaStamped, '~/payload_std', 10)
@@ -445,9 +448,7 @@ class Reports:
                  'feedforward': lambda: feedforward_report(feedforward), **others,
                  'errors': self._errors_report}
         turn = cycle(turns.items())
-        # By the machine's own clock: with a simulated one the reports would follow the recording's speed.
-        node.create_timer(PERIOD_S / len(turns), lambda: self._publish(*next(turn)),
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady_timer(node, PERIOD_S / len(turns), lambda: self._publish(*next(turn)))
 
     def open(self, robot_name: str, body: RigidBody) -> None:
         """The robot is known: count its answers."""
@@ -475,10 +476,7 @@ class Reports:
             return
         if report is None:
             return
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        message.status = [status(f'{self._name}: {title}', self._robot_name, report)]
-        self._statuses.publish(message)
+        self._statuses.publish(status_message(self._node, title, self._robot_name, report))
 
     def _errors_report(self) -> Report:
         twins = self._twins()

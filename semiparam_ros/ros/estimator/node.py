@@ -38,12 +38,11 @@ from semiparam_ros.ros.estimator.diagnostics import (
     Rejections,
     Reports,
 )
-from semiparam_ros.ros.estimator.exporting import Exporting
 from semiparam_ros.ros.estimator.outside import Outside
 from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answering
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
-from semiparam_ros.ros.estimator.services import Services
+from semiparam_ros.ros.estimator.services import Services, reason
 from semiparam_ros.ros.estimator.subscriptions import InputStream
 from semiparam_ros.settings.files import located
 from semiparam_ros.settings.parameter_table import BY_NAME
@@ -93,9 +92,9 @@ class EstimatorNode(Node, LearnerListener):
                                                 self.errors.add))
         self._held_replies = HeldReplies(self, self._announcement)
         lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
-        self._requests = Services(self, self._live, self._the_learner, folder_of(settings), lock, guarded, self.errors)
-        self._exporting = Exporting(self, self._live, self._the_learner, lambda: self._robot.description,
-                                    self._background, folder_of(settings), lock, self.errors)
+        self._requests = Services(self, self._live, self._the_learner,
+                                  lambda: self._robot.description, self._background,
+                                  folder_of(settings), lock, guarded, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
         self._changing = Changing(self, lambda: self.learner, folder_of(settings), self._reports.say, guarded,
                                   lambda place, error: self._report(error, place))
@@ -109,7 +108,7 @@ class EstimatorNode(Node, LearnerListener):
                        **options: Any) -> Service:
         """As every node does, but whatever the callback raises, a response is sent: rclpy would send none."""
         def failed(error: Exception) -> str:
-            return self.errors.add(srv_name, error)
+            return reason(srv_name, error, self.errors)
 
         return super().create_service(srv_type, srv_name, answering(callback, failed), **options)
 

@@ -10,14 +10,13 @@ from typing import Any, NamedTuple, TypeAlias
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.service import Service
 from rclpy.timer import Timer
 
 from semiparam_ros.errors import SemiparamError, shortened
+from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.settings.parameter_table import BY_NAME, PARAMETERS, Parameter
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest, refusal, unknown_name
 
@@ -87,7 +86,7 @@ class HeldReplies:
     def _hold(self, reply: DelayedReply) -> None:
         self.release()  # an earlier wish is overtaken by this one
         self._held.append(reply)
-        self._timer = self._node.create_timer(PATIENCE_S, self.release, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = steady_timer(self._node, PATIENCE_S, self.release)
 
 
 def answering(callback: Callable[[Any, Any], Any], failed: Callable[[Exception], str]) -> Callable[[Any, Any], Any]:

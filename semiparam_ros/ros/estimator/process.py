@@ -62,8 +62,10 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals, worker: Worker) -> int
             refused = take_priority(node.settings.realtime_priority)
             if refused:
                 node.get_logger().warning(refused)
-            _find_effects(node.settings.outputs)
-            _keep_collector_out()
+            with suppress(SemiparamError):  # of a package that is not well; told where an effect is declared
+                kinds(node.settings.outputs)  # effects of other packages: looked for now, not between two samples
+            gc.collect()
+            gc.freeze()  # what is loaded now stays for good: it is not looked at while samples come
             while ok() and not stop.asked:
                 try:
                     spin_for(executor, SPIN_S)
@@ -89,16 +91,3 @@ def _new_node(schedule: Scheduler, files: Sequence[Path], worker: Worker) -> Est
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
 
-
-def _find_effects(outputs: str) -> None:
-    """Look for effects of other packages in every one that is installed: now, not between two
-    samples."""
-    with suppress(SemiparamError):  # of a package that is not well; told where an effect is declared
-        kinds(outputs)
-
-
-def _keep_collector_out() -> None:
-    """Keep the cyclic garbage collector from what is loaded now, which stays for good, while
-    samples come."""
-    gc.collect()
-    gc.freeze()

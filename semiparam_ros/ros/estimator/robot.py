@@ -26,11 +26,6 @@ class Robot:
         self.name = ''
 
     @property
-    def is_known(self) -> bool:
-        """Tell whether there is a body."""
-        return self._text is not None
-
-    @property
     def description(self) -> str:
         """The text in use; raises SemiparamError while there is none."""
         if self._text is None:
@@ -47,7 +42,7 @@ class Robot:
         if self._settings.robot_description_file or self._settings.robot_description or text == self._latest:
             return
         self._latest = text
-        if self.is_known:
+        if self._text is not None:
             self._complain('another robot description came on its topic; the first one stays in use.')
             return
         try:

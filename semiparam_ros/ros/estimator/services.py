@@ -13,16 +13,17 @@ from typing import TypeVar
 
 import numpy as np
 from rclpy.node import Node
-from rclpy.service import Service
 from std_srvs.srv import SetBool, Trigger
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.export.estimate import from_estimator
+from semiparam_ros.export.files import export_to
 from semiparam_ros.online import state_file
 from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.state_file import SavedState
-from semiparam_ros.online.worker import Scheduler
+from semiparam_ros.online.worker import Background, Scheduler, Urgency
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
 from semiparam_ros.ros.estimator.parameters import Parameters
 
@@ -54,24 +55,33 @@ class Reply:
             self._send = None
 
 
-def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], None], errors: InternalErrors) -> Service:
+def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], None]) -> None:
     """A std_srvs/Trigger service; ``action`` starts the work and sees to it that the reply is called, or raises."""
     def begin(_request: Trigger.Request, _response: Trigger.Response) -> Reply:
         reply = Reply()
-        try:
-            action(reply)
-        except Exception as error:
-            reply(reason(name, error, errors), success=False)
+        action(reply)
         return reply
 
     service = node.create_service(Trigger, name, begin)
     send = service.send_response
 
-    def send_later(reply: Reply, header: object) -> None:
-        reply.expect(header, send)
+    def send_or_wait(reply: Reply | Trigger.Response, header: object) -> None:
+        if isinstance(reply, Reply):
+            reply.expect(header, send)
+        else:
+            send(reply, header)
 
-    service.send_response = send_later  # type: ignore[method-assign, assignment]
-    return service
+    service.send_response = send_or_wait  # type: ignore[method-assign, assignment]
+
+
+def create_trigger(node: Node, name: str, action: Callable[[], str]) -> None:
+    """A std_srvs/Trigger service from a function that returns a sentence, or raises."""
+    def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.message, response.success = action(), True
+        node.get_logger().info(f'{name}: {response.message}')
+        return response
+
+    node.create_service(Trigger, name, callback)
 
 
 def reason(name: str, error: Exception, errors: InternalErrors) -> str:
@@ -80,25 +90,31 @@ def reason(name: str, error: Exception, errors: InternalErrors) -> str:
 
 
 class Services:
-    """``~/reset``, ``~/pause_learning``, ``~/tare``, ``~/save_state`` and ``~/load_state``.
+    """``~/reset``, ``~/pause_learning``, ``~/tare``, ``~/save_state``, ``~/load_state`` and
+    ``~/export_model``.
 
-    States are written and read in a thread: samples are answered meanwhile.
+    States are written and read in a thread, and the process beside the node exports: samples are
+    answered meanwhile.
 
     :param learner: gives the learner, or raises SemiparamError before the robot is known.
+    :param description: gives the robot description. :param background: the process beside the node.
     :param folder: where states lie. :param lock: the right to write there.
     :param schedule: see :data:`Scheduler`.
     :param errors: counts what goes wrong unexpectedly.
     """
 
-    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner], folder: Path,
+    def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
+                 description: Callable[[], str], background: Background, folder: Path,
                  lock: FolderLock, schedule: Scheduler, errors: InternalErrors) -> None:
         self._node, self._parameters, self._learner, self._schedule = node, parameters, learner, schedule
+        self._description, self._background = description, background
         self._folder, self._lock, self._errors = folder, lock, errors
         self._files = FileThread('states')
-        create_trigger(node, '~/reset', self.reset, errors)
-        create_trigger(node, '~/tare', self.tare, errors)
-        create_deferred_trigger(node, '~/save_state', self.save_state, errors)
-        create_deferred_trigger(node, '~/load_state', self.load_state, errors)
+        create_trigger(node, '~/reset', self.reset)
+        create_trigger(node, '~/tare', self.tare)
+        create_deferred_trigger(node, '~/save_state', self.save_state)
+        create_deferred_trigger(node, '~/load_state', self.load_state)
+        create_deferred_trigger(node, '~/export_model', self.export_model)
         node.create_service(SetBool, '~/pause_learning', self._pause)
 
     def close(self) -> None:
@@ -143,20 +159,32 @@ class Services:
 
         self._aside('~/load_state', partial(state_file.load, path, settings, learner.body), loaded, reply)
 
-    def _aside(self, name: str, work: Callable[[], Result], then: Callable[[Result], str], reply: Reply) -> None:
-        """Do the work in the thread for files, what follows in the node's own, and answer with its sentence."""
-        def finish(result: Result, error: Exception | None) -> None:
-            try:
-                if error is not None:
-                    raise error
-                sentence = then(result)
-            except Exception as error:
-                reply(reason(name, error, self._errors), success=False)
-            else:
-                self._node.get_logger().info(f'{name}: {sentence}')
-                reply(sentence)
+    def export_model(self, reply: Reply) -> None:
+        """Write what is learnt now to files beside the states."""
+        self._lock.take()
+        estimate = from_estimator(self._learner().estimator, None,
+                                  self._node.get_fully_qualified_name())
+        stem = Path(self._parameters.settings.state_file).stem
+        self._background.submit(export_to, self._folder, stem, self._description(), estimate,
+                                done=partial(self._finish, '~/export_model', reply, str),
+                                urgency=Urgency.ASKED)
 
-        self._files.submit(work, partial(self._schedule, finish))
+    def _aside(self, name: str, work: Callable[[], Result], then: Callable[[Result], str], reply: Reply) -> None:
+        """Do the work in the thread for files, what follows in the node's own."""
+        self._files.submit(work, partial(self._schedule, self._finish, name, reply, then))
+
+    def _finish(self, name: str, reply: Reply, then: Callable[[Result], str], result: Result,
+                error: BaseException | None) -> None:
+        """Answer with the sentence on a result, or why there is none."""
+        try:
+            if error is not None:
+                raise error
+            sentence = then(result)
+        except Exception as failure:
+            reply(reason(name, failure, self._errors), success=False)
+        else:
+            self._node.get_logger().info(f'{name}: {sentence}')
+            reply(sentence)
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """``data`` true: predict without learning."""
@@ -164,16 +192,3 @@ class Services:
         response.success = result.successful
         response.message = result.reason or ('learning is paused.' if request.data else 'learning goes on.')
         return response
-
-
-def create_trigger(node: Node, name: str, action: Callable[[], str], errors: InternalErrors) -> None:
-    """A std_srvs/Trigger service from a function that returns a sentence or raises; it always answers."""
-    def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            response.message, response.success = action(), True
-            node.get_logger().info(f'{name}: {response.message}')
-        except Exception as error:
-            response.message, response.success = reason(name, error, errors), False
-        return response
-
-    node.create_service(Trigger, name, callback)

@@ -48,8 +48,7 @@ class Stopwatch:
     SIZE = 1000
 
     def __init__(self) -> None:
-        self._spans = np.zeros(self.SIZE)
-        self._count = 0
+        self._spans: deque[float] = deque(maxlen=self.SIZE)
         self._start = 0.0
 
     def start(self, arrived: float) -> None:
@@ -58,15 +57,13 @@ class Stopwatch:
 
     def stop(self) -> None:
         """An answer has gone out."""
-        self._spans[self._count % self.SIZE] = time.perf_counter() - self._start
-        self._count += 1
+        self._spans.append(time.perf_counter() - self._start)
 
     def quantiles_ms(self) -> tuple[float, float, float] | None:
         """(median, p99, maximum) in ms, None before the first answer."""
-        spans = self._spans[:self._count]
-        if not len(spans):
+        if not self._spans:
             return None
-        median, late, last = np.quantile(spans, (0.5, 0.99, 1.0)) * 1e3
+        median, late, last = np.quantile(self._spans, (0.5, 0.99, 1.0)) * 1e3
         return float(median), float(late), float(last)
 
 
@@ -138,33 +135,26 @@ class MessageTurns:
             self._schedule(self._take_turn)
 
 
-class OutdatedMessage(NamedTuple):
-    """A message that came with a stamp before the last one."""
-
-    topic: str
-    reading: Reading
-
-
 class ClockWatch:
-    """Holds back refused messages until ``needed`` of one topic in a row agree with each other."""
+    """Holds back refused messages until ``NEEDED`` of one topic in a row agree with each other."""
 
-    def __init__(self, needed: int = NEEDED) -> None:
-        self._needed = needed
-        self._held: list[OutdatedMessage] = []
+    def __init__(self) -> None:
+        self._held: list[tuple[str, Reading]] = []
+        """Topics and messages that came with a stamp before the last one."""
 
     def accepted(self, topic: str) -> None:
         """The topic goes on as before: its messages that went back were wrong."""
         if self._held:
-            self._held = [held for held in self._held if held.topic != topic]
+            self._held = [(other, held) for other, held in self._held if other != topic]
 
-    def refused(self, topic: str, reading: Reading) -> list[OutdatedMessage]:
+    def refused(self, topic: str, reading: Reading) -> list[tuple[str, Reading]]:
         """A message went back in time; once the clock must have jumped, all that were held, in order of arrival."""
-        own = [held for held in self._held if held.topic == topic]
-        if own and reading.stamp <= own[-1].reading.stamp:
+        own = [held for other, held in self._held if other == topic]
+        if own and reading.stamp <= own[-1].stamp:
             self.accepted(topic)
             own = []
-        self._held.append(OutdatedMessage(topic, reading))
-        if len(own) + 1 < self._needed:
+        self._held.append((topic, reading))
+        if len(own) + 1 < NEEDED:
             return []
         jumped, self._held = self._held, []
         return jumped
@@ -413,4 +403,4 @@ class InputStream:
         assert self.stream is not None
         self.stream.faults['backward_stamp'] -= len(held)
         for again in held:
-            self._feed(again.topic, again.reading)
+            self._feed(*again)

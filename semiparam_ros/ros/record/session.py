@@ -5,11 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
-from typing import Protocol
 
 from rich.console import Console
 from rich.status import Status
@@ -30,18 +27,10 @@ POLL_S = 0.05
 QUIET_S = 0.5
 
 
-class Recording(Protocol):
-    """Recording as it is shown."""
-
-    @property
-    def messages(self) -> int:
-        """Messages written."""
-
-
 class RecordProgress:
     """Context manager; :meth:`update` is to be called every now and then."""
 
-    def __init__(self, recording: Recording, console: Console, shown: bool = True) -> None:
+    def __init__(self, recording: RecordNode, console: Console, shown: bool = True) -> None:
         self._recording = recording
         self._console = console
         self._shown = shown
@@ -54,8 +43,7 @@ class RecordProgress:
             self._status.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._status is not None:
             self._status.stop()
 
@@ -122,8 +110,7 @@ class RecordSession:
                 writer.abort()
 
     def _record(self, writer: BagWriter) -> RecordAccount:
-        with ExitStack() as stack:
-            ros = stack.enter_context(RosProcess(self._ros_arguments, self._stopping.set))
+        with RosProcess(self._ros_arguments, self._stopping.set) as ros:
             node = RecordNode(writer, self._options.limits)
             ros.spin(node)
             try:
@@ -140,7 +127,7 @@ class RecordSession:
 
     def _find(self, node: RecordNode) -> None:
         """Subscribe to everything named, and say so once it is connected."""
-        missing: tuple[str, ...] = ()
+        missing: list[str] = []
 
         def ready() -> bool:
             nonlocal missing
@@ -155,17 +142,17 @@ class RecordSession:
         self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.')
         self._began = time.monotonic()
 
-    def _look(self, node: RecordNode) -> tuple[str, ...]:
+    def _look(self, node: RecordNode) -> list[str]:
         """Subscribe to what the graph has now; the names that are still missing."""
-        found = topics.find(node, self._options)
-        for topic, type_name in found.topics.items():
+        found, missing = topics.find(node, self._options)
+        for topic, type_name in found.items():
             obstacle = topics.obstacle(type_name)
             if not obstacle:
                 call_in_executor(node, partial(node.follow, topic, type_name))
             elif topic not in self._skipped:
                 self._skipped[topic] = f'{topic} is not recorded: {obstacle}.'
                 self._say(self._skipped[topic])
-        return found.missing
+        return missing
 
     def _wait_for_the_end(self, node: RecordNode, writer: BagWriter) -> None:
         """Write until a limit is reached, doing what is due meanwhile; raises Stopped on a signal."""

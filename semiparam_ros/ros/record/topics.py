@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
@@ -19,27 +18,19 @@ from semiparam_ros.ros.recorded_qos import from_rclpy, subscription_qos, to_rclp
 HOUSEKEEPING = ('/parameter_events', '/rosout')
 
 
-class FoundTopic(NamedTuple):
-    """Snapshot of the graph: topic -> type, and the sought nodes that are not there (yet)."""
-
-    topics: dict[str, str]
-    missing: tuple[str, ...]
-
-
-def find(node: Node, options: RecordOptions) -> FoundTopic:
-    """The topics to record, as far as the graph knows them now."""
+def find(node: Node, options: RecordOptions) -> tuple[dict[str, str], list[str]]:
+    """The topics to record and their types, as far as the graph knows them now, and the nodes and
+    topics sought that are not there (yet)."""
     graph = dict(node.get_topic_names_and_types())
-    chosen: set[str] = set(graph) if options.everything else set()
-    chosen.update(_resolved(node, options.topics))
-    missing = []
+    named = [node.resolve_topic_name(topic) for topic in options.topics]
+    chosen, missing = {*named, *(graph if options.everything else ())}, list[str]()
     for name in options.nodes:
         theirs = node_topics(node, name)
         chosen.update(theirs)
         missing += [] if theirs else [name]
-    missing += [topic for topic in _resolved(node, options.topics) if topic not in graph]
-    named = _resolved(node, options.topics)
+    missing += [topic for topic in named if topic not in graph]
     kept = options.selection.of(sorted(topic for topic in chosen if topic in named or topic not in HOUSEKEEPING))
-    return FoundTopic({topic: graph[topic][0] for topic in kept if topic in graph}, tuple(missing))
+    return {topic: graph[topic][0] for topic in kept if topic in graph}, missing
 
 
 def node_topics(node: Node, full_name: str) -> set[str]:
@@ -87,7 +78,3 @@ def best_qos(node: Node, topic: str) -> QoSProfile:
 def receives_all(profile: QoSProfile, publishers: Iterable[Qos]) -> bool:
     """Tell whether a subscription matches every one of these publishers."""
     return all(qos_check_compatible(to_rclpy(each), profile)[0] != QoSCompatibility.ERROR for each in publishers)
-
-
-def _resolved(node: Node, topics: Iterable[str]) -> list[str]:
-    return [node.resolve_topic_name(topic) for topic in topics]

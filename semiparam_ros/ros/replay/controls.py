@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.playback.player import Player, checked_rate
+from semiparam_ros.playback.player import Player
 
 RATE_STEP = 1.1
 
@@ -57,7 +57,10 @@ class ReplayControls:
 
     def keys(self) -> dict[str, Callable[[], object]]:
         """Actions of the keys of ``playback.keyboard``; one without sense now does nothing."""
-        actions = {'pause': self.toggle_paused, 'next': self.play_next, 'faster': self.faster, 'slower': self.slower}
+        actions: dict[str, Callable[[], object]] = {
+            'pause': self.toggle_paused, 'next': self.play_next,
+            'faster': partial(self.change_rate, RATE_STEP),
+            'slower': partial(self.change_rate, 1.0 / RATE_STEP)}
         return {key: partial(self._quietly, action) for key, action in actions.items()}
 
     @staticmethod
@@ -90,13 +93,9 @@ class ReplayControls:
         self._player.stop()
         return 'the playback ends'
 
-    def faster(self) -> None:
-        """10 % faster."""
-        self.change('rate', (self._player.rate or 1.0) * RATE_STEP)
-
-    def slower(self) -> None:
-        """10 % slower."""
-        self.change('rate', (self._player.rate or 1.0) / RATE_STEP)
+    def change_rate(self, factor: float) -> str:
+        """Play so many times as fast."""
+        return self.change('rate', (self._player.rate or 1.0) * factor)
 
     def _tell_paused(self) -> str:
         if not self._player.paused:
@@ -130,7 +129,7 @@ class ReplayControls:
         for parameter in parameters:
             name, value = parameter.name, parameter.value
             if name == 'rate' and value != (self._player.rate or 0.0):
-                self._player.set_rate(checked_rate(value))
+                self._player.set_rate(value)
             elif name == 'paused' and value != self._player.paused:
                 self._player.set_paused(value)
             elif name == 'loop':

@@ -8,10 +8,11 @@ from functools import partial
 
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from semiparam_ros.bags.header_stamp import read_stamp
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.flow_control import FlowControl
 from semiparam_ros.playback.options import FollowOptions
-from semiparam_ros.ros.cdr import begins_with_header, read_stamp
+from semiparam_ros.ros.cdr import begins_with_header
 from semiparam_ros.ros.context import call_in_executor
 from semiparam_ros.ros.discovery import handshake, is_named, owner, wait_until
 from semiparam_ros.ros.message_types import message_class

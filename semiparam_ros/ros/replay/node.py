@@ -6,18 +6,18 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from semiparam_ros.bags.header_stamp import with_stamp
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.player import Item
-from semiparam_ros.ros.cdr import begins_with_header, with_stamp
+from semiparam_ros.ros.cdr import begins_with_header
+from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.recorded_qos import to_rclpy
 
@@ -90,9 +90,7 @@ class ReplayNode(Node):
         """Publish the bag time on /clock, ``rate_hz`` times a second of this machine."""
         if self._clock_output is None:
             self._clock_output = self.create_publisher(ClockMessage, '/clock', 10)
-        # Not the node's own clock: with use_sim_time it would wait for what it is to publish.
-        self.create_timer(1.0 / rate_hz, lambda: self._publish_clock(bag_time()),
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady_timer(self, 1.0 / rate_hz, lambda: self._publish_clock(bag_time()))
 
     def _publish_clock(self, bag_time: int) -> None:
         message = ClockMessage()

@@ -21,7 +21,7 @@ from semiparam_ros.playback.options import ReplayOptions
 from semiparam_ros.playback.player import Ending, Player
 from semiparam_ros.playback.progress import ReplayProgress
 from semiparam_ros.playback.read_ahead import ReadAhead
-from semiparam_ros.playback.report import Answers, ReplayAccount
+from semiparam_ros.playback.report import ReplayAccount
 from semiparam_ros.playback.timeline import BagTimeline, PlayedTopic
 from semiparam_ros.ros.context import DELIVER_S, RosProcess, call_in_executor
 from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
@@ -69,7 +69,7 @@ class ReplaySession:
                 ending = 'stopped'
             if ros.error is not None:
                 self._failures.append(f'a callback failed: {ros.error}')
-            answers = tuple(Answers.of(follower.answer_topic, follower.flow) for follower in self._followers)
+            answers = {follower.answer_topic: follower.flow for follower in self._followers}
             return ReplayAccount(ending, self._duration, dict(node.counts), answers, tuple(self._failures),
                                  _losses(bag) if ending == 'finished' else (), skipped,
                                  lossless=self._options.follow is not None)
@@ -222,5 +222,5 @@ def _open(paths: Sequence[Path]) -> BagReader:
 
 def _losses(bag: BagReader) -> tuple[str, ...]:
     """One sentence for each damaged file."""
-    return tuple(str(losses) for each in getattr(bag, 'readers', (bag,)) if (losses := each.losses))
+    return tuple(losses.sentence for each in getattr(bag, 'readers', (bag,)) if (losses := each.losses))
 

@@ -1,0 +1,39 @@
+"""Lines of a text table: white space, commas, semicolons or tabs stand between its cells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeAlias
+
+from semiparam_ros.errors import SemiparamError
+
+Cells: TypeAlias = Iterator[tuple[int, list[str]]]
+"""Number and cells of each line."""
+
+
+def text_lines(path: Path, progress: Callable[[int], None] = lambda done: None) -> Cells:
+    """Number and cells of each line but for those that are blank or begin with # or %.
+
+    :param progress: called with the number of bytes read so far.
+    """
+    read = 0
+    try:
+        with path.open('rb') as file:
+            for number, raw in enumerate(file, 1):
+                read += len(raw)
+                line = raw.decode('utf-8-sig' if number == 1 else 'utf-8').strip()
+                if line and line[0] not in '#%':
+                    yield number, _cells(line)
+                if number % 100 == 0:
+                    progress(read)
+    except OSError as error:
+        raise SemiparamError(f'{str(path)!r} cannot be read: {error.strerror}.') from error
+    except UnicodeDecodeError as error:
+        raise SemiparamError(f'{str(path)!r} is neither a bag nor a text table.') from error
+    progress(read)
+
+
+def _cells(line: str) -> list[str]:
+    separator = next((mark for mark in ';,\t' if mark in line), None)
+    return [cell.strip().strip('"') for cell in line.split(separator)]
