@@ -425,11 +425,11 @@ def _other_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
     """All outputs negated, then each of them."""
     wrench = body.outputs == 'wrench'
     what = 'wrench_sign' if wrench else 'effort_sign'
-    said = 'The wrench has' if wrench else 'The efforts have'
-    cure = f'set the parameter wrench_convention to {"action" if body.sign < 0 else "reaction"}' if wrench else \
-        'negate them (semiparam convert --effort-sign -1)'
-    yield Alternative(relabelled(samples, ('outputs',), factors=-1.0), SetupProblem(what, body.sensor_frame, (
-        f'{said} the opposite sign of what the robot description predicts: {cure}.')))
+    sentence = ('The wrench has the opposite sign of what the robot description predicts: set the parameter '
+                f'wrench_convention to {"action" if body.sign < 0 else "reaction"}.') if wrench else (
+        'The efforts have the opposite sign of what the robot description predicts: negate them (semiparam convert '
+        '--effort-sign -1).')
+    yield Alternative(relabelled(samples, ('outputs',), factors=-1.0), SetupProblem(what, body.sensor_frame, sentence))
     for channel, name in enumerate(body.output_names):
         said = f"The channel {name} of '{body.sensor_frame}'" if wrench else f"The effort of '{name}'"
         where = "the sensor's driver or calibration" if wrench else 'the driver'
