@@ -40,7 +40,7 @@ class Move(NamedTuple):
         return self.gain.exceeds(self.price, self.after.config.sure)
 
 
-def _with_values_they_can_have(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Collection[str]) -> list[Move]:
+def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Collection[str]) -> list[Move]:
     """The move that adds some effects, unless it gives one of the model values that it cannot have."""
     if not all_plausible(fit, after):
         return []
@@ -53,7 +53,7 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
     moves = list[Move]()
     foremost = [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
     for trial in chain.from_iterable(_at_each_time(fit, trial) for trial in foremost):
-        moves += _with_values_they_can_have(fit, declare(fit, [trial.effect]), [trial.effect], kinds)
+        moves += _plausible_moves(fit, declare(fit, [trial.effect]), [trial.effect], kinds)
     return moves
 
 
@@ -78,7 +78,7 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Eff
         searches = tuple(type(trial.effect).searches(fit.body, fit.samples, where, once.residual))
         again = coarse_trial(once, Candidate(type(trial.effect), where, searches))
         if again is not None and identity(again.effect) not in {*known, identity(trial.effect)}:
-            moves += _with_values_they_can_have(fit, declare(once, [again.effect]), [trial.effect, again.effect], kinds)
+            moves += _plausible_moves(fit, declare(once, [again.effect]), [trial.effect, again.effect], kinds)
     return moves
 
 
@@ -132,7 +132,7 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
             after = reshaped(without_impossible(after, fixed), fixed, kinds)
             added = next(effect for effect in after.effects if effect.kind == kind.kind)
             if added.is_noticeable(fit.samples):
-                moves += _with_values_they_can_have(fit, after, [added], kinds)
+                moves += _plausible_moves(fit, after, [added], kinds)
     return moves
 
 
