@@ -115,7 +115,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
                 f'{path} is long: {len(bag.stretches)} stretches of it are looked at, '
                 f'{len(bag.samples)} samples evenly spread over {bag.samples.time[-1]:.0f} s.')
     body = build_rigid_body(settings, bags[0].robot_description)
-    recordings, judging = ([whole_groups(bag.samples, bag.stretches, working_factor(bag.samples)) for bag in some]
+    recordings, judging = ([whole_groups(bag.samples, working_factor(bag.samples), bag.stretches) for bag in some]
                            for some in (bags, judges))
     samples = recordings[0] if len(recordings) == 1 else Samples.joined(recordings)
     other = (str(args.judge), judging[0]) if judging else None

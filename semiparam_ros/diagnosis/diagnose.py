@@ -182,8 +182,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it.
     """
     check(samples, body, config)
-    samples = whole_groups(samples, [part.stop - part.start for part in samples.recordings],
-                           working_factor(samples, config))
+    samples = whole_groups(samples, working_factor(samples, config))
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = [problem for part in samples.recordings

@@ -45,7 +45,7 @@ def test_what_is_not_too_long_is_read_as_before(settings, bag):
     whole, same = load_samples(bag, settings), load_samples(bag, settings, most=most_samples)
     assert same.stretches == whole.stretches
     np.testing.assert_array_equal(same.samples.acceleration, whole.samples.acceleration)
-    assert whole_groups(same.samples, same.stretches, 3) is same.samples
+    assert whole_groups(same.samples, 3, same.stretches) is same.samples
 
 
 def test_no_working_sample_averages_over_two_stretches_and_their_ends_are_left_out(settings, bag, monkeypatch):
@@ -53,7 +53,7 @@ def test_no_working_sample_averages_over_two_stretches_and_their_ends_are_left_o
     few = load_samples(bag, settings, most=lambda rate: MOST)
     fast = DEFAULTS.__class__(working_rate_hz=3.0)
     factor = working_factor(few.samples, fast)
-    samples = whole_groups(few.samples, few.stretches, factor)
+    samples = whole_groups(few.samples, factor, few.stretches)
     found = [gap.before + 1 for gap in gaps(samples, fast)]
     assert factor == 6 and len(found) == 3 and not np.any(np.array(found) % factor)
     left_out = excluded(samples, fast)

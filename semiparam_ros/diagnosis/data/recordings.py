@@ -14,11 +14,12 @@ from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 
 
-def whole_groups(samples: Samples, counts: Sequence[int], factor: int) -> Samples:
-    """The samples without a remainder of each part, so that no mean of ``factor`` samples is over two of them.
+def whole_groups(samples: Samples, factor: int, stretches: Sequence[int] = ()) -> Samples:
+    """The samples without a remainder of each recording, so that no mean of ``factor`` samples is over two of them.
 
-    :param counts: how many samples each part holds: a recording, or a stretch of a long one.
+    :param stretches: how many samples each stretch of a long recording holds, in place of recordings.
     """
+    counts = stretches or [part.stop - part.start for part in samples.recordings]
     if len(counts) == 1 or factor == 1:
         return samples
     starts = np.cumsum([0, *counts[:-1]]).tolist()
