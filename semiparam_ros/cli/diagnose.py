@@ -93,10 +93,11 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     """Load what the options name and diagnose it, with progress on a terminal."""
     from semiparam_ros.cli.evaluate import load_bags
     from semiparam_ros.core.samples import Samples
-    from semiparam_ros.diagnosis.config import DEFAULTS
+    from semiparam_ros.diagnosis.data.outliers import working_factor
+    from semiparam_ros.diagnosis.data.recordings import whole_groups
     from semiparam_ros.diagnosis.data.splits import leading_split
     from semiparam_ros.diagnosis.diagnose import diagnose
-    from semiparam_ros.diagnosis.preparation import for_stretches, in_whole_groups, most_samples
+    from semiparam_ros.diagnosis.preparation import most_samples
     from semiparam_ros.settings.build import build_rigid_body, declared_effects
 
     if args.split is not None and not 0.2 <= args.split <= 0.9:
@@ -114,10 +115,10 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
                 f'{path} is long: {len(bag.stretches)} stretches of it are looked at, '
                 f'{len(bag.samples)} samples evenly spread over {bag.samples.time[-1]:.0f} s.')
     body = build_rigid_body(settings, bags[0].robot_description)
-    recordings, judging = ([in_whole_groups(bag.samples, bag.stretches) for bag in some] for some in (bags, judges))
+    recordings, judging = ([whole_groups(bag.samples, working_factor(bag.samples), bag.stretches) for bag in some]
+                           for some in (bags, judges))
     samples = recordings[0] if len(recordings) == 1 else Samples.joined(recordings)
     other = (str(args.judge), judging[0]) if judging else None
-    long = any(len(bag.stretches) > 1 for bag in (*bags, *judges))
     train_mask = None if args.split is None else leading_split(len(samples), args.split)
     effects = [*declared_effects(settings), *declared_inside(args, samples)]
     with options.progress_bar() as bar:
@@ -125,7 +126,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
         return diagnose(body, samples, effects, train_mask, other,
                         args.kinds,
                         lambda words, share: bar.update(task, description=words, completed=int(100 * share)),
-                        for_stretches(samples) if long else DEFAULTS, [str(path) for path in args.bags])
+                        names=[str(path) for path in args.bags])
 
 
 def declared_inside(args: argparse.Namespace, samples: Samples) -> list[Effect]:

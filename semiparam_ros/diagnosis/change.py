@@ -22,6 +22,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluate_here
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.preparation import Inputs, prepared, require_enough
@@ -221,9 +222,7 @@ def gain_since(
         for fit in fits
     ]
     gained = (densities[1] - densities[0]).sum(axis=1)[judging]
-    return summed(
-        np.array([part.sum() for part in np.array_split(gained, min(config.blocks, len(gained)))])
-    )
+    return summed(block_sums(gained, config.blocks))
 
 
 def _first_fit(
@@ -252,13 +251,9 @@ def _friction(body: RigidBody) -> list[Effect]:
         found += [
             ViscousFriction(joint),
             EffortOffset(joint),
-            *(_dry(joint, speed) for speed in TURN_SPEEDS),
+            *(CoulombFriction(joint, {'turn_speed': speed}) for speed in TURN_SPEEDS.tolist()),
         ]
     return found
-
-
-def _dry(joint: str, speed: float) -> Effect:
-    return CoulombFriction(joint, {'turn_speed': float(speed)})
 
 
 def _candidates(fit: Fit) -> list[Effect]:
@@ -273,7 +268,7 @@ def _candidates(fit: Fit) -> list[Effect]:
         for where in _places(kind, body)
     ]
     for joint in body.output_names if body.outputs == 'effort' else ():
-        found += [ViscousFriction(joint), _dry(joint, TURN_SPEEDS[-1])]
+        found += [ViscousFriction(joint), CoulombFriction(joint, {'turn_speed': float(TURN_SPEEDS[-1])})]
     return found
 
 

@@ -14,6 +14,25 @@ from dataclasses import dataclass
 class DiagnosisConfig:
     """The thresholds, room by room."""
 
+    # --- what words mean ---
+
+    most: float = 0.5
+    """Calls more than this share most of a thing: of an output's variance that a model leaves, of that what is no
+    noise, of what a model leaves that errors of accelerations make, of samples that are zero (by the word)."""
+    little: float = 0.1
+    """Calls less than this share little: what errors of accelerations make at the rate that is recommended, and what
+    the first effect leaves where somebody pushed an arm whose description is right (chosen)."""
+    alike: float = 0.7
+    """Calls two things alike beyond this cosine: outputs and prediction of which the ratio is a unit, two directions of
+    gravity, what two effects explain that are rivals (chosen)."""
+    negligible: float = 1e-6
+    """Takes less than this share for nothing: a direction that is held by declared columns already, a combination of
+    masses that no motion could show, a velocity beside the change of its position (chosen)."""
+    looked_at: int = 4000
+    """Looks at no more than so many samples, or spans of time, evenly spread: more say nothing new (chosen)."""
+    in_turn: int = 6
+    """Fits two things in turn so often: a description and its noise, a model and where touches bend it (chosen)."""
+
     # --- what a recording must hold ---
 
     least_samples: int = 200
@@ -29,11 +48,6 @@ class DiagnosisConfig:
     """Leaves out so many working samples at either end of a smoothed recording: it sees them from one side."""
     least_working_samples: int = 50
     """Refuses recordings with fewer working samples in use: these cannot tell one cause from another (chosen)."""
-    input_error_share: float = 0.5
-    """Says that the motion is too fast for its rate where errors of accelerations make this share of what an output
-    leaves (chosen)."""
-    small_input_error_share: float = 0.1
-    """Recommends the rate at which they would make less than this share (chosen)."""
     faster: tuple[int, ...] = (2, 4, 8)
     """Recommends one of so many times the rate (chosen)."""
     rest_speed_share: float = 0.01
@@ -51,7 +65,6 @@ class DiagnosisConfig:
     """Cuts a recording into so many blocks to fit and to judge: long against the noise's memory (chosen)."""
     held_out_every: int = 3
     """Holds every so many-th block out for judging, so that two thirds fit (chosen)."""
-
 
     # --- data: outliers ---
 
@@ -78,14 +91,8 @@ class DiagnosisConfig:
     unseen_share: float = 5e-4
     """Calls a mass unseen when a change as large as itself moves the outputs by less than this share of their standard
     deviation: rich motions of iCub, UR3 and Franka show each by 1e-3 or more, a locked joint leaves 1e-5 (measured)."""
-    negligible_direction: float = 1e-6
-    """Ignores combinations of masses below this share of the largest, which no motion could show (chosen)."""
 
     # --- regression ---
-
-    absorbed_share: float = 1e-6
-    """Gives a candidate no credit for a direction of which the declared columns leave only this share (chosen)."""
-
 
     # --- evaluation ---
 
@@ -104,8 +111,6 @@ class DiagnosisConfig:
     """Follows an autocorrelation up to this share of the residual's length, beyond which it is chance (chosen)."""
     noise_order: int = 20
     """Draws coloured noise from an autoregression of this order: half a second at the working rate (chosen)."""
-    noise_settling: int = 500
-    """Throws away so many samples at the start of coloured noise, until it is stationary (chosen)."""
     resmoothing_windows: tuple[int, ...] = (9, 15)
     """Smooths the motion over so many samples, to see what noise in the inputs leaves in a residual: the share found on
     clean circles falls from 0.05 to 0.004, a real bump keeps 0.23 (measured)."""
@@ -118,36 +123,20 @@ class DiagnosisConfig:
     """Compares so many samples, evenly spread, with the robot description under dozens of labels (chosen)."""
     span_s: float = 0.2
     """Compares a change with its integral over this time [s]: long against noise, short against motion (chosen)."""
-    least_spans: int = 50
-    """Shortens the spans where stamps in a wrong unit would leave fewer of them (chosen)."""
-    most_spans: int = 4000
-    """Looks at no more than so many spans: more say nothing new (chosen)."""
     ratio_tolerance: float = 1.25
-    """Takes a ratio within this factor of a known one for that one: real iCub, UR3 and Franka give 0.92 to 1.02 of what
-    is right (measured)."""
-    agreeing_share: float = 0.6
-    """Trusts a ratio when at least this share of the spans agree with it (chosen)."""
-    agreeing_width: float = 1.0 / 3.0
-    """Lets a span agree with the median ratio when it differs by at most this share of it (chosen)."""
+    """Takes a ratio within this factor of a known one for that one, and lets most spans agree on it within this factor:
+    real iCub, UR3 and Franka give 0.92 to 1.02 of what is right (measured)."""
     own_correlation: float = 0.98
     """Calls no velocity swapped that follows its own position with this correlation: those of a real iCub, which its
     driver filters, do with 0.985 (measured)."""
-    zero_share: float = 0.5
-    """Doubts an output that is exactly zero in more than this share of the samples (chosen)."""
     zero_leap: float = 0.3
     """Asks also that it leaps between zero and this share of its usual values: a coarse converter passes through the
     small ones (chosen)."""
     direction_share: float = 0.02
     """Counts a direction of the joints' motion that has this share of the largest one's size (chosen)."""
-    silent_share: float = 1e-3
-    """Calls a velocity missing when its integral varies less than this share of the position's change (chosen)."""
 
     # --- setup: outputs, orders, directions and mounting ---
 
-    same_gravity_cosine: float = 0.9
-    """Takes two directions of gravity for one beyond this cosine, 26 degrees (chosen)."""
-    alike_correlation: float = 0.7
-    """Lets the ratio of outputs to prediction speak for a unit beyond this correlation (measured, as before)."""
     unit_tolerance: float = 2.0
     """Takes a ratio within this factor of a unit for it: a real UR3's efforts are 1.7 times the description's."""
     no_match_share: float = 0.4
@@ -160,8 +149,6 @@ class DiagnosisConfig:
 
     model_error: float = 0.03
     """Lets a description be wrong by this share of an output's variance (chosen)."""
-    noise_rounds: int = 6
-    """Fits noise and parameters in turn so often (chosen)."""
     inertia_deviation: float = 0.3
     """Allows an inertial parameter one standard deviation of this share of the body's own size (chosen)."""
     friction_turn_share: float = 0.05
@@ -192,23 +179,18 @@ class DiagnosisConfig:
     """Spends so many evaluations on the line search of one value: its bracket then shrinks a thousandfold."""
     line_search_rounds: int = 4
     """Searches three values and more so many times in turn, for the best one depends on the others; in the second half
-    of the rounds, the point of application too (chosen)."""
+    of the rounds, the point of application too. Tries as many lengths of a Gauss-Newton step (chosen)."""
     start_grid: int = 60
     """Tries so many starts of an effect, evenly spread, before the best is refined (chosen)."""
     start_margin: float = 0.1
     """Tries no start within this share of either end: too little would be seen before or after it (chosen)."""
-    point_steps: int = 4
-    """Moves a point of application by at most so many Gauss-Newton steps (chosen)."""
     longest_lever_m: float = 0.3
     """Shortens a step of a point of application to this length [m], about that of a link (chosen)."""
-    reweighted: float = 0.5
-    """Settles calibrations once more where what is left of a channel fell below this share (chosen)."""
     newton_steps: int = 12
-    """Settles calibrations, and the nonlinear values of effects, in at most so many Gauss-Newton steps (chosen)."""
+    """Settles calibrations, nonlinear values of effects, and a point of application in at most so many Gauss-Newton
+    steps (chosen)."""
     backtracking: float = 0.25
-    """Shortens a Gauss-Newton step that would raise the loss to this share, until it lowers it (chosen)."""
-    settled_step: float = 1e-4
-    """Ends the Gauss-Newton steps once the largest change [rad, s or 1] is below this: it no longer matters."""
+    """Shortens a Gauss-Newton step that would raise the loss to this share (chosen)."""
     settled_gain: float = 0.1
     """Ends the Gauss-Newton steps of calibrations and nonlinear values once they gain less than this of the squares
     over their variance: less than a third of a standard deviation (chosen)."""
@@ -220,17 +202,10 @@ class DiagnosisConfig:
     """Refuses a load of which an eigenvalue of the pseudo-inertia lies so many standard deviations below zero
     (chosen)."""
 
-    # --- search: ambiguity ---
-
-    rival_overlap: float = 0.7
-    """Calls effects rivals only if what they explain has this cosine: else they explain different things (chosen)."""
-
     # --- residual: is anything left? ---
 
     structure_least_samples: int = 300
     """Looks for structure only in this many samples: a flexible regression says nothing on fewer (chosen)."""
-    structure_samples: int = 4000
-    """Looks at no more than so many samples, evenly spread, which takes seconds (chosen)."""
     structure_blocks: int = 60
     """Cuts the residual into so many short blocks, so that every fold sees the whole recording (chosen)."""
     structure_folds: int = 5
@@ -239,14 +214,13 @@ class DiagnosisConfig:
     """Calls structure significant from this share of the residual on, all channels together (measured: clean recordings
     keep at most 0.004)."""
     channel_share: float = 0.05
-    """Calls structure in one channel alone significant from this share of its residual on (chosen)."""
+    """Calls structure in one channel alone significant from this share of its residual on, and shows a formula that
+    explains as much of it on unseen blocks (chosen)."""
     chance_draws: int = 16
     """Compares with so many draws of noise of the residual's colour (chosen)."""
-    beyond_chance: float = 3.0
+    beyond_chance: float = 4.0
     """Asks that the share exceeds that of such noise by this many of its standard deviations: noise correlated over
-    0.2 to 4 s exceeds it by up to 2.0 (measured)."""
-    channel_beyond_chance: float = 5.0
-    """Asks the same of one channel: such noise exceeds it by up to 3.5 (measured)."""
+    0.2 to 4 s exceeds it by up to 2.0, and in one channel by up to 3.5 (measured)."""
     penalty_exponents: tuple[float, ...] = tuple(half / 2.0 for half in range(-6, 9))
     """Offers each channel 10 to these powers as variance of the noise over that of the function (chosen)."""
     motion_features: int = 240
@@ -262,29 +236,18 @@ class DiagnosisConfig:
 
     # --- residual: what it depends on ---
 
-    dependence_samples: int = 1500
-    """Ranks the variables on no more than so many samples, which takes seconds (chosen)."""
-    dependence_features: int = 60
-    """Draws so many random features of the variables chosen together (chosen)."""
     most_variables: int = 4
     """Names at most so many variables: a reader cannot do with more (chosen)."""
-    variable_share: float = 0.01
-    """Adds a variable that adds this share of the residual (chosen)."""
-    variable_part: float = 0.05
-    """Asks also that it adds this part of what the variables before it explain (chosen)."""
-    weak_single: float = 0.5
-    """Tries pairs when the best single variable predicts less than this part of what is within reach (chosen)."""
+    variable_share: float = 0.05
+    """Adds a variable that adds this share of what all of them predict, and prefers position to velocity to
+    acceleration by this share each, since noise spoils derivatives (chosen)."""
     pair_worth: float = 1.5
     """Takes a pair that predicts this many times what any single variable does (chosen)."""
-    plainer_share: float = 0.05
-    """Prefers position to velocity to acceleration by this share each, since noise spoils derivatives (chosen)."""
 
     # --- residual: a formula ---
 
     most_terms: int = 6
     """Gives a formula at most so many terms: a reader cannot do with more (chosen)."""
-    formula_share: float = 0.05
-    """Shows a formula that explains this share of the residual on unseen blocks (chosen)."""
     formula_enough: float = 0.9
     """Takes the shortest formula that explains this share of what the best one explains (chosen)."""
     declared_share: float = 0.25
@@ -308,16 +271,12 @@ class DiagnosisConfig:
     """Lets it last, and a channel take part, above this many of them (chosen)."""
     contact_samples: int = 3
     """Asks for that many neighbouring working samples at once: a reversal of friction is shorter (chosen)."""
-    contact_rounds: int = 6
-    """Fits the model so many times without what bursts: large touches bend a fit until all of it bursts (chosen)."""
-    least_calm_share: float = 0.6
-    """Keeps this share of the samples in use while it does so (chosen)."""
     contact_pause_s: float = 0.4
     """Takes bursts with shorter pauses for one contact (chosen)."""
     longest_contact_s: float = 10.0
     """Calls nothing longer a contact: a load or a force is an effect (chosen)."""
-    most_contact_share: float = 0.2
-    """Names no contacts when they would be more than this share of the recording (chosen)."""
+    most_contact_share: float = 0.4
+    """Names no contacts when more than this share of the samples bursts (chosen)."""
 
     # --- changes while the robot works ---
 
@@ -328,11 +287,6 @@ class DiagnosisConfig:
 
     # --- verdict ---
 
-    most_left: float = 0.5
-    """Says of an output that it is not explained where this share of its variance is left, and noise is less than this
-    share of that (chosen)."""
-    pushed_share: float = 0.1
-    """Believes a first effect rather than that the description is wrong if it leaves this share of variance at most."""
 
 
 DEFAULTS = DiagnosisConfig()

@@ -12,20 +12,13 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded, gaps
+from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.imitations import function_explains_more
-from semiparam_ros.diagnosis.preparation import (
-    Inputs,
-    late,
-    prepared,
-    require_enough,
-    too_fast,
-    working_factor,
-)
+from semiparam_ros.diagnosis.preparation import Inputs, late, prepared, require_enough, too_fast
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor
@@ -139,7 +132,7 @@ class Diagnosis:
         """
         left = self.after.nmse
         noise = self.noise_floor_rmse**2 * left / np.maximum(self.after.rmse**2, 1e-300)
-        most = (left > self.config.most_left) & (noise < self.config.most_left * left)
+        most = (left > self.config.most) & (noise < self.config.most * left)
         names = self.first.body.output_names
         return {names[k]: (float(left[k]), float(noise[k])) for k in np.flatnonzero(most)}
 
@@ -162,7 +155,7 @@ class Diagnosis:
                 'outputs': list(self.first.body.output_names), 'motion': self.inputs.motion,
                 'samples_averaged': self.inputs.factor,
                 'setup': [problem._asdict() for problem in self.setup], 'notes': self.notes,
-                'contacts': [contact.as_dict() for contact in self.contacts],
+                'contacts': [contact._asdict() for contact in self.contacts],
                 'unexplained': self.structure.as_dict() if self.structure else None}
 
     def _held_out(self) -> dict[str, object]:
@@ -226,19 +219,15 @@ class _Start(NamedTuple):
     held_out: Mask
 
 
-def _margin(samples: Samples, config: DiagnosisConfig) -> int:
-    """How many samples beside a gap or a break are left out."""
-    return max(config.gap_margin, working_factor(samples, config) * config.smoothing_ends)
-
-
 def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
                  config: DiagnosisConfig) -> _Start:
-    clean = ~excluded(samples, config) & ~beside_breaks(samples, _margin(samples, config))
+    clean = ~excluded(samples, config) & ~beside_breaks(samples, margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
     require_enough(config, fitting)
-    first = _calibrated(starting_fit(body, chosen, effects, fitting, config, counted))
-    return _Start(first, inputs, clean, may_fit, fitting, held_out)
+    first = starting_fit(body, chosen, effects, fitting, config, counted)
+    unvalued = [effect for effect in first.effects if effect.is_calibration and not effect.parameters]
+    return _Start(calibrated(first, unvalued), inputs, clean, may_fit, fitting, held_out)
 
 
 def _judging(start: _Start, samples: Samples, other: tuple[str, Samples] | None) -> tuple[Recorded, Elsewhere | None]:
@@ -261,7 +250,7 @@ def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[
     structure = remaining_structure(final.body, final.samples, final.residual, start.fitting, final.scale, final.config,
                                     final.counted)
     fast = too_fast(final.body, samples, start.inputs, final)
-    if fast and structure.share < final.config.input_error_share:
+    if fast and structure.share < final.config.most:
         structure = replace(structure, significant=False)  # errors of the inputs explain more than that
     return structure, fast
 
@@ -273,11 +262,6 @@ def _told(final: Fit, steps: list[Step], samples: Samples, start: _Start, judged
         refit = fitted_to_all(final, start.fitting | start.held_out, new)
         everything = refit if all_plausible(final, refit) else final
     return everything, estimates(everything, new, start.inputs.disturbed(samples) if everything.effects else ())
-
-
-def _calibrated(fit: Fit) -> Fit:
-    """The declared model, with those calibrations at the least squares that were declared without a value."""
-    return calibrated(fit, [effect for effect in fit.effects if effect.is_calibration and not effect.parameters])
 
 
 def _searched(start: _Start, considered: dict[str, type[Effect]], suspected: list[SetupProblem], progress: Progress,
@@ -314,7 +298,7 @@ def _unlike(fit: Fit) -> bool:
     """Whether the model leaves too much to be believed where no inertias explain the outputs."""
     outputs = fit.samples.outputs[fit.train_mask]
     left = np.mean(fit.squares / (len(outputs) * outputs.var(axis=0) + 1e-300))
-    return bool(left > fit.config.pushed_share)
+    return bool(left > fit.config.little)
 
 
 def check(samples: Samples, body: RigidBody, config: DiagnosisConfig) -> None:
@@ -364,10 +348,10 @@ def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
 def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisConfig) -> list[str]:
     """A sentence for each effect that may have begun, or ended, anywhere in a gap, as between two stretches of a long
     recording."""
-    time, margin, sentences = samples.time, _margin(samples, config), list[str]()
+    time, beside, sentences = samples.time, margin(samples, config), list[str]()
     for effect in (finding.effect for finding in found):
         for gap in gaps(samples, config) if effect.span.values else []:
-            earliest, latest = time[max(gap.before - margin, 0)], time[min(gap.before + 1 + margin, len(time) - 1)]
+            earliest, latest = time[max(gap.before - beside, 0)], time[min(gap.before + 1 + beside, len(time) - 1)]
             for word, time_s in (('began', effect.start_s), ('ended', effect.end_s)):
                 if time_s is not None and earliest <= time_s <= latest:
                     sentences.append(f'{place(effect.kind, effect.where)} {word} between {gap.start_s:.1f} and '

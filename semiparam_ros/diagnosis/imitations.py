@@ -7,8 +7,9 @@ other blocks of the recording. The laws of causes that are there hold on unseen 
 
 from __future__ import annotations
 
+from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, block_sums, explained
+from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
 from semiparam_ros.diagnosis.residual.structure import samples_to_look_at
 from semiparam_ros.diagnosis.search.score import summed
 

@@ -21,8 +21,9 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, smoothed_again
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded
+from semiparam_ros.diagnosis.data.outliers import excluded, working_factor
 from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
 from semiparam_ros.diagnosis.search.candidates import held
 from semiparam_ros.diagnosis.search.score import block_edges, block_grams, summed
@@ -37,8 +38,6 @@ SMOOTHED = {'smoothed with accelerations': (3, 4), 'smoothed more, with accelera
 ESTIMATED = ('smoothed', 'smoothed more', FROM_POSITIONS)
 OPTIONS = (*SMOOTHED, 'recorded', BUT_ACCELERATIONS)
 """All of them, first those that leave the least noise in the motion."""
-MEASURED = tuple(name for name in OPTIONS if name not in ESTIMATED)
-"""Those that use the accelerations of a recording."""
 
 
 class Inputs(NamedTuple):
@@ -53,7 +52,7 @@ class Inputs(NamedTuple):
     @property
     def measured_accelerations(self) -> bool:
         """Whether the accelerations rest on those of the recording."""
-        return self.motion in MEASURED
+        return self.motion not in ESTIMATED
 
     def prepare(self, samples: Samples) -> Samples:
         """Another recording of the same robot, prepared alike."""
@@ -89,7 +88,8 @@ def _prepared(inputs: Inputs, samples: Samples) -> Samples:
     working = inputs.working(samples)
     if inputs.motion == BUT_ACCELERATIONS:
         return replace(_prepared(inputs._replace(motion='smoothed'), samples), acceleration=working.acceleration)
-    return replace(moved(working, inputs.motion), whole=True)
+    made = smoothed(working, *SMOOTHED[inputs.motion]) if inputs.motion in SMOOTHED else working
+    return replace(made, whole=True)
 
 
 def measured_lags(samples: Samples, inputs: Inputs, config: DiagnosisConfig = DEFAULTS) -> tuple[float, float]:
@@ -116,9 +116,8 @@ def _lag(time: Array, recorded: Array, told: Array, derivative: Array, moves: Ma
     for _ in range(config.newton_steps):
         differs = (told - _earlier(time, recorded, lag))[moves]
         weight = 1.0 / np.maximum(differs.var(axis=0), 1e-300)
-        right, left = ((values @ weight) for values in (differs * derivative[moves], derivative[moves]**2))
-        blocks = np.array_split(np.arange(len(right)), config.blocks)
-        right, left = (np.array([values[block].sum() for block in blocks]) for values in (right, left))
+        right, left = (block_sums(values @ weight, config.blocks)
+                       for values in (differs * derivative[moves], derivative[moves]**2))
         step = float(right.sum() / max(left.sum(), 1e-300))
         error = float(np.sqrt(np.sum((right - step * left) ** 2)) / max(left.sum(), 1e-300))
         lag += step
@@ -219,11 +218,11 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
         return float((made / left).max())
 
     errors, *finer = acceleration_errors(raw, *smoother, times=(1, *config.faster))
-    if not share(errors) >= config.input_error_share:  # nor where they are not known
+    if not share(errors) >= config.most:  # nor where they are not known
         return []
     rate = 1e9 / float(np.median(np.diff(raw.stamps)))
     enough = next((times for times, fewer in zip(config.faster, finer, strict=True)
-                   if share(fewer) < config.small_input_error_share), None)
+                   if share(fewer) < config.little), None)
     worst = int((errors / np.maximum(spread, 1e-12)).argmax())
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '
@@ -245,34 +244,9 @@ def late(inputs: Inputs, samples: Samples) -> list[str]:
     return sentences
 
 
-def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
-    """How many samples one working sample averages."""
-    rate = 1e9 / float(np.median(np.diff(samples.stamps)))
-    return max(int(rate / config.working_rate_hz), 1)
-
-
 def most_samples(rate_hz: float, config: DiagnosisConfig = DEFAULTS) -> int:
     """How many samples of this rate a diagnosis looks at."""
     return config.most_working_samples * max(int(rate_hz / config.working_rate_hz), 1)
-
-
-def for_stretches(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> DiagnosisConfig:
-    """Thresholds for samples of several stretches, between which there are gaps: the smoother sees their ends from one
-    side."""
-    ends = working_factor(samples, config) * config.smoothing_ends
-    return replace(config, gap_margin=max(config.gap_margin, ends))
-
-
-def in_whole_groups(samples: Samples, stretches: Sequence[int], config: DiagnosisConfig = DEFAULTS) -> Samples:
-    """Samples of several stretches, with as many of each that no working sample averages across two of them.
-
-    :param stretches: how many samples each holds.
-    """
-    if len(stretches) == 1:
-        return samples
-    factor, starts = working_factor(samples, config), np.cumsum([0, *stretches[:-1]])
-    return samples[np.concatenate([np.arange(start, start + count - count % factor)
-                                   for start, count in zip(starts.tolist(), stretches, strict=True)])]
 
 
 def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
@@ -282,11 +256,6 @@ def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
         raise SemiparamError(f'{fewest} samples of the recording, averaged to at least {config.working_rate_hz:g} Hz, '
                              'are left beside its ends, gaps, shocks, standstill and what is held out; a diagnosis '
                              f'needs at least {config.least_working_samples}.')
-
-
-def moved(samples: Samples, motion: str) -> Samples:
-    """The samples with their whole motion as one of OPTIONS."""
-    return samples if motion == 'recorded' else smoothed(samples, *SMOOTHED[motion])
 
 
 @lru_cache(maxsize=2)

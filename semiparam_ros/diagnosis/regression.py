@@ -316,7 +316,7 @@ class Fit:
             inner, right = inner + np.diag(prior.precision), right + prior.precision * prior.mean
         cross = cho_solve(self.factor, shared)
         power = np.diag(inner).copy()
-        solved = _solve(inner - shared.T @ cross, right, power, self.config.absorbed_share)
+        solved = _solve(inner - shared.T @ cross, right, power, self.config.negligible)
         return *solved, cross, right
 
     def theta_covariance(self) -> Array:

@@ -14,6 +14,7 @@ from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
 from semiparam_ros.diagnosis.search.stepwise import Rival
+from semiparam_ros.diagnosis.setup.identifiability import listed
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 
@@ -48,9 +49,9 @@ def summary(diagnosis: Diagnosis) -> list[str]:
     lines = [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis), *_not_explained(diagnosis)]
     for finding in diagnosis.findings:
         effect = finding.effect
-        values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding)[:MOST_IN_ROW])
         rivals = f'; or {place(finding.rivals[0].kind, finding.rivals[0].where)}' if finding.rivals else ''
-        lines.append(f'- {place(effect.kind, effect.where)}{when(diagnosis, effect)}: {values}{rivals}')
+        lines.append(f'- {place(effect.kind, effect.where)}{when(diagnosis, effect)}: '
+                     f'{_values(finding, MOST_IN_ROW)}{rivals}')
     return lines
 
 
@@ -90,9 +91,8 @@ def _contacts(diagnosis: Diagnosis) -> list[str]:
 
 
 def _declared(diagnosis: Diagnosis, finding: Finding) -> str:
-    values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding))
     effect = finding.effect
-    return f'Declared: {place(effect.kind, effect.where)}{when(diagnosis, effect)} ({values}).'
+    return f'Declared: {place(effect.kind, effect.where)}{when(diagnosis, effect)} ({_values(finding)}).'
 
 
 def when(diagnosis: Diagnosis, effect: Effect) -> str:
@@ -118,17 +118,10 @@ def at_time(samples: Samples, time_s: float) -> str:
     return datetime.fromtimestamp(round(stamp, 1), timezone.utc).strftime(' (%Y-%m-%d %H:%M:%S UTC)')
 
 
-def listed(names: Sequence[str]) -> str:
-    """Names as a sentence has them."""
-    return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'
-
-
 def _finding(diagnosis: Diagnosis, finding: Finding) -> str:
     effect = finding.effect
-    since = when(diagnosis, effect)
-    values = ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding))
-    return (f'{place(effect.kind, effect.where)}: {effect.sentence}{since} ({values}; log evidence '
-            f'+{finding.log_evidence_gain:.0f}).')
+    return (f'{place(effect.kind, effect.where)}: {effect.sentence}{when(diagnosis, effect)} ({_values(finding)}; '
+            f'log evidence +{finding.log_evidence_gain:.0f}).')
 
 
 def remarks(diagnosis: Diagnosis, effect: Effect) -> list[str]:
@@ -152,13 +145,14 @@ def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
             *([f'  Cannot be told for certain from {rivals}.'] if rivals else [])]
 
 
-def _largest(finding: Finding) -> list[tuple[str, Quantity]]:
-    """The parameters that stand out most from their uncertainty, in their own order."""
+def _values(finding: Finding, most: int = MOST_PARAMETERS) -> str:
+    """The first ``most`` of the parameters that stand out most from their uncertainty, in their own order."""
     def weight(item: tuple[str, Quantity]) -> float:
         std = item[1].std
         return float('inf') if not std else abs(item[1].value) / std
     chosen = sorted(finding.parameters.items(), key=weight, reverse=True)[:MOST_PARAMETERS]
-    return [item for item in finding.parameters.items() if item in chosen]
+    shown = [item for item in finding.parameters.items() if item in chosen][:most]
+    return ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in shown)
 
 
 def quantity_text(quantity: Quantity) -> str:
@@ -190,8 +184,7 @@ def table_rows(diagnosis: Diagnosis) -> list[TableRow]:
         where = finding.effect.where
         return (order.index(where) if where in order else len(order), where or '')
 
-    return [TableRow(finding.effect.where or 'all', finding.effect.kind, ', '.join(
-                     f'{name} {quantity_text(quantity)}' for name, quantity in _largest(finding)[:MOST_IN_ROW]),
+    return [TableRow(finding.effect.where or 'all', finding.effect.kind, _values(finding, MOST_IN_ROW),
                      when(diagnosis, finding.effect).removeprefix(', ').partition(' (')[0])
             for finding in sorted(diagnosis.findings, key=number)]
 
@@ -251,12 +244,9 @@ def _dropped(diagnosis: Diagnosis) -> list[str]:
 def _gain(diagnosis: Diagnosis) -> str:
     before, after = diagnosis.before, diagnosis.after
     low, high = after.interval()
-    return (f'On held-out data the normalised error falls from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
-            f'(95 % interval {low:.4f} to {high:.4f}).{_everything(diagnosis)}')
-
-
-def _everything(diagnosis: Diagnosis) -> str:
+    said = (f'On held-out data the normalised error falls from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
+            f'(95 % interval {low:.4f} to {high:.4f}).')
     if diagnosis.everything is diagnosis.final:
-        return ''
+        return said
     fitted = diagnosis.on_all_samples.nmse.mean()
-    return f' Times and values come from a last fit to all samples, which leaves {fitted:.4f} of them.'
+    return f'{said} Times and values come from a last fit to all samples, which leaves {fitted:.4f} of them.'

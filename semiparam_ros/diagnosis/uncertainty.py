@@ -90,8 +90,7 @@ def _without_common_gain(effect: Effect) -> Array:
 def _further(fit: Fit, calibrated: Sequence[int], shapes: list[Shape]) -> list[Array]:
     """(N, n, c) each, the derivatives of the prediction by the calibrations of the effects with these numbers, and by
     the shapes."""
-    further = [added_columns(fit, fit.effects[number]) for number in calibrated]
-    return [*further, shape_columns(fit, shapes) if shapes else np.zeros((*fit.residual.shape, 0))]
+    return [*(added_columns(fit, fit.effects[number]) for number in calibrated), shape_columns(fit, shapes)]
 
 
 class _Rows(NamedTuple):

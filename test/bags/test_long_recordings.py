@@ -6,8 +6,9 @@ import pytest
 from semiparam_ros.bags import loading
 from semiparam_ros.bags.loading import STRETCHES, load_samples
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.preparation import for_stretches, in_whole_groups, most_samples, working_factor
+from semiparam_ros.diagnosis.data.outliers import excluded, gaps, working_factor
+from semiparam_ros.diagnosis.data.recordings import whole_groups
+from semiparam_ros.diagnosis.preparation import most_samples
 from semiparam_ros.settings import load_params
 
 MOST = 1000
@@ -44,7 +45,7 @@ def test_what_is_not_too_long_is_read_as_before(settings, bag):
     whole, same = load_samples(bag, settings), load_samples(bag, settings, most=most_samples)
     assert same.stretches == whole.stretches
     np.testing.assert_array_equal(same.samples.acceleration, whole.samples.acceleration)
-    assert in_whole_groups(same.samples, same.stretches) is same.samples
+    assert whole_groups(same.samples, 3, same.stretches) is same.samples
 
 
 def test_no_working_sample_averages_over_two_stretches_and_their_ends_are_left_out(settings, bag, monkeypatch):
@@ -52,10 +53,10 @@ def test_no_working_sample_averages_over_two_stretches_and_their_ends_are_left_o
     few = load_samples(bag, settings, most=lambda rate: MOST)
     fast = DEFAULTS.__class__(working_rate_hz=3.0)
     factor = working_factor(few.samples, fast)
-    samples = in_whole_groups(few.samples, few.stretches, fast)
+    samples = whole_groups(few.samples, factor, few.stretches)
     found = [gap.before + 1 for gap in gaps(samples, fast)]
     assert factor == 6 and len(found) == 3 and not np.any(np.array(found) % factor)
-    left_out = excluded(samples, for_stretches(samples, fast))
+    left_out = excluded(samples, fast)
     for edge in found:
         assert left_out[edge - factor * fast.smoothing_ends:edge + factor * fast.smoothing_ends].all()
 

@@ -88,7 +88,7 @@ def verdict_with(drifting, **changed):
     ({'most_rounds': 0}, ('nothing_missing', [])),
     ({'most_rounds': 0, 'structure_least_samples': 100, 'structure_share': 0.0, 'beyond_chance': -99.0},
      ('unexplained', [])),
-    ({'no_match_share': 0.0, 'pushed_share': 0.0}, ('unexplained', [])),
+    ({'no_match_share': 0.0, 'little': 0.0}, ('unexplained', [])),
 ])
 def test_another_threshold_gives_another_verdict(drifting, changed, expected):
     assert verdict_with(drifting, **changed) == expected

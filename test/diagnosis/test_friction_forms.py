@@ -9,10 +9,9 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.residual.contacts import contacts
 from semiparam_ros.diagnosis.search.plausibility import without_impossible
-from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
+from semiparam_ros.diagnosis.search.refit import declare, gauss_newton, settled
 from semiparam_ros.diagnosis.search.revision import bent, pruned
 from semiparam_ros.diagnosis.search.score import gain, worth
-from semiparam_ros.diagnosis.search.shapes import settled
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction

@@ -10,6 +10,7 @@ import pytest
 from conftest import SHARED_DATA
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.rest import counted_outputs, resting
@@ -18,10 +19,7 @@ from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, with_effects, with_nuisance
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
-from semiparam_ros.diagnosis.search.plausibility import (
-    all_plausible,
-    pseudo_inertia,
-)
+from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
 from semiparam_ros.diagnosis.search.score import gain
 from semiparam_ros.diagnosis.search.stepwise import search, starting_fit

@@ -45,13 +45,25 @@ def typical_step(time: Array) -> float:
     return float(np.median(forward)) if len(forward) else 1e-9
 
 
+def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
+    """How many samples one working sample averages."""
+    rate = 1e9 / float(np.median(np.diff(samples.stamps)))
+    return max(int(rate / config.working_rate_hz), 1)
+
+
+def margin(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
+    """How many samples beside a gap or a break are left out."""
+    return max(config.gap_margin, working_factor(samples, config) * config.smoothing_ends)
+
+
 def excluded(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
     """(N,) true for samples near a gap or a shock: neither a fit nor an evaluation should use them."""
     if samples.breaks:
         return np.concatenate([excluded(replace(samples[part], breaks=()), config) for part in samples.recordings])
     mask = np.zeros(len(samples), dtype=bool)
     for gap in gaps(samples, config):
-        mask[max(gap.before + 1 - config.gap_margin, 0):gap.before + 1 + config.gap_margin] = True
+        beside = margin(samples, config)
+        mask[max(gap.before + 1 - beside, 0):gap.before + 1 + beside] = True
     if len(samples) > 3:
         for channel in samples.outputs.T:
             near = _around(samples.time, shocks(channel, config), config.shock_margin_s)

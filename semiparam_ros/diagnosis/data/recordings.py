@@ -14,13 +14,17 @@ from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 
 
-def whole_groups(samples: Samples, factor: int) -> Samples:
-    """The samples without a remainder of each recording, so that no mean of ``factor`` samples is over two of them."""
-    if not samples.breaks or factor == 1:
+def whole_groups(samples: Samples, factor: int, stretches: Sequence[int] = ()) -> Samples:
+    """The samples without a remainder of each recording, so that no mean of ``factor`` samples is over two of them.
+
+    :param stretches: how many samples each stretch of a long recording holds, in place of recordings.
+    """
+    counts = stretches or [part.stop - part.start for part in samples.recordings]
+    if len(counts) == 1 or factor == 1:
         return samples
-    keep = np.concatenate([np.arange(part.start, part.stop - (part.stop - part.start) % factor)
-                           for part in samples.recordings])
-    return samples[keep]
+    starts = np.cumsum([0, *counts[:-1]]).tolist()
+    keep = [np.arange(start, start + count - count % factor) for start, count in zip(starts, counts, strict=True)]
+    return samples[np.concatenate(keep)]
 
 
 def beside_breaks(samples: Samples, margin: int) -> Mask:

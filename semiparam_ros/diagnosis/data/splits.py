@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.types import Mask
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 
 
@@ -23,3 +23,8 @@ def ranges(mask: Mask) -> list[tuple[int, int]]:
     """Half-open index ranges where a mask is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
     return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
+
+
+def block_sums(values: Array, blocks: int) -> Array:
+    """(blocks, ...) sums of values (N, ...) over contiguous blocks of about as many samples each."""
+    return np.array([block.sum(axis=0) for block in np.array_split(values, blocks)])

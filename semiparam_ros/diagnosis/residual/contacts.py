@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, minimum_filter1d
 
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.data.outliers import NORMAL_MAD
@@ -13,8 +14,7 @@ from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 
 
-@dataclass(frozen=True)
-class Contact:
+class Contact(NamedTuple):
     """One touch, from ``start_s`` to ``end_s`` [s since the origin].
 
     ``channels``: the outputs that show it, with the largest residual in their units. ``joint``: of efforts, the last
@@ -25,10 +25,6 @@ class Contact:
     end_s: float
     channels: dict[str, float]
     joint: str | None
-
-    def as_dict(self) -> dict[str, object]:
-        """The entry of ``contacts`` in the machine-readable report."""
-        return {'start_s': self.start_s, 'end_s': self.end_s, 'channels': self.channels, 'joint': self.joint}
 
 
 def contacts(fit: Fit) -> list[Contact]:
@@ -59,10 +55,10 @@ def contacts(fit: Fit) -> list[Contact]:
 
 def _without_bursts(fit: Fit) -> Fit:
     """The same model fitted where nothing bursts: large touches bend a fit until everything seems to burst a little."""
-    for _ in range(fit.config.contact_rounds):
+    for _ in range(fit.config.in_turn):
         calm = _deviations(fit).max(axis=1) < fit.config.contact_release
         use = fit.train_mask & calm
-        if use.sum() < fit.config.least_calm_share * fit.train_mask.sum():
+        if use.sum() < (1.0 - fit.config.most_contact_share) * fit.train_mask.sum():
             break
         fit = with_effects(replace(fit, train_mask=use), fit.effects)
     return fit
@@ -74,7 +70,8 @@ def _deviations(fit: Fit) -> Array:
     scale = NORMAL_MAD * np.array([np.median(values[fit.train_mask & use]) if (fit.train_mask & use).any() else 0.0
                                    for values, use in zip(left.T, fit.counted.T, strict=True)])
     scale = np.maximum(scale, 1e-6 * np.abs(fit.samples.outputs).max(axis=0) + 1e-12)
-    deviations = _steady(left / scale * (fit.counted & ~_turning(fit)), fit.config.contact_samples)
+    deviations = left / scale * (fit.counted & ~_turning(fit))
+    deviations = minimum_filter1d(deviations, fit.config.contact_samples, axis=0)  # a single sample counts for nothing
     inside = np.flatnonzero(fit.train_mask)
     deviations[:inside[0] + 1] = deviations[inside[-1]:] = 0.0  # a smoother sees the ends from one side
     return deviations
@@ -95,12 +92,6 @@ def _turning(fit: Fit) -> Mask:
 def _middle(fit: Fit) -> Array:
     """(n,) median of what is left of each output."""
     return np.asarray(np.median(fit.residual[fit.train_mask], axis=0))
-
-
-def _steady(deviations: Array, count: int) -> Array:
-    """(N, n) the least of each ``count`` neighbours, so that a single sample counts for nothing."""
-    shifted = [np.roll(deviations, shift, axis=0) for shift in range(-(count // 2), count - count // 2)]
-    return np.asarray(np.min(shifted, axis=0))
 
 
 def _merged(parts: list[tuple[int, int]], time: Array, pause_s: float) -> list[tuple[int, int]]:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.config import DiagnosisConfig
 from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, bells, predictions, random_features
 
 
@@ -25,59 +24,44 @@ def dependences(motion: StandardisedInputs, targets: Array, within_reach: float)
 
     :param within_reach: share of the targets that a function of all variables predicts.
     """
-    config = motion.config
-    rows = slice(None, None, max(-(-len(targets) // config.dependence_samples), 1))
-    search = _Search(motion.names, motion.values[rows], targets[rows], config)
-    chosen: list[int] = []
-    found: list[Dependence] = []
-    reached = 0.0
+    config, power = motion.config, float(np.sum(targets**2)) + 1e-300
+    chosen, found, reached = list[int](), list[Dependence](), 0.0
+
+    def share(added: tuple[int, ...]) -> float:
+        """Share of the squared targets that these and those chosen predict on unseen blocks."""
+        predicted = predictions(_features(motion, [*chosen, *added]), targets, config)
+        return 1.0 - float(np.sum((targets - predicted) ** 2)) / power
+
     while len(chosen) < config.most_variables:
-        best, share = search.best([(index,) for index in range(len(motion.names)) if index not in chosen], chosen)
-        if not chosen and share < config.weak_single * within_reach:
+        others = [index for index in range(len(motion.names)) if index not in chosen]
+        shares: dict[tuple[int, ...], float] = {(index,): share((index,)) for index in others}
+        if not chosen and max(shares.values()) < config.most * within_reach:
             # A product of two variables with means of zero shows in neither of them.
-            best, share = search.best([*combinations(range(len(motion.names)), 2), best], chosen)
-        if share - reached < max(config.variable_share, config.variable_part * reached):
+            shares |= {pair: share(pair) for pair in combinations(others, 2)}
+        best = max(shares, key=lambda added: shares[added] * _plainness(motion, added))
+        gained = shares[best] - reached
+        if gained < config.variable_share * max(within_reach, reached):
             break
         chosen += best
-        found += [Dependence(motion.names[index], (share - reached) / len(best)) for index in best]
-        reached = share
+        found += [Dependence(motion.names[index], gained / len(best)) for index in best]
+        reached = shares[best]
     return tuple(found)
 
 
-class _Search:
-    """Shares of targets (M, k) that sets of variables predict."""
-
-    def __init__(self, names: tuple[str, ...], values: Array, targets: Array, config: DiagnosisConfig) -> None:
-        self.names, self.values, self.targets, self.config = names, values, targets, config
-        self.power = float(np.sum(targets**2)) + 1e-300
-
-    def best(self, candidates: Sequence[tuple[int, ...]], chosen: list[int]) -> tuple[tuple[int, ...], float]:
-        """The candidate that, added to those chosen, predicts most, and what all of them predict."""
-        shares = {added: self.share([*chosen, *added]) for added in candidates}
-        best = max(shares, key=lambda added: shares[added] * self.plainness(added))
-        return best, shares[best]
-
-    def share(self, variables: list[int]) -> float:
-        """Share of the squared targets that these variables predict on unseen blocks."""
-        found = predictions(_features(self.values, variables, self.config), self.targets, self.config)
-        return 1.0 - float(np.sum((self.targets - found) ** 2)) / self.power
-
-    def plainness(self, added: tuple[int, ...]) -> float:
-        """Among near equals a position is preferred to a velocity, and that to an acceleration, which noise spoils."""
-        order = [('q', 'time', 'dq', 'ddq').index(self.names[index].split('_')[0]) for index in added]
-        return (1.0 - self.config.plainer_share * sum(order)) / (1.0 if len(added) == 1 else self.config.pair_worth)
+def _plainness(motion: StandardisedInputs, added: tuple[int, ...]) -> float:
+    """Among near equals a position is preferred to a velocity, and that to an acceleration, which noise spoils."""
+    order = [('q', 'time', 'dq', 'ddq').index(motion.names[index].split('_')[0]) for index in added]
+    return (1.0 - motion.config.variable_share * sum(order)) / (1.0 if len(added) == 1 else motion.config.pair_worth)
 
 
-def _features(values: Array, chosen: Sequence[int], config: DiagnosisConfig) -> Array:
-    """Functions of each chosen variable, and of all of them together."""
-    parts = [bells(values[:, index], config.bells) for index in chosen]
+def _features(motion: StandardisedInputs, chosen: Sequence[int]) -> Array:
+    """Functions of each chosen variable, of all of them together, and of each with a slowly changing coefficient."""
+    config, time = motion.config, len(motion.names) - 1
+    parts = [bells(motion.values[:, index], config.bells) for index in chosen]
     if len(chosen) > 1:
-        parts.append(random_features(values[:, list(chosen)], config.dependence_features,
+        parts.append(random_features(motion.values[:, list(chosen)], 3 * config.bells * len(chosen),
                                      config.motion_scales[0], len(chosen)))
-    time = values.shape[1] - 1
     if time in chosen:
-        moving = [bells(values[:, index], config.bells) for index in chosen if index != time]
-        angles = np.pi * 0.8 * np.outer(values[:, time], np.arange(1, config.slow_waves + 1))
-        slow = np.column_stack([values[:, time], np.cos(angles), np.sin(angles)])
-        parts += [slow, *((each[:, :1] * slow) for each in moving)]
+        slow = motion.of_time(config.slow_waves)
+        parts += [slow, *(motion.values[:, [index]] * slow for index in chosen if index != time)]
     return np.column_stack(parts)

@@ -88,12 +88,6 @@ def fold_labels(count: int, blocks: int, folds: int) -> Stamps:
     return np.arange(count) * blocks // max(count, 1) % folds
 
 
-def block_sums(values: Array, blocks: int) -> Array:
-    """(blocks, n) sums of values (M, n) over the blocks."""
-    edges = np.searchsorted(np.arange(len(values)) * blocks // len(values), np.arange(blocks))
-    return np.asarray(np.add.reduceat(values, edges, axis=0))
-
-
 def predictions(features: Array, targets: Array, config: DiagnosisConfig = DEFAULTS) -> Array:
     """(M, n) each sample's target as the other folds predict it, each channel with the penalty that serves it best."""
     labels = fold_labels(len(targets), config.structure_blocks, config.structure_folds)

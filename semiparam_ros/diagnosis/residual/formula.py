@@ -101,7 +101,7 @@ def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, va
     if not names:
         return None
     shares = _held_out_shares(columns, values, config)
-    if shares.max() < config.formula_share:
+    if shares.max() < config.channel_share:
         return None
     count = 1 + int(np.argmax(shares >= config.formula_enough * shares.max()))
     kept = _pursuit(columns, values, config.most_terms)[:count]

@@ -42,12 +42,13 @@ def noise_floor(residual: Array) -> Array:
 
 def coloured_noise(residual: Array, count: int, seed: int = 0, config: DiagnosisConfig = DEFAULTS) -> Array:
     """(count, M, n) noise; each channel has the autocorrelation and the power of that of the residual (M, n)."""
-    rng = np.random.default_rng(seed)
-    drawn = rng.standard_normal((count, config.noise_settling + len(residual), residual.shape[1]))
-    for channel, values in enumerate(residual.T):
+    length, channels = 2 * len(residual), []  # it comes round: of twice the length, one half is what any stretch is
+    white = np.fft.rfft(np.random.default_rng(seed).standard_normal((residual.shape[1], count, length)))
+    for spectrum, values in zip(white, residual.T, strict=True):
         weights, deviation = _autoregression(values, config.noise_order)
-        drawn[:, :, channel] = scipy.signal.lfilter([deviation], np.append(1.0, -weights), drawn[:, :, channel], axis=1)
-    return drawn[:, config.noise_settling:]
+        gain = deviation / np.abs(np.fft.rfft(np.append(1.0, -weights), length))
+        channels.append(np.fft.irfft(spectrum * gain, length)[:, :len(residual)])
+    return np.stack(channels, axis=2)
 
 
 def _autoregression(values: Array, order: int) -> tuple[Array, float]:

@@ -113,7 +113,7 @@ def _beyond_chance(motion: StandardisedInputs, residual: Array) -> tuple[bool, M
         found, _ = explained(motion, side_by_side, with_time)
         gains = (side_by_side**2 - (side_by_side - found) ** 2).sum(axis=0).reshape(power.shape)
         beyond = beyond or bool(_stands_out(gains.sum(axis=1) / power.sum(axis=1), config.beyond_chance))
-        beyond_in = beyond_in | _stands_out(gains / power, config.channel_beyond_chance)
+        beyond_in = beyond_in | _stands_out(gains / power, config.beyond_chance)
     return beyond, beyond_in
 
 
@@ -125,4 +125,4 @@ def _stands_out(shares: Array, deviations: float) -> Mask:
 def samples_to_look_at(train_mask: Mask, config: DiagnosisConfig) -> Stamps:
     """Numbers of the samples to look at, evenly spread."""
     rows = np.flatnonzero(train_mask)
-    return rows[::max(-(-len(rows) // config.structure_samples), 1)]
+    return rows[::max(-(-len(rows) // config.looked_at), 1)]

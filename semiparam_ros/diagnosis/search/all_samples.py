@@ -12,8 +12,7 @@ from dataclasses import replace
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
-from semiparam_ros.diagnosis.search.refit import declare
-from semiparam_ros.diagnosis.search.shapes import settled
+from semiparam_ros.diagnosis.search.refit import declare, settled
 from semiparam_ros.diagnosis.search.spans import around, with_best_edge
 from semiparam_ros.effects import Effect
 

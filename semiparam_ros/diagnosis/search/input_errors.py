@@ -9,7 +9,6 @@ is the same error, only larger, joint by joint. Columns of that difference stand
 from __future__ import annotations
 
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -33,17 +32,9 @@ def with_error_columns(fit: Fit) -> Fit:
     return refit_weights(with_nuisance(fit, np.stack(columns, axis=2)))
 
 
-_plain: WeakKeyDictionary[Fit, Fit] = WeakKeyDictionary()
-"""Those asked for before, as long as somebody needs the fit with the columns."""
-
-
 def without_error_columns(fit: Fit) -> Fit:
     """The same effects fitted to the motion as it is."""
-    if fit.nuisance is None:
-        return fit
-    if fit not in _plain:
-        _plain[fit] = refit_weights(with_nuisance(fit, None))
-    return _plain[fit]
+    return fit if fit.nuisance is None else refit_weights(with_nuisance(fit, None))
 
 
 def _differences(samples: Samples, config: DiagnosisConfig) -> Array:

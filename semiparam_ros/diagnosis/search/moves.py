@@ -40,15 +40,20 @@ class Move(NamedTuple):
         return self.gain.exceeds(self.price, self.after.config.sure)
 
 
+def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Collection[str]) -> list[Move]:
+    """The move that adds some effects, unless it gives one of the model values that it cannot have."""
+    if not all_plausible(fit, after):
+        return []
+    times = [time_s for effect in added for time_s in effect.span.values.values()]
+    return [Move(tuple(added), after, gain(fit, after, times), prices(added, fit, kinds))]
+
+
 def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
     """Each of the foremost trials by itself, with each of its times."""
-    moves = []
+    moves = list[Move]()
     foremost = [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
     for trial in chain.from_iterable(_at_each_time(fit, trial) for trial in foremost):
-        after = declare(fit, [trial.effect])
-        if all_plausible(fit, after):
-            moves.append(Move((trial.effect,), after, gain(fit, after, trial.effect.span.values.values()),
-                              prices([trial.effect], fit, kinds)))
+        moves += _plausible_moves(fit, declare(fit, [trial.effect]), [trial.effect], kinds)
     return moves
 
 
@@ -65,7 +70,7 @@ def _at_each_time(fit: Fit, trial: Trial) -> list[Trial]:
 def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Effect]]) -> list[Move]:
     """What begins twice, as a load that is picked up again: with one of them alone the model is no better, for the rest
     of it bends towards the other."""
-    moves, known = [], {identity(effect) for effect in fit.effects}
+    moves, known = list[Move](), {identity(effect) for effect in fit.effects}
     foremost = {trial.effect.kind: trial for trial in reversed(ranking) if trial.effect.must_start
                 and identity(trial.effect) not in known}
     for trial in foremost.values():
@@ -73,10 +78,7 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Eff
         searches = tuple(type(trial.effect).searches(fit.body, fit.samples, where, once.residual))
         again = coarse_trial(once, Candidate(type(trial.effect), where, searches))
         if again is not None and identity(again.effect) not in {*known, identity(trial.effect)}:
-            added = trial.effect, again.effect
-            after, times = declare(once, [again.effect]), [s for each in added for s in each.span.values.values()]
-            if all_plausible(fit, after):
-                moves.append(Move(added, after, gain(fit, after, times), prices(added, fit, kinds)))
+            moves += _plausible_moves(fit, declare(once, [again.effect]), [trial.effect, again.effect], kinds)
     return moves
 
 
@@ -122,15 +124,15 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
     Efforts that come late make dry friction seem to bend before it slides: each of the two hides the other.
     """
     formed = [effect for effect in fit.effects if effect.searched and not effect.is_calibration]
-    known, moves = {effect.kind for effect in fit.effects}, []
+    known, moves = {effect.kind for effect in fit.effects}, list[Move]()
     for kind in kinds.values():
         if formed and kind.moves_friction and kind.kind not in known and None in kind.places(fit.body):
             nothing = kind(None, {coefficient.name: 0.0 for coefficient in kind.calibrations})
             after = declare(formed_anew(declare(fit, [nothing]), fixed), [])
             after = reshaped(without_impossible(after, fixed), fixed, kinds)
             added = next(effect for effect in after.effects if effect.kind == kind.kind)
-            if added.is_noticeable(fit.samples) and all_plausible(fit, after):
-                moves.append(Move((added,), after, gain(fit, after), prices([added], fit, kinds)))
+            if added.is_noticeable(fit.samples):
+                moves += _plausible_moves(fit, after, [added], kinds)
     return moves
 
 

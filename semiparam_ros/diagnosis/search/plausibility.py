@@ -6,6 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, identity
@@ -64,13 +65,5 @@ def _is_a_body(fit: Fit, theta: Array, block: slice) -> bool:
     return bool(np.all(values > -fit.config.unlike_a_body * deviations))
 
 
-def pseudo_inertia(parameters: Array) -> Array:
-    """(4, 4) of mass, first moments, and inertias xx, xy, yy, xz, yz, zz about the link's origin."""
-    mass, x, y, z, xx, xy, yy, xz, yz, zz = parameters
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    moments = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    return np.block([[moments, np.array([[x], [y], [z]])], [np.array([[x, y, z, mass]])]])
-
-
-OF_PSEUDO_INERTIA = np.stack([pseudo_inertia(unit) for unit in np.eye(10)])
+OF_PSEUDO_INERTIA = pseudo_inertia(np.eye(10))
 """(10, 4, 4): the pseudo-inertia is linear in the inertial parameters."""

@@ -1,8 +1,8 @@
-"""The model with further effects: calibrations settled by Gauss-Newton, loads named, weights its own."""
+"""The model with further effects: what is not linear settled by Gauss-Newton, loads named, weights its own."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -15,33 +15,46 @@ from semiparam_ros.diagnosis.regression import (
     with_effects,
 )
 from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
+from semiparam_ros.diagnosis.search.shapes import Shape, shape_columns, shapes_of
 from semiparam_ros.effects import Effect
 
 
-def gauss_newton(fit: Fit, moving: list[Effect]) -> Fit:
-    """Move the calibrations of the effects ``moving`` to their most likely values, all together.
+def gauss_newton(fit: Fit, moving: Sequence[Effect], found: Collection[int] = ()) -> Fit:
+    """Move the calibrations of the effects ``moving``, and the nonlinear values of the effects with the numbers
+    ``found``, to their most likely values, all together.
 
-    A step that would raise the loss is shortened, one that would hardly lower it is not taken.
+    One may pull against another, as the lead of frictions and a delay of the efforts do. A step that would not lower
+    the loss is shortened, one that would hardly lower it is not taken.
     """
-    places = {identity(effect) for effect in moving}
-    for _ in range(fit.config.newton_steps):
-        moving = [effect for effect in fit.effects if identity(effect) in places]
-        slopes = np.concatenate([added_columns(fit, effect) for effect in moving], axis=2)
-        explained = fit.explain(slopes, prior_of_steps(fit, moving))
+    places, config = {identity(effect) for effect in moving}, fit.config
+    for _ in range(config.newton_steps):
+        calibrations = [effect for effect in fit.effects if identity(effect) in places]
+        shapes = shapes_of(fit, found)
+        slopes = [shape_columns(fit, shapes), *(added_columns(fit, effect) for effect in calibrations)]
+        explained = fit.explain(np.concatenate(slopes, axis=2), prior_of_steps(fit, calibrations, len(shapes)))
         gained = fit.counts @ (1.0 - explained.squares / np.maximum(fit.squares, 1e-300))
-        if gained < fit.config.settled_gain:
+        if gained < config.settled_gain:
             break
-        step = explained.coefficients
-        after = _stepped(fit, moving, step)
-        while objective(after) > objective(fit) and np.abs(step).max() > fit.config.settled_step:
-            step = step * fit.config.backtracking
-            after = _stepped(fit, moving, step)
-        if objective(after) > objective(fit):
+        tried = (_moved(fit, shapes, calibrations, config.backtracking**number * explained.coefficients)
+                 for number in range(config.line_search_rounds))
+        better = next((after for after in tried if objective(after) < objective(fit) and _possible(after, found)), None)
+        if better is None:
             break
-        fit = after
-        if np.abs(step).max() < fit.config.settled_step:
-            break
+        fit = better
     return fit
+
+
+def _possible(fit: Fit, found: Collection[int]) -> bool:
+    """Whether the effects with these numbers can have the values that they have."""
+    blocks = fit.assembly.blocks
+    return all(fit.effects[number].possible and fit.effects[number].physical(fit.theta[blocks[str(number)]])
+               for number in found if not fit.effects[number].is_calibration)
+
+
+def settled(fit: Fit, found: Collection[int]) -> Fit:
+    """The model with the nonlinear values of these effects, and all calibrations, at the least squares."""
+    return declare(gauss_newton(fit, [effect for effect in fit.effects if effect.is_calibration
+                                      and not told_by_sliding(fit, effect)], found), [])
 
 
 def objective(fit: Fit) -> float:
@@ -51,24 +64,24 @@ def objective(fit: Fit) -> float:
     return fit.loss + float(prior.precision @ prior.mean**2)
 
 
-def prior_of_steps(fit: Fit, moving: Sequence[Effect]) -> CoefficientPrior:
-    """That of further changes of calibrations, which are about zero beforehand. Neighbouring samples repeat each other,
-    so it weighs as much more."""
-    values = np.concatenate([np.zeros(0), *(calibrated_values(effect) for effect in moving)])
-    spread = np.concatenate([np.ones(0), *(effect.calibration_scale(fit.body) for effect in moving)])
+def prior_of_steps(fit: Fit, moving: Sequence[Effect], free: int = 0) -> CoefficientPrior:
+    """That of further changes of ``free`` values of which nothing is known, and of calibrations, which are about zero
+    beforehand. Neighbouring samples repeat each other, so it weighs as much more."""
+    values = np.concatenate([np.zeros(free), *(calibrated_values(effect) for effect in moving)])
+    spread = np.concatenate([np.full(free, np.inf), *(effect.calibration_scale(fit.body) for effect in moving)])
     return CoefficientPrior(-values, float(fit.correlation.mean()) * spread**-2.0)
 
 
-def _stepped(fit: Fit, moving: list[Effect], step: Array) -> Fit:
-    return with_effects(fit, calibrations_moved(fit, moving, step))
-
-
-def calibrations_moved(fit: Fit, moving: list[Effect], step: Array) -> list[Effect]:
-    """The model's effects, the calibrations of some moved by a step (c,), one value after the other."""
-    ends = np.cumsum([len(effect.calibrations) for effect in moving])[:-1]
-    moved = {identity(effect): moved_by(effect, part)
-             for effect, part in zip(moving, np.split(step, ends), strict=True)} if moving else {}
-    return [moved.get(identity(effect), effect) for effect in fit.effects]
+def _moved(fit: Fit, shapes: Sequence[Shape], calibrations: Sequence[Effect], steps: Array) -> Fit:
+    """The model with its shapes and calibrations moved by steps (s + c,)."""
+    ends = np.cumsum([len(shapes), *(len(effect.calibrations) for effect in calibrations)])[:-1]
+    own, *parts = np.split(steps, ends)
+    moved = {identity(effect): moved_by(effect, part) for effect, part in zip(calibrations, parts, strict=True)}
+    effects = [moved.get(identity(effect), effect) for effect in fit.effects]
+    for (number, name, low, high), step in zip(shapes, own.tolist(), strict=True):
+        value = float(np.clip(effects[number].value(name) + step, low, high))
+        effects[number] = effects[number].with_values(**{name: value})
+    return with_effects(fit, effects)
 
 
 def calibrated_values(effect: Effect) -> Array:
@@ -106,7 +119,7 @@ def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
     fit = fit.sliding if slides else fit
     while calibrations:
         scale, fit = fit.scale, refit_weights(gauss_newton(fit, calibrations))
-        if np.all(fit.scale > fit.config.reweighted * scale):
+        if np.all(fit.scale > fit.config.most * scale):
             break  # else the prior was weighed against noise that there is not
     if not slides:
         return fit

@@ -9,10 +9,9 @@ from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.prior_odds import price, prices, usual
-from semiparam_ros.diagnosis.search.refit import declare, following
+from semiparam_ros.diagnosis.search.refit import declare, following, settled
 from semiparam_ros.diagnosis.search.score import gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
-from semiparam_ros.diagnosis.search.shapes import settled
 
 
 def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:

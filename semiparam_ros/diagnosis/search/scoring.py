@@ -174,7 +174,7 @@ def _at_best_point(fit: Fit, trial: Trial) -> Trial:
     if not POINT.keys() <= trial.effect.parameter_units.keys() or trial.effect.where in fit.body.joints:
         return trial
     best = trial
-    for _ in range(fit.config.point_steps):
+    for _ in range(fit.config.newton_steps):
         near = _weighed(fit, best)
         moved = _linear_trial(near, _towards_best_point(near, best.effect))
         if not moved.physical or squared_loss(near, moved) >= squared_loss(near, best):
@@ -217,7 +217,8 @@ def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:
     return correlation_times(np.column_stack(best), fit.config)
 
 
-def overlap(fit: Fit, one: Trial, other: Trial) -> float:
-    """Cosine between what two trials explain: 1 when they explain the same, 0 when different things."""
-    first, second = (fit.weighed(fit.residual - trial.residual).ravel() for trial in (one, other))
+def overlap(fit: Fit, one: Array, other: Array) -> float:
+    """Cosine between what two models explain that leave residuals (N, n): 1 when they explain the same, 0 when
+    different things."""
+    first, second = (fit.weighed(fit.residual - left).ravel() for left in (one, other))
     return float(first @ second / (np.linalg.norm(first) * np.linalg.norm(second) + 1e-300))

@@ -135,12 +135,11 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
 def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
     """Those as good as the chosen move, with odds from a bootstrap of the blocks."""
     generator, found, draws = np.random.default_rng(0), [], fit.config.bootstrap_draws
-    ours = Trial(chosen.added[0], chosen.after.residual, 1)
     known = {(effect.kind, effect.where) for effect in chosen.added}
     for move in moves:
         if len(move.added) > 1 or (move.added[0].kind, move.added[0].where) in known:
             continue
-        if overlap(fit, ours, Trial(move.added[0], move.after.residual, 1)) < fit.config.rival_overlap:
+        if overlap(fit, chosen.after.residual, move.after.residual) < fit.config.alike:
             continue
         gains = block_gains(chosen.after, move.after)
         drawn = gains[generator.integers(len(gains), size=(draws, len(gains)))].sum(axis=1)

@@ -24,8 +24,8 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded, typical_step
-from semiparam_ros.diagnosis.preparation import Inputs, working_factor
+from semiparam_ros.diagnosis.data.outliers import excluded, typical_step, working_factor
+from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.setup.prior_misfit import (
     Equations,
     equations,
@@ -36,6 +36,7 @@ from semiparam_ros.diagnosis.setup.prior_misfit import (
 )
 from semiparam_ros.errors import listed
 
+MOTION = ('position', 'velocity', 'acceleration')
 DEGREE = float(np.pi / 180.0)
 MOTION_UNITS = {1.0 / DEGREE: ('position', 'degrees', DEGREE), DEGREE: ('velocity', 'degrees per second', DEGREE),
                 0.5 / np.pi: ('position', 'revolutions', 2.0 * np.pi),
@@ -123,7 +124,7 @@ def _mostly_zero(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> 
         values = np.abs(samples.outputs[~zero[:, channel], channel])
         leaps = zero[1:, channel] != zero[:-1, channel]
         across = np.abs(np.diff(samples.outputs[:, channel]))[leaps]
-        if config.zero_share < share[channel] < 1.0 and np.median(across) > config.zero_leap * np.median(values):
+        if config.most < share[channel] < 1.0 and np.median(across) > config.zero_leap * np.median(values):
             found.append((name, float(share[channel])))
     if not found:
         return []
@@ -143,22 +144,40 @@ def motion_problems(body: RigidBody, samples: Samples,
     joints, moving = body.joints, np.ptp(samples.position, axis=0) > config.slow_range
     problems, right = _put_right(body, samples, samples, _other_belongings(joints, samples, moving, config), config)
     changes, integrals = _spans(right.time, right.position, right.velocity, config)
-    ratios = [_ratio(changes[:, joint], integrals[:, joint], config) if moving[joint]
-              else Ratio(1.0, False, config.ratio_tolerance) for joint in range(len(joints))]
-    clock = _clock(samples, ratios, config.ratio_tolerance)
+    ratios = [_ratio(changes[:, joint], integrals[:, joint], config) if moving[joint] else math.nan
+              for joint in range(len(joints))]
+    clock = _clock(samples, ratios, config)
     if clock:
         return clock, samples
-    opposite = [_opposite(joints, joint) for joint, ratio in enumerate(ratios) if ratio.near(-1.0)]
+    opposite = [_opposite(joints, joint) for joint, ratio in enumerate(ratios) if _agrees(ratio, -1.0, config)]
     signs, right = _put_right(body, samples, right, opposite, config)
     problems += signs
     for joint, (name, ratio) in enumerate(zip(joints, ratios, strict=True)):
-        silent = moving[joint] and np.std(integrals[:, joint]) < config.silent_share * np.std(changes[:, joint])
-        found = _silent(name) if silent else _velocity(name, ratio)
+        silent = moving[joint] and np.std(integrals[:, joint]) < config.negligible * np.std(changes[:, joint])
+        found = _silent(name) if silent else _velocity(name, ratio, config)
         if found is not None:
             problem, role, factor = found
             problems.append(problem)
-            right = _scaled(right, role, joint, factor)
+            right = relabelled(right, (role,), factors=_factors(len(joints), joint, factor))
     return problems + _accelerations(joints, samples, right, moving, config), right
+
+
+def relabelled(samples: Samples, roles: Sequence[str], order: Stamps | slice = slice(None),
+               factors: Array | float = 1.0) -> Samples:
+    """The samples with the columns of some roles in another order, times a factor each."""
+    return replace(samples, **{role: getattr(samples, role)[:, order] * factors for role in roles})
+
+
+def _factors(count: int, column: int, factor: float = -1.0) -> Array:
+    """(count,) one, but a factor at one column."""
+    return np.where(np.arange(count) == column, factor, 1.0)
+
+
+def _exchange(count: int, one: int, other: int) -> Stamps:
+    """(count,) column numbers, two of them exchanged."""
+    order = np.arange(count)
+    order[[one, other]] = other, one
+    return order
 
 
 class Belonging(NamedTuple):
@@ -172,17 +191,18 @@ class Belonging(NamedTuple):
 
     def with_velocities(self, samples: Samples, config: DiagnosisConfig) -> Samples:
         """The samples with other velocities, and accelerations if those are derivatives of the ones recorded."""
-        right = replace(samples, velocity=samples.velocity[:, self.order] * self.signs)
+        right = relabelled(samples, ('velocity',), self.order, self.signs)
         changes, integrals = _spans(samples.time, samples.velocity, samples.acceleration, config)
         inner = np.sum(changes * integrals, axis=0)
         other = np.sum(changes[:, self.order] * self.signs * integrals, axis=0)
         if inner.sum() <= other.sum():
             return right
-        return replace(right, acceleration=samples.acceleration[:, self.order] * self.signs)
+        return relabelled(right, ('acceleration',), self.order, self.signs)
 
     def with_positions(self, samples: Samples) -> Samples:
         """The samples with other positions."""
-        return replace(samples, position=(samples.position * self.signs)[:, np.argsort(self.order)])
+        back = np.argsort(self.order)
+        return relabelled(samples, ('position',), back, self.signs[back])
 
 
 def _put_right(body: RigidBody, samples: Samples, right: Samples, belongings: Iterable[Belonging],
@@ -243,46 +263,37 @@ def _cycles(order: Stamps) -> Iterator[list[int]]:
 
 def _opposite(joints: Sequence[str], joint: int) -> Belonging:
     """A velocity that has the opposite sign of its change of position."""
-    signs = np.where(np.arange(len(joints)) == joint, -1.0, 1.0)
     problems = (SetupProblem(f'{role}_sign', joints[joint], (
         f"The {role} of '{joints[joint]}' has the opposite sign of its {other}: negate the {role} in the driver."))
         for role, other in (('velocity', 'change of position'), ('position', 'velocity')))
-    return Belonging(np.arange(len(joints)), signs, *problems)
+    return Belonging(np.arange(len(joints)), _factors(len(joints), joint), *problems)
 
 
-class Ratio(NamedTuple):
-    """Change of a signal over the integral of its declared rate: the median, whether the spans agree on it, and the
-    factor within which it is taken for a known one."""
-
-    value: float
-    is_telling: bool
-    tolerance: float
-
-    def near(self, value: float) -> bool:
-        """Whether it is ``value``, sign included, beyond doubt."""
-        share = self.value / value
-        return self.is_telling and 1.0 / self.tolerance < share < self.tolerance
-
-
-def _ratio(changes: Array, integrals: Array, config: DiagnosisConfig) -> Ratio:
-    """Of one joint, from the faster half of its spans."""
+def _ratio(changes: Array, integrals: Array, config: DiagnosisConfig) -> float:
+    """Change of a joint's signal over the integral of its declared rate, median of the faster half of its spans; nan
+    where the spans do not agree on it."""
     fast = np.abs(integrals) > np.median(np.abs(integrals))
     if not fast.any():
-        return Ratio(1.0, False, config.ratio_tolerance)
+        return math.nan
     shares = changes[fast] / integrals[fast]
     middle = float(np.median(shares))
-    agreeing = np.mean(np.abs(shares - middle) < config.agreeing_width * abs(middle))
-    return Ratio(middle, bool(agreeing > config.agreeing_share), config.ratio_tolerance)
+    agreeing = np.mean([_agrees(share, middle, config) for share in shares.tolist()]) if middle else 0.0
+    return middle if agreeing > config.most else math.nan
+
+
+def _agrees(ratio: float, known: float, config: DiagnosisConfig) -> bool:
+    """Whether a ratio is the known one, sign included."""
+    return 1.0 / config.ratio_tolerance < ratio / known < config.ratio_tolerance
 
 
 def _spans(time: Array, values: Array, rates: Array, config: DiagnosisConfig) -> tuple[Array, Array]:
     """(M, k) changes of values (N, k) over ``config.span_s``, and the integrals of their rates over the same spans."""
     steps = np.diff(time)
     typical = typical_step(time)
-    width = int(np.clip(round(config.span_s / typical), 1, max(len(time) // config.least_spans, 1)))
+    width = int(np.clip(round(config.span_s / typical), 1, max(len(time) // config.least_working_samples, 1)))
     pieces = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)])
-    starts = np.unique(np.linspace(0, max(len(time) - 1 - width, 0), config.most_spans).astype(int))
+    starts = np.unique(np.linspace(0, max(len(time) - 1 - width, 0), config.looked_at).astype(int))
     ends = np.minimum(starts + width, len(time) - 1)
     whole = time[ends] - time[starts] < (width + config.gap_steps) * typical
     starts, ends = starts[whole], ends[whole]
@@ -295,14 +306,13 @@ def _correlation(left: Array, right: Array) -> Array:
     return np.divide(left.T @ right, size, out=np.zeros_like(size), where=size > 0.0)
 
 
-def _clock(samples: Samples, ratios: list[Ratio], tolerance: float) -> list[SetupProblem]:
+def _clock(samples: Samples, ratios: list[float], config: DiagnosisConfig) -> list[SetupProblem]:
     """Stamps that run too fast or too slow for every joint alike."""
-    telling = np.array([ratio.value for ratio in ratios if ratio.is_telling])
-    if len(telling) < 2 or telling.min() <= 0.0 or telling.max() > tolerance * telling.min():
+    telling = np.array([ratio for ratio in ratios if math.isfinite(ratio)])
+    if len(telling) < 2 or telling.min() <= 0.0 or telling.max() > config.ratio_tolerance * telling.min():
         return []
     factor = float(np.median(telling))
-    right = Ratio(factor, True, tolerance)
-    if right.near(1.0) or any(right.near(known) for known in MOTION_UNITS):
+    if any(_agrees(factor, known, config) for known in (1.0, *MOTION_UNITS)):
         return []
     step = typical_step(samples.time)
     return [SetupProblem('clock', None, (
@@ -316,27 +326,20 @@ def _silent(name: str) -> tuple[SetupProblem, str, float]:
         'velocity', 1.0
 
 
-def _velocity(name: str, ratio: Ratio) -> tuple[SetupProblem, str, float] | None:
+def _velocity(name: str, ratio: float, config: DiagnosisConfig) -> tuple[SetupProblem, str, float] | None:
     """What a joint's ratio says, and which role times which factor puts it right."""
-    if not ratio.is_telling or ratio.near(1.0) or ratio.near(-1.0):
+    if math.isnan(ratio) or _agrees(ratio, 1.0, config) or _agrees(ratio, -1.0, config):
         return None
     for known, (role, unit, factor) in MOTION_UNITS.items():
-        if ratio.near(known):
+        if _agrees(ratio, known, config):
             right = 'rad' if role == 'position' else 'rad/s'
             return SetupProblem(f'{role}_units', name, (
                 f"The {role} of '{name}' is in {unit}, its {'velocity' if role == 'position' else 'position'} is not: "
                 f'publish it in {right} (for a text table with degrees throughout: semiparam convert --degrees).')), \
                 role, factor
     return SetupProblem('velocity_scale', name, (
-        f"The position of '{name}' changes {ratio.value:.3g} times as fast as its velocity says: check the gear ratio "
-        'and the units in the driver.')), 'velocity', ratio.value
-
-
-def _scaled(samples: Samples, role: str, joint: int, factor: float) -> Samples:
-    """The samples with one joint's position, or its velocity, times a factor."""
-    values = getattr(samples, role).copy()
-    values[:, joint] *= factor
-    return replace(samples, **{role: values})
+        f"The position of '{name}' changes {ratio:.3g} times as fast as its velocity says: check the gear ratio "
+        'and the units in the driver.')), 'velocity', ratio
 
 
 def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, moving: Array,
@@ -346,14 +349,14 @@ def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, movi
     corrected = _spans(samples.time, right.velocity, samples.acceleration, config)
     found = []
     for joint, name in enumerate(joints):
-        if not moving[joint] or _ratio(recorded[0][:, joint], recorded[1][:, joint], config).near(1.0):
+        if not moving[joint] or _agrees(_ratio(recorded[0][:, joint], recorded[1][:, joint], config), 1.0, config):
             continue
         ratio = _ratio(corrected[0][:, joint], corrected[1][:, joint], config)
-        if ratio.near(-1.0):
+        if _agrees(ratio, -1.0, config):
             found.append(SetupProblem('acceleration_sign', name, (
                 f"The measured acceleration of '{name}' has the opposite sign of its change of velocity: negate it, or "
                 'set acceleration.source to filter.')))
-        elif ratio.near(DEGREE):
+        elif _agrees(ratio, DEGREE, config):
             found.append(SetupProblem('acceleration_units', name, (
                 f"The measured acceleration of '{name}' is in degrees per second squared: publish it in "
                 'rad/s^2, or set acceleration.source to filter.')))
@@ -408,21 +411,35 @@ def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig
 
 
 def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
-    yield Alternative(replace(samples, outputs=-samples.outputs), _sign(body))
+    yield from _other_signs(body, samples)
     if body.outputs == 'wrench':
         yield from _other_axes(body, samples)
-    else:
-        yield from _other_effort_signs(body, samples)
-    for mounted, problem in other_mountings(body, config.same_gravity_cosine):
-        yield Alternative(samples, problem, mounted)
+    yield from _other_mountings(body, samples, config)
     yield from _other_directions(body, samples)
     yield from _other_orders(body, samples)
     yield from _exchanged_outputs(body, samples)
     yield _radians(samples)
 
 
+def _other_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+    """All outputs negated, then each of them."""
+    wrench = body.outputs == 'wrench'
+    what = 'wrench_sign' if wrench else 'effort_sign'
+    sentence = ('The wrench has the opposite sign of what the robot description predicts: set the parameter '
+                f'wrench_convention to {"action" if body.sign < 0 else "reaction"}.') if wrench else (
+        'The efforts have the opposite sign of what the robot description predicts: negate them (semiparam convert '
+        '--effort-sign -1).')
+    yield Alternative(relabelled(samples, ('outputs',), factors=-1.0), SetupProblem(what, body.sensor_frame, sentence))
+    for channel, name in enumerate(body.output_names):
+        said = f"The channel {name} of '{body.sensor_frame}'" if wrench else f"The effort of '{name}'"
+        where = "the sensor's driver or calibration" if wrench else 'the driver'
+        negated = relabelled(samples, ('outputs',), factors=_factors(body.n_outputs, channel))
+        yield Alternative(negated, SetupProblem(what, name, (
+            f'{said} fits the robot description far better with the opposite sign: negate it in {where}.')))
+
+
 def _other_axes(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
-    """Signed permutations of the sensor's axes, one channel negated, force and torque exchanged."""
+    """Signed permutations of the sensor's axes, force and torque exchanged."""
     frame = body.sensor_frame
     force, torque = samples.outputs[:, :3], samples.outputs[:, 3:]
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
@@ -434,11 +451,6 @@ def _other_axes(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
             f"The wrench fits the robot description far better when the sensor's axes ({names}) are taken for x, y, z "
             f"of '{frame}': turn that frame in the robot description, or set sensor_frame to one that has the "
             f"sensor's axes.{_mirrored(order, signs)}")))
-    for channel, name in enumerate(body.output_names):
-        negated = replace(samples, outputs=_negated(samples.outputs, channel))
-        yield Alternative(negated, SetupProblem('wrench_sign', name, (
-            f"The channel {name} of '{frame}' fits the robot description far better with the opposite sign: negate it "
-            "in the sensor's driver or calibration.")))
     yield Alternative(replace(samples, outputs=np.hstack([torque, force])), SetupProblem('force_torque', frame, (
         f"The wrench of '{frame}' fits far better with force and torque exchanged: the driver (or the columns of the "
         'text table) gives them in the wrong order.')))
@@ -451,33 +463,27 @@ def _mirrored(order: tuple[int, ...], signs: tuple[float, ...]) -> str:
         if hand < 0.0 else ''
 
 
-def _other_effort_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
-    for channel, name in enumerate(body.output_names):
-        negated = replace(samples, outputs=_negated(samples.outputs, channel))
-        yield Alternative(negated, SetupProblem('effort_sign', name, (
-            f"The effort of '{name}' fits the robot description far better with the opposite sign: negate it in the "
-            'driver.')))
-
-
-def other_mountings(body: RigidBody, same_cosine: float) -> Iterator[tuple[RigidBody, SetupProblem]]:
-    """The body with gravity along each other axis of its base, and what to say if that is how it is."""
-    present = _gravity(body)
+def _other_mountings(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
+    """Gravity along each other axis of the base."""
+    present = np.array(body.arm.gravity.linear)
     strength = float(np.linalg.norm(present))
     for sign, (axis, name) in product((1.0, -1.0), enumerate('xyz')):
-        gravity = sign * strength * np.eye(3)[axis]
-        if gravity @ present < same_cosine * strength**2:
-            along = f"with gravity along its {'-' if sign < 0 else ''}{name} axis"
-            hanging = gravity @ present < -same_cosine * strength**2
-            yield body.with_gravity(gravity), mounting_problem('upside down' if hanging else f'on its side, {along}')
+        cosine = sign * float(present[axis]) / max(strength, 1e-12)
+        if cosine < config.alike:
+            how = 'upside down' if cosine < -config.alike else \
+                f'on its side, with gravity along its {"-" if sign < 0 else ""}{name} axis'
+            yield Alternative(samples, SetupProblem('base_mounting', None, (
+                f'The recording fits the robot description far better when the base is mounted {how}: turn the first '
+                'link in the robot description as the robot is mounted.')),
+                body.with_gravity(sign * strength * np.eye(3)[axis]))
 
 
 def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
     for joint, name in enumerate(body.joints):
-        mirrored = replace(samples, position=_negated(samples.position, joint),
-                           velocity=_negated(samples.velocity, joint),
-                           acceleration=_negated(samples.acceleration, joint))
+        mirrored = relabelled(samples, MOTION, factors=_factors(body.n_joints, joint))
         if name in body.output_names:
-            mirrored = replace(mirrored, outputs=_negated(samples.outputs, body.output_names.index(name)))
+            mirrored = relabelled(mirrored, ('outputs',), factors=_factors(
+                body.n_outputs, body.output_names.index(name)))
         yield Alternative(mirrored, SetupProblem('joint_direction', name, (
             f"The recording fits the robot description far better when '{name}' turns the other way: negate its "
             'position, velocity (and effort) in the driver, or its axis in the robot description.')))
@@ -486,13 +492,12 @@ def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Alternative
 def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
     for one, other in combinations(range(body.n_joints), 2):
         order = _exchange(body.n_joints, one, other)
-        swapped = replace(samples, position=samples.position[:, order], velocity=samples.velocity[:, order],
-                          acceleration=samples.acceleration[:, order])
+        swapped = relabelled(samples, MOTION, order)
         if body.outputs == 'effort':
             if (one in body.output_index) != (other in body.output_index):
                 continue  # the effort of one of them is not known
             channels = np.searchsorted(body.output_index, order[body.output_index])
-            swapped = replace(swapped, outputs=samples.outputs[:, channels])
+            swapped = relabelled(swapped, ('outputs',), channels)
         yield Alternative(swapped, SetupProblem('joint_order', body.joints[one], (
             f"The recording fits the robot description far better with '{body.joints[one]}' and "
             f"'{body.joints[other]}' exchanged: correct the names in the joint states (for a bag: semiparam convert "
@@ -507,29 +512,14 @@ def _exchanged_outputs(body: RigidBody, samples: Samples) -> Iterator[Alternativ
         what = f"The channels {first} and {second} of '{body.sensor_frame}' are" if wrench else \
             f"The efforts of '{first}' and '{second}' are"
         where = "the sensor's driver (or in the columns of the text table)" if wrench else 'the driver'
-        exchanged = samples.outputs[:, _exchange(body.n_outputs, one, other)]
-        yield Alternative(replace(samples, outputs=exchanged), SetupProblem(
+        yield Alternative(relabelled(samples, ('outputs',), _exchange(body.n_outputs, one, other)), SetupProblem(
             'wrench_order' if wrench else 'effort_order', first, (
                 f"{what} swapped: the recording fits the robot description far better with them in each other's place; "
                 f'correct their order in {where}.')))
 
 
-def _exchange(count: int, one: int, other: int) -> Stamps:
-    order = np.arange(count)
-    order[[one, other]] = other, one
-    return order
-
-
-def _negated(values: Array, column: int) -> Array:
-    values = values.copy()
-    values[:, column] *= -1.0
-    return values
-
-
 def _radians(samples: Samples) -> Alternative:
-    right = replace(samples, position=samples.position * DEGREE, velocity=samples.velocity * DEGREE,
-                    acceleration=samples.acceleration * DEGREE)
-    return Alternative(right, SetupProblem('position_units', None, (
+    return Alternative(relabelled(samples, MOTION, factors=DEGREE), SetupProblem('position_units', None, (
         'Positions and velocities are in degrees: publish them in rad and rad/s (for a text table: semiparam convert '
         '--degrees).')))
 
@@ -539,31 +529,23 @@ def _radians(samples: Samples) -> Alternative:
 
 def unit_problems(body: RigidBody, samples: Samples,
                   config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
-    """Units of the outputs that are wrong, and the corrected samples."""
-    wrench = body.outputs == 'wrench'
-    slopes, likeness = _slopes(body, samples, config)
+    """Units of the outputs that are wrong, by their slope against the description's prediction, and the corrected
+    samples."""
+    parts = {'force': slice(0, 3), 'torque': slice(3, 6)} if body.outputs == 'wrench' else {'effort': slice(None)}
+    free = nuisances(body, samples, config)
+    measured, predicted = (_without(free, values) for values in (
+        samples.outputs, body.regressors(samples) @ body.base_parameters))
     found, factors = [], np.ones(body.n_outputs)
-    blocks = [('force', slice(0, 3)), ('torque', slice(3, 6))] if wrench else [('effort', slice(None))]
-    for (name, channels), slope, like in zip(blocks, slopes, likeness, strict=True):
+    for name, channels in parts.items():
+        left, right = measured[:, channels].ravel(), predicted[:, channels].ravel()
+        slope = abs(float(left @ right)) / (float(right @ right) + 1e-300)
+        alike = abs(float(left @ right)) / (float(np.linalg.norm(left) * np.linalg.norm(right)) + 1e-300)
         unit = next((known for known in OUTPUT_UNITS
-                     if 1.0 / config.unit_tolerance < abs(slope) / known < config.unit_tolerance), None)
-        if abs(like) > config.alike_correlation and unit is not None:
+                     if 1.0 / config.unit_tolerance < slope / known < config.unit_tolerance), None)
+        if alike > config.alike and unit is not None:
             found.append(_unit(body, name, unit))
             factors[channels] /= unit
-    return found, replace(samples, outputs=samples.outputs * factors)
-
-
-def _slopes(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> tuple[Array, Array]:
-    """Slope of the outputs against the description's prediction, and their correlation, for force and torque or for
-    efforts."""
-    predicted = body.regressors(samples) @ body.base_parameters
-    free = nuisances(body, samples, config)
-    measured, predicted = (_without(free, values) for values in (samples.outputs, predicted))
-    pairs = [(measured, predicted)]
-    if body.outputs == 'wrench':
-        pairs = [(measured[:, part], predicted[:, part]) for part in (slice(0, 3), slice(3, 6))]
-    inner = np.array([[np.sum(y * p), np.sum(p * p), np.sum(y * y)] for y, p in pairs])
-    return inner[:, 0] / (inner[:, 1] + 1e-300), inner[:, 0] / np.sqrt(inner[:, 1] * inner[:, 2] + 1e-300)
+    return found, relabelled(samples, ('outputs',), factors=factors)
 
 
 def _without(columns: Array, values: Array) -> Array:
@@ -573,28 +555,6 @@ def _without(columns: Array, values: Array) -> Array:
         own = columns[:, channel, np.any(columns[:, channel] != 0.0, axis=0)]
         left[:, channel] = values[:, channel] - own @ np.linalg.lstsq(own, values[:, channel], rcond=1e-9)[0]
     return left
-
-
-def _gravity(body: RigidBody) -> Array:
-    return np.array(body.arm.gravity.linear)
-
-
-def mounting_problem(how: str) -> SetupProblem:
-    """The base is mounted in another way."""
-    return SetupProblem('base_mounting', None, (
-        f'The recording fits the robot description far better when the base is mounted {how}: turn the first link in '
-        'the robot description as the robot is mounted.'))
-
-
-def _sign(body: RigidBody) -> SetupProblem:
-    if body.outputs == 'effort':
-        return SetupProblem('effort_sign', None, (
-            'The efforts have the opposite sign of what the robot description predicts: negate them (semiparam convert '
-            '--effort-sign -1).'))
-    other = 'action' if body.sign < 0 else 'reaction'
-    return SetupProblem('wrench_sign', body.sensor_frame, (
-        'The wrench has the opposite sign of what the robot description predicts: set the parameter wrench_convention '
-        f'to {other}.'))
 
 
 def _unit(body: RigidBody, name: str, unit: float) -> SetupProblem:

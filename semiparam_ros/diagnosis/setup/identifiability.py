@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -14,28 +16,21 @@ MOST_GAPS_NAMED = 3
 
 
 def unidentifiable(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
-    """Sentences about joints that do not move or all move as one, gaps, too short recordings, and bodies whose inertias
-    do not show."""
-    notes = _short(samples, config) + _still(body, samples, config) + _dead(body, samples) + _gaps(samples, config)
-    return notes + _together(samples, config) + _unseen(body, samples, config) if len(samples) > 1 else notes
-
-
-def _short(samples: Samples, config: DiagnosisConfig) -> list[str]:
-    count = len(samples)
-    return [f'The recording holds {count} samples; below {config.least_samples} hardly any effect can be told from '
-            'noise.'] if count < config.least_samples else []
+    """Sentences about joints that do not move or all move as one, gaps, and bodies whose inertias do not show."""
+    return (_still(body, samples, config) + _dead(body, samples) + _gaps(samples, config) + _together(samples, config)
+            + _unseen(body, samples, config))
 
 
 def _still(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[str]:
-    reach = np.ptp(samples.position, axis=0) if len(samples) else np.zeros(body.n_joints)
+    reach = np.ptp(samples.position, axis=0)
     still = [name for name, value in zip(body.joints, reach, strict=True) if value < config.still_range]
     slow = [f'{name} ({value:.3f} rad)' for name, value in zip(body.joints, reach, strict=True)
             if config.still_range <= value < config.slow_range]
     notes = []
     if still:
-        notes.append(f'{_listed(still)} stood still: effects of {_it(still)} cannot be seen in this recording.')
+        notes.append(f'{listed(still)} stood still: effects of {_it(still)} cannot be seen in this recording.')
     if slow:
-        notes.append(f'{_listed(slow)} hardly moved: what is said of {_it(slow)} is uncertain.')
+        notes.append(f'{listed(slow)} hardly moved: what is said of {_it(slow)} is uncertain.')
     return notes
 
 
@@ -54,11 +49,9 @@ def _together(samples: Samples, config: DiagnosisConfig) -> list[str]:
 
 def _dead(body: RigidBody, samples: Samples) -> list[str]:
     """Outputs that never change."""
-    if len(samples) < 2:
-        return []
     reach = np.ptp(samples.outputs, axis=0)
     dead = [name for name, value in zip(body.output_names, reach, strict=True) if value == 0.0]
-    return [f'No change was measured in {_listed(dead)}: what acts there cannot be seen.'] if dead else []
+    return [f'No change was measured in {listed(dead)}: what acts there cannot be seen.'] if dead else []
 
 
 def _gaps(samples: Samples, config: DiagnosisConfig) -> list[str]:
@@ -66,7 +59,7 @@ def _gaps(samples: Samples, config: DiagnosisConfig) -> list[str]:
     if not found:
         return []
     longest = sorted(sorted(found, key=lambda gap: -gap.length_s)[:MOST_GAPS_NAMED])
-    places = _listed([f'{gap.length_s:.2f} s from {gap.start_s:.2f} s on' for gap in longest])
+    places = listed([f'{gap.length_s:.2f} s from {gap.start_s:.2f} s on' for gap in longest])
     count = '1 gap' if len(found) == 1 else f'{len(found)} gaps'
     which = 'the longest are' if len(found) > MOST_GAPS_NAMED else 'namely'
     return [f'The samples looked at have {count} in time, {which} {places}; those beside them are left out.']
@@ -77,7 +70,7 @@ def _unseen(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[
     names = unseen_bodies(body, samples[rows], config)
     if not names:
         return []
-    return [f'The motion does not show how heavy every part is: masses or centres of mass of {_listed(names)} stay at '
+    return [f'The motion does not show how heavy every part is: masses or centres of mass of {listed(names)} stay at '
             'the robot description, and effects that act like them cannot be seen. Move more joints through more '
             'of their range.']
 
@@ -96,7 +89,7 @@ def unseen_bodies(body: RigidBody, samples: Samples, config: DiagnosisConfig = D
     spread = inertial_spread(body).reshape(-1, 10)
     spread[:, 4:] = 0.0
     shown, size, parts = np.linalg.svd(body.basis.T * spread.ravel(), full_matrices=False)
-    possible = size > config.negligible_direction * size[0]
+    possible = size > config.negligible * size[0]
     seen = rows @ (shown[:, possible] * size[possible])
     _, moved, mixed = np.linalg.svd(seen, full_matrices=len(seen) < seen.shape[1])  # of 30 joints 1.8 GB otherwise
     moved = np.concatenate([moved, np.zeros(len(mixed) - len(moved))])
@@ -114,7 +107,8 @@ def _body_names(body: RigidBody) -> list[str]:
     return names
 
 
-def _listed(names: list[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Names as a sentence has them."""
     return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'
 
 

@@ -33,8 +33,7 @@ class Equations:
     columns: Array  # (N, n, c) psi beside the nuisances
     mean: Array  # (c,) the description's base parameters, then zeros
     precision: Array  # (c, c) of the parameters about the mean; zero for the nuisances
-    wrong: float  # share of an output's variance by which the description may be wrong
-    rounds: int  # in which the noise is fitted
+    config: DiagnosisConfig
     speed: Array  # (n,) root mean square speed of the joints; (0,) of a wrench
     power: Array  # (n, c) mean power of each joint's friction; (0, c) of a wrench
 
@@ -62,14 +61,12 @@ def equations(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Equ
     mean, precision = np.zeros(columns.shape[2]), np.zeros((columns.shape[2],) * 2)
     mean[:own], precision[:own, :own] = body.base_parameters, _precision(body, config.inertia_deviation)
     if body.outputs == 'wrench':
-        return Equations(columns, mean, precision, config.model_error, config.noise_rounds,
-                         np.zeros(0), np.zeros((0, len(mean))))
+        return Equations(columns, mean, precision, config, np.zeros(0), np.zeros((0, len(mean))))
     count, power = body.n_outputs, np.zeros((body.n_outputs, len(mean)))
     moved = samples.velocity[:, body.output_index]
     friction = slice(own + count, own + 3 * count)  # viscous, then dry
     power[:, friction] = np.mean(columns[:, :, friction] * moved[:, :, None], axis=0)
-    return Equations(columns, mean, precision, config.model_error, config.noise_rounds,
-                     np.sqrt(np.mean(moved**2, axis=0)), power)
+    return Equations(columns, mean, precision, config, np.sqrt(np.mean(moved**2, axis=0)), power)
 
 
 class MisfitEvidence(NamedTuple):
@@ -88,12 +85,12 @@ def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvid
     grams, squares = equal.grams[telling], np.sum(left[:, telling] ** 2, axis=0)
     moments = np.matmul(left.T[telling, None], equal.scaled[telling])[:, 0]
     noise = deviation[telling]
-    for _ in range(equal.rounds):
+    for _ in range(equal.config.in_turn):
         weight = share / noise**2
         factor = cho_factor(np.tensordot(weight, grams, 1) + precision / np.outer(size, size))
         scaled = cho_solve(factor, weight @ moments)
         residual = squares - 2.0 * moments @ scaled + (grams @ scaled) @ scaled
-        noise = np.sqrt(np.maximum(residual, 0.0) / count + equal.wrong * deviation[telling] ** 2)
+        noise = np.sqrt(np.maximum(residual, 0.0) / count + equal.config.model_error * deviation[telling] ** 2)
     change = scaled / size
     likelihood = -share * count * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
     likelihood += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(factor[0]) * size).sum())
@@ -126,13 +123,8 @@ def _braking(equal: Equations, change: Array, deviation: Array, factor: tuple[Ar
     """Log of how much likelier friction takes energy than before the outputs were known, over all joints."""
     power = equal.power.T / size[:, None]
     variance = np.sum(power * cho_solve(factor, power), axis=0) if power.size else np.zeros(0)
-    variance = variance + equal.wrong * (deviation[:len(variance)] * equal.speed) ** 2 + 1e-300
+    variance = variance + equal.config.model_error * (deviation[:len(variance)] * equal.speed) ** 2 + 1e-300
     return float(np.sum(np.log(2.0) + log_ndtr(equal.power @ change / np.sqrt(variance))))
-
-
-def _turn(velocity: Array, config: DiagnosisConfig) -> Array:
-    """(n_joints,) speeds [rad/s] within which dry friction turns over."""
-    return np.asarray(config.friction_turn_share * np.abs(velocity).max(axis=0) + 1e-12)
 
 
 def channel_scale(outputs: Array, wrench: bool) -> Array:
@@ -149,7 +141,8 @@ def nuisances(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Arr
     if body.outputs == 'wrench':
         return np.broadcast_to(identity, (len(samples), *identity.shape))
     moved = samples.velocity[:, body.output_index]
-    parts = (np.ones_like(moved), moved, np.tanh(moved / _turn(moved, config)),
+    turn = config.friction_turn_share * np.abs(moved).max(axis=0) + 1e-12  # [rad/s] of dry friction
+    parts = (np.ones_like(moved), moved, np.tanh(moved / turn),
              samples.acceleration[:, body.output_index], samples.position[:, body.output_index])
     return np.concatenate([part[:, :, None] * identity for part in parts], axis=2)
 
