@@ -16,6 +16,8 @@ from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.schemas import UNKNOWN, Decoder, Schema
 from semiparam_ros.errors import SemiparamError
 
+SHOWN = 4
+"""Ranges of bytes that a sentence names."""
 ORDERS = ('log', 'publish', 'header')
 
 
@@ -54,9 +56,9 @@ class Losses:
         return f'{self.path!r} is damaged: ' + '; '.join(parts) + '.'
 
 
-def _ranges(ranges: list[tuple[int, int]], shown: int = 4) -> str:
-    text = ', '.join(f'{start}-{end}' for start, end in ranges[:shown])
-    return text if len(ranges) <= shown else f'{text} and {len(ranges) - shown} more ranges'
+def _ranges(ranges: list[tuple[int, int]]) -> str:
+    text = ', '.join(f'{start}-{end}' for start, end in ranges[:SHOWN])
+    return text if len(ranges) <= SHOWN else f'{text} and {len(ranges) - SHOWN} more ranges'
 
 
 class Message(NamedTuple):

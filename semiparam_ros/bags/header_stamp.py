@@ -1,7 +1,7 @@
-"""Header stamps read and written in place in serialised messages, so that nothing has to be decoded.
+"""Header stamps read and written in place in serialised messages: nothing is decoded.
 
-A message whose first field is a std_msgs/Header serialises (XCDR1) as a 4-byte encapsulation, whose second byte names
-the byte order, then ``int32 sec`` and ``uint32 nanosec``.
+A message whose first field is a std_msgs/Header serialises (XCDR1) as a 4-byte encapsulation, whose
+second byte names the byte order, then ``int32 sec`` and ``uint32 nanosec``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ def read_stamp(raw: bytes) -> int:
     try:
         seconds, nanoseconds = struct.unpack_from(_format(raw), raw, _OFFSET)
     except struct.error:
-        raise SemiparamError(f'a message of {len(raw)} bytes is too short for a header stamp.') from None
+        raise SemiparamError(f'a message of {len(raw)} bytes is too short for a header '
+                             'stamp.') from None
     return int(seconds) * NANOSECONDS + int(nanoseconds)
 
 
@@ -33,7 +34,8 @@ def with_stamp(raw: bytes, stamp: int) -> bytes:
     try:
         field = struct.pack(_format(raw), seconds, nanoseconds)
     except struct.error:
-        raise SemiparamError(f'a header stamp cannot hold {seconds} s: expected 32-bit seconds.') from None
+        raise SemiparamError(f'a header stamp cannot hold {seconds} s: expected 32-bit '
+                             'seconds.') from None
     return raw[:_OFFSET] + field + raw[_OFFSET + len(field):]
 
 

@@ -215,7 +215,8 @@ class Segment:
 
 @dataclass
 class Index:
-    """Segments in the order of the file, definitions, messages of each channel, and what is wrong so far."""
+    """Segments in the order of the file, definitions, messages of each channel, and what is wrong
+    so far."""
 
     segments: list[Segment] = field(default_factory=list)
     definitions: Definitions = field(default_factory=lambda: Definitions({}, {}))
@@ -248,7 +249,8 @@ def read_summary(buffer: Buffer) -> Index:
     index.segments = [_segment(buffer, entry) for entry in sorted(chunks, key=lambda c: c.chunk_start_offset)]
     if any(segment.chunk != chunk_at(buffer, segment.offset, len(buffer)) for segment in index.segments):
         index.losses.reasons.append('the header of a chunk contradicts the index')
-    index.counts, index.losses.intact = dict(statistics.channel_message_counts), statistics.message_count
+    index.counts = dict(statistics.channel_message_counts)
+    index.losses.intact = statistics.message_count
     index.start_ns, index.end_ns = statistics.message_start_time, statistics.message_end_time
     index.losses.chunks = len(chunks)
     return index

@@ -40,7 +40,8 @@ class McapBag(BagReader):
         self.topics = _topics(self._index, self._channel_topics)
         if not self.topics and self._index.losses.reasons:
             self.close()
-            raise SemiparamError(f'{str(path)!r} holds no readable message: {"; ".join(self._index.losses.reasons)}.')
+            raise SemiparamError(f'{str(path)!r} holds no readable message: '
+                                 f'{"; ".join(self._index.losses.reasons)}.')
 
     def _log_order(self, topics: Collection[str], start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         info = {channel: (topic, self.topics[topic].type) for channel, topic in self._channel_topics.items()
@@ -91,10 +92,13 @@ class McapBag(BagReader):
                 self._entries(segment)
         lost = [segment for segment in self._index.segments if self._read[segment] is None]
         known = self._index.losses
-        return replace(known, path=str(self.path), saved=sum(count or 0 for count in self._read.values()),
+        unread = [(segment.offset, segment.end) for segment in lost]
+        return replace(known, path=str(self.path),
+                       saved=sum(count or 0 for count in self._read.values()),
                        chunks_lost=known.chunks_lost + len(lost),
-                       byte_ranges=sorted(known.byte_ranges + [(segment.offset, segment.end) for segment in lost]),
-                       reasons=known.reasons + self._others + self._reasons, undecodable=dict(self._undecodable))
+                       byte_ranges=sorted(known.byte_ranges + unread),
+                       reasons=known.reasons + self._others + self._reasons,
+                       undecodable=dict(self._undecodable))
 
     def close(self) -> None:
         self._buffer.close()

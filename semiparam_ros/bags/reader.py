@@ -149,7 +149,8 @@ _FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Callable[[Path], BagReader]
 
 
 def _rosbags_reader(path: Path, kind: str) -> Any:
-    """The module that needs ``rosbags``; one sentence where that is missing, any other import error passes."""
+    """The module that needs ``rosbags``; one sentence where that is missing, any other import error
+    passes."""
     try:
         return import_module('semiparam_ros.bags.rosbags_reader')
     except ModuleNotFoundError as error:

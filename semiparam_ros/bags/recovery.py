@@ -160,7 +160,8 @@ class _Scan:
         index, known = self.index, self.index.definitions.channels
         unnamed = sum(count for channel, count in self._counts.items() if channel not in known)
         if unnamed:
-            self.losses.reasons.append(f'{unnamed} messages belong to topics whose definitions are lost')
+            self.losses.reasons.append(f'{unnamed} messages belong to topics whose definitions are '
+                                       'lost')
         index.counts = {channel: count for channel, count in self._counts.items() if channel in known}
         index.start_ns = min((segment.start_ns for segment in index.segments), default=0)
         index.end_ns = max((segment.end_ns for segment in index.segments), default=0)

@@ -275,8 +275,8 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
         if len(cells) < width:
             raise SemiparamError(f'{where} has {len(cells)} columns; expected at least {width}, the highest that is '
                                  'named. White space, commas, semicolons or tabs separate them.')
-        yield _row(layout, {role: [cells[index] for index in columns] for role, columns in indices.items()},
-                   number, where)
+        named = {role: [cells[index] for index in columns] for role, columns in indices.items()}
+        yield _row(layout, named, number, where)
 
 
 def _is_number(cell: str) -> bool:
@@ -287,11 +287,13 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _row(layout: TableLayout, cells: Mapping[str, list[str]], number: int, where: str) -> RecordedRow:
+def _row(layout: TableLayout, cells: Mapping[str, list[str]], number: int,
+         where: str) -> RecordedRow:
     """The ``number``-th row (from 0) from its cells by role, in SI units."""
     angle = math.pi / 180.0 if layout.degrees else 1.0
-    factors = {'position': angle, 'velocity': angle, 'acceleration': angle, 'effort': layout.effort_sign,
-               'force': layout.wrench_sign, 'torque': layout.wrench_sign, 'temperature': 1.0}
+    factors = {'position': angle, 'velocity': angle, 'acceleration': angle,
+               'effort': layout.effort_sign, 'force': layout.wrench_sign,
+               'torque': layout.wrench_sign, 'temperature': 1.0}
     scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
               for role, factor in factors.items()}
     if layout.effort_factors and scaled['effort']:

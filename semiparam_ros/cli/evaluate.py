@@ -240,7 +240,8 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
             'train': [str(path) for path in args.train], 'frozen': args.frozen, 'outputs': list(channels),
             'variants': results,
             'changes': None if changes is None else [record.as_dict() for record in changes.values()],
-            'left_out': [dict(bag.faults) for bag in bags], 'losses': [bag.losses.sentence for bag in bags]})
+            'left_out': [dict(bag.faults) for bag in bags],
+            'losses': [bag.losses.sentence for bag in bags]})
     if args.plot:
         from semiparam_ros.report.horizon_figure import plot_indices
 

@@ -29,7 +29,8 @@ def stamp_fields(stamp: int) -> dict[str, int]:
 
 
 def observed_s(stamp: int, before: int | None) -> float:
-    """Time under observation [s] from the sample before, None where there is none, to one at ``stamp`` [ns]."""
+    """Time under observation [s] from the sample before, None where there is none, to one at
+    ``stamp`` [ns]."""
     return 0.0 if before is None else min(max(1e-9 * (stamp - before), 0.0), LONGEST_STEP_S)
 
 

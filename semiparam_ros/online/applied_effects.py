@@ -265,7 +265,7 @@ class AppliedEffects:
         forgotten = over[:-REMEMBERED]
         self._keep(other for other in self.trials if other not in forgotten)
 
-    def without_hope(self) -> list[KnownEffect]:
+    def unsupported(self) -> list[KnownEffect]:
         """Those for which nothing has spoken as long as one is tried."""
         return [
             trial

@@ -75,8 +75,9 @@ MORE_MOTION = 1.5
 class Decision(NamedTuple):
     """What was decided of a change at a stamp [ns]: one of ``ASSUMED`` to ``LEARNT``.
 
-    :param evidence: [nat] of what came since it was tried, or since it was over. :param error_share:
-        the error while it was applied over what it would have been without; None for what never was.
+    :param evidence: [nat] of what came since it was tried, or since it was over.
+    :param error_share: the error while it was applied over what it would have been without; None
+        for what never was.
     """
 
     what: str
@@ -350,7 +351,7 @@ class ChangeWatch:
             trial = None if rival is not None and rival.evidence > 0.0 else trial
         if trial is not None:
             self._switch(detector, trial, now)
-        for trial in applied.without_hope():
+        for trial in applied.unsupported():
             applied.drop(trial.number)
             self._decide(trial.number, Decision(DROPPED, now, trial.score))
 

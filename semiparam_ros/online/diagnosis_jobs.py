@@ -98,7 +98,7 @@ def name_change(
     since: tuple[int, int],
     ended: int | None,
     inputs: Inputs | None,
-    taken_off: Sequence[Contribution] = (),
+    taken_off: Sequence[Contribution],
 ) -> NamedChange:
     """Name what began between two stamps [ns], and ended at another; times of the effect as stamps.
     See :func:`~semiparam_ros.diagnosis.change.name_change`.
@@ -118,7 +118,7 @@ def name_change(
 
 
 def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence[Effect],
-               after: Sequence[Effect], taken_off: Sequence[Contribution] = ()) -> float | None:
+               after: Sequence[Effect], taken_off: Sequence[Contribution]) -> float | None:
     """By how much [nat] other effects predict what came after a stamp [ns] better than those
     before; None where that is too little to tell.
 

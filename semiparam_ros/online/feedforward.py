@@ -22,7 +22,8 @@ class WithheldError(SemiparamError):
 class Feedforward:
     """Answers desired states by a learner's model, and counts what it had to say of them.
 
-    ``counts``: states that were answered, described, limited and doubtful, and trajectories withheld.
+    ``counts``: states that were answered, described, limited and doubtful, and trajectories
+    withheld.
     """
 
     def __init__(self) -> None:

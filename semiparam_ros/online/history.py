@@ -116,7 +116,8 @@ class SampleLog:
         """Keep one sample."""
         if not self._free:
             self._n_joints, width = len(sample.position), sum(map(len, sample[1:5]))
-            self._chunks.append(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)), np.empty(CHUNK, np.int8),
+            self._chunks.append(Rows(np.empty(CHUNK, np.int64), np.empty((CHUNK, width)),
+                                     np.empty(CHUNK, np.int8),
                                      np.empty((CHUNK, len(sample.temperature)))))
             self._free = CHUNK
         chunk = self._chunks[-1]

@@ -188,7 +188,8 @@ class StandbyModel:
 
 
 class ModelSwitcher:
-    """Builds, feeds and retires the models beside the active one; there is never more than one successor.
+    """Builds, feeds and retires the models beside the active one; there is never more than one
+    successor.
 
     :param horizon_completed: called with a shadow's variant and its horizon errors.
     :param failed: called with a place, and what unexpectedly went wrong there.

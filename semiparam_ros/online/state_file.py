@@ -341,7 +341,7 @@ def _read(path: Path, names: Sequence[str] | None = None) -> dict[str, Array]:
     has bytes. Raises SemiparamError.
     """
     try:
-        if path.exists() and not path.is_file():  # opening a pipe would wait for somebody to write into it
+        if path.exists() and not path.is_file():  # opening a pipe would wait for who writes into it
             raise OSError('it is a folder, a device or a pipe')
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()

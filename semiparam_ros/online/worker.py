@@ -150,7 +150,7 @@ class ProcessBackground:
             self._process.kill()  # a stopped one would not hear anything less
         self._thread.join()
 
-    def _hear(self, job: _ProcessJob, news: Any) -> None:
+    def _pass_on(self, job: _ProcessJob, news: Any) -> None:
         if not (self._closed or job.cancelled):
             self._on_progress(news)
 
@@ -225,7 +225,7 @@ class ProcessBackground:
                 answer = transport.receive(line)
                 if isinstance(answer, JobResult):
                     return answer
-                self._schedule(self._hear, job, answer)
+                self._schedule(self._pass_on, job, answer)
         except (EOFError, OSError):
             pass
         except Exception as error:

@@ -35,7 +35,7 @@ class Keyboard:
     :param actions: what to call for 'pause', 'next', 'faster' and 'slower'
     """
 
-    def __init__(self, actions: Mapping[str, Callable[[], object]], enabled: bool = True) -> None:
+    def __init__(self, actions: Mapping[str, Callable[[], object]], enabled: bool) -> None:
         self._actions = actions
         self._descriptor = sys.stdin.fileno() if enabled and is_foreground_terminal() else None
         self._closing = threading.Event()

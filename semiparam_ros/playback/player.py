@@ -165,7 +165,8 @@ class Player:
             first = next(items, None)
             if first is None:
                 if self.loop and position <= self._timeline.start_ns:
-                    raise SemiparamError('there is nothing to loop: no message is left between the start and the end.')
+                    raise SemiparamError('there is nothing to loop: no message is left between the '
+                                         'start and the end.')
                 return _Next.GO
             with self._changed:  # after the first read, which takes longest: till then the bag time stands still
                 self._clock.jump(position)

@@ -30,7 +30,7 @@ class ReplayProgress:
     """
 
     def __init__(self, playback: Player, start_ns: int, end_ns: int, console: Console,
-                 answers: Callable[[], str] = str, quiet: bool = False) -> None:
+                 answers: Callable[[], str], quiet: bool) -> None:
         self._playback = playback
         self._answers = answers
         self._start = start_ns

@@ -49,7 +49,8 @@ class ReplayAccount:
         pace = f' ({self.messages / self.duration_s:.0f} messages/s)' if self.duration_s > 0.0 else ''
         verb = 'stopped after' if self.ending == 'stopped' else 'published'
         first = f'{verb} {self.messages} messages in {self.duration_s:.1f} s{pace}: {topics}.'
-        return [first, *(_answered(topic, flow) for topic, flow in self.answers.items()), *self.losses]
+        answers = [_answered(topic, flow) for topic, flow in self.answers.items()]
+        return [first, *answers, *self.losses]
 
     def to_dict(self) -> dict[str, object]:
         """Convert to a dictionary for ``--json``."""

@@ -31,7 +31,8 @@ MOST_BYTES = 100_000
 
 @cache
 def begins_with_header(type_name: str) -> bool:
-    """Tell whether messages of this type carry a stamp that :mod:`semiparam_ros.bags.header_stamp` finds."""
+    """Tell whether messages of this type carry a stamp that
+    :mod:`semiparam_ros.bags.header_stamp` finds."""
     try:
         fields = message_class(type_name).get_fields_and_field_types()
     except SemiparamError:

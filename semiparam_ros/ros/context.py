@@ -139,7 +139,8 @@ def spin_for(executor: Executor, seconds: float) -> None:
 
 
 def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
-    """A timer by the machine's own clock: a simulated one follows a recording's speed, or stands still."""
+    """A timer by the machine's own clock: a simulated one follows a recording's speed, or stands
+    still."""
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 

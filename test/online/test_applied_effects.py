@@ -282,9 +282,10 @@ def test_an_effect_for_which_nothing_speaks_is_tried_for_so_long_and_dropped():
     applied.switch(applied.trials[0], 10**9)
     blocks = round(TRIED_S / BLOCK_S)
     for count in range(blocks):
-        assert not applied.without_hope(), count
+        assert not applied.unsupported(), count
         assert applied.judge(block_of(n, 2), 1.0, 600.0) is None
-    assert [trial.number for trial in applied.without_hope()] == [2], 'what is applied is tried no more'
+    unsupported = [trial.number for trial in applied.unsupported()]
+    assert unsupported == [2], 'what is applied is tried no more'
     applied.drop(2)
     applied.drop(1)
     assert [trial.number for trial in applied.trials] == [1], 'what is applied stays'

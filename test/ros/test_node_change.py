@@ -2,7 +2,6 @@
 
 import json
 import re
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -44,15 +43,6 @@ def carrying(count, until):
     ]
 
 
-def play(client, samples):
-    for sample in samples:
-        client.accelerations(sample, JOINTS)
-        client.state(sample, JOINTS)
-        client.wrench(sample)
-        time.sleep(0.002)
-    client.wait(lambda: client.stamps('residual')[-1:] == [samples[-1].stamp], 'all answers')
-
-
 def test_a_diagnosis_of_a_load_that_was_put_down_meanwhile_is_not_applied(tmp_path):
     settings = replace(
         SETTINGS,
@@ -66,10 +56,10 @@ def test_a_diagnosis_of_a_load_that_was_put_down_meanwhile_is_not_applied(tmp_pa
     with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
         client.connect()
         client.offer('joint_states', 'joint_accelerations', 'wrench')
-        play(client, samples[:off])
+        client.play_at_a_pace(samples[:off], JOINTS)
         found = client.trigger('diagnose')
         assert found.success and 'payload at ft' in found.message, found.message
-        play(client, samples[off:])
+        client.play_at_a_pace(samples[off:], JOINTS)
         refused = client.trigger('apply_diagnosis')
         assert not refused.success
         assert re.match(
@@ -105,7 +95,7 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
             return [record for record in records() if [last['what'] for last in record['decisions'][-1:]] == [what]]
 
         named = LOADED + 450  # ten times as fast as the robot: it waits until the load has its name
-        play(client, samples[:named])
+        client.play_at_a_pace(samples[:named], JOINTS)
         client.wait(lambda: decided('tried beside the model'), 'the load to be tried')
         record = decided('tried beside the model')[-1]['named']
         client.wait(
@@ -124,7 +114,7 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
         assert abs(mass - MASS) < max(3.0 * std, 0.05 * MASS)
         assert values['state'].startswith('changed')
         client.wait_report('changes', lambda level, message, values: message == told.message)
-        play(client, samples[named:])
+        client.play_at_a_pace(samples[named:], JOINTS)
         client.wait(lambda: decided('taken back'), 'the load to be taken back')
         assumed, tried, applied, over = records()[-1]['decisions']
         assert assumed['what'] == 'taken off until it is named'

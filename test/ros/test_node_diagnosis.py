@@ -5,7 +5,6 @@ import os
 import re
 import signal
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -31,14 +30,6 @@ def rubbing(count):
                             + 0.02 * rng.standard_normal(2)) for sample in motion(count, body=body)]
 
 
-def play(client, samples):
-    for sample in samples:
-        client.accelerations(sample, JOINTS)
-        client.state(sample, JOINTS, effort=sample.outputs.tolist())
-        time.sleep(0.002)
-    client.wait(lambda: client.stamps('residual')[-1:] == [samples[-1].stamp], 'all answers')
-
-
 def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
     dump_params(LIVE, tmp_path / 'p.yaml')
     samples = rubbing(1300)
@@ -50,10 +41,10 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         assert client.trigger('diagnose').message == 'there are no samples to diagnose yet.'
         assert 'no diagnosis yet' in client.trigger('apply_diagnosis').message
         assert 'holds no model yet' in client.trigger('export_model').message
-        play(client, samples[:100])
+        client.play_at_a_pace(samples[:100], JOINTS, efforts=True)
         assert 'needs at least' in client.trigger('diagnose').message
-        play(client, samples[100:900])
-        player = threading.Thread(target=play, args=(client, samples[900:1000]))
+        client.play_at_a_pace(samples[100:900], JOINTS, efforts=True)
+        player = threading.Thread(target=client.play_at_a_pace, args=(samples[900:1000], JOINTS, True))
         player.start()
         running = client.begin(Trigger, 'diagnose', Trigger.Request())
         refused = client.trigger('apply_diagnosis')
@@ -86,7 +77,7 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         assert 'nothing to add' in client.trigger('apply_diagnosis').message
         client.wait_report('learning', lambda level, message, values: message == 'learning with P.'
                            and 'viscous_friction@a' in values['effects'])
-        play(client, samples[1000:])
+        client.play_at_a_pace(samples[1000:], JOINTS, efforts=True)
         after = np.mean([message.position[2] for message in client.heard['horizon_error'][-50:]])
         assert after < 0.2 * before
         _, _, values = client.wait_report('parameters', lambda level, message, values: 'viscous_friction@a' in ''.join(
@@ -105,7 +96,7 @@ def test_one_that_is_cancelled_leaves_no_result_and_what_was_changed_since_is_no
         client.listen(String, 'diagnosis', 'diagnosis_progress')
         client.offer('joint_states', 'joint_accelerations')
         assert client.trigger('cancel_diagnosis').message == 'no diagnosis is running.'
-        play(client, rubbing(900))
+        client.play_at_a_pace(rubbing(900), JOINTS, efforts=True)
         running, told = client.begin(Trigger, 'diagnose', Trigger.Request()), client.heard['diagnosis_progress']
         client.wait(lambda: told and len(children_of(node.process.pid)) > 1, 'it has begun')
         for child in children_of(node.process.pid):

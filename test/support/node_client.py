@@ -148,6 +148,18 @@ class Client(ServedNode):
             self.wait(lambda index=index: index - (len(self.heard['residual']) - start) < ahead, 'the node follows')
         self.wait(lambda: len(self.heard['residual']) - start >= len(samples), 'every sample is answered')
 
+    def play_at_a_pace(self, samples, joints, efforts=False):
+        """Publish samples with their accelerations, 500 a second at most, and wait until the last is answered."""
+        for sample in samples:
+            self.accelerations(sample, joints)
+            if efforts:
+                self.state(sample, joints, effort=sample.outputs.tolist())
+            else:
+                self.state(sample, joints)
+                self.wrench(sample)
+            time.sleep(0.002)
+        self.wait(lambda: self.stamps('residual')[-1:] == [samples[-1].stamp], 'every sample is answered')
+
     # Services and parameters
 
     def play_window(self, samples, joints, count):

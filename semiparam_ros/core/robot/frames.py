@@ -197,8 +197,8 @@ def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
 
 
 def load_seen_from(body: RigidBody, link: str, carrier: str) -> Array | None:
-    """(10, 10) map of inertial parameters from ``carrier`` to another link of the same body; None where one moves
-    against the other."""
+    """(10, 10) map of inertial parameters from ``carrier`` to another link of the same body; None
+    where one moves against the other."""
     (index, to_body), (other, from_body) = load_transform(body, link), load_transform(body, carrier)
     return np.asarray(np.linalg.solve(to_body, from_body), dtype=float) if index == other else None
 

@@ -355,26 +355,28 @@ def model_report(learner: Learner, tally: Tally) -> Report:
 def feedforward_report(feedforward: Feedforward) -> Report:
     """Report of how many desired states were answered, and what had to be said of them."""
     counts = feedforward.counts
-    values = {'answered': counts['answered'], 'answered by the robot description': counts['described'],
+    values = {'answered': counts['answered'],
+              'answered by the robot description': counts['described'],
               'cut to the effort limits': counts['limited'],
               'outside of what was learnt': counts['doubtful'],
               'withheld': counts['withheld'], 'last mark': feedforward.last}
     if feedforward.withheld:
-        return Report(WARN, f'{counts["withheld"]} trajectories withheld: {feedforward.withheld}', values)
+        return Report(WARN, f'{counts["withheld"]} trajectories withheld: {feedforward.withheld}',
+                      values)
     return Report(OK, f'{counts["answered"]} desired states answered, '
                       f'{counts["withheld"]} trajectories withheld.', values)
 
 
-def errors_report(errors: InternalErrors, twins: str = '') -> Report:
+def errors_report(errors: InternalErrors, duplicates: str) -> Report:
     """Report of what went wrong in the node itself, by its place.
 
-    :param twins: who else publishes its topics, see :meth:`Outputs.twins`.
+    :param duplicates: who else publishes its topics, see :meth:`Outputs.duplicates`.
     """
     values: dict[str, object] = {f'internal errors: {place}': count for place, count in sorted(errors.counts.items())}
     values |= {'internal errors': errors.counts.total(), 'last internal error': errors.last}
-    values['another node of this name'] = twins
-    if twins:
-        return Report(ERROR, twins, values)
+    values['another node of this name'] = duplicates
+    if duplicates:
+        return Report(ERROR, duplicates, values)
     return Report(ERROR if errors.counts else OK, errors.last or 'no internal error.', values)
 
 
@@ -415,7 +417,8 @@ def status_message(node: Node, title: str, robot_name: str, report: Report) -> D
     name = f'{node.get_fully_qualified_name().lstrip("/")}: {title}'
     values = [KeyValue(key=key, value=str(value)) for key, value in report.values.items()]
     message = DiagnosticArray(status=[DiagnosticStatus(
-        level=report.level, name=name, message=report.message, hardware_id=robot_name, values=values)])
+        level=report.level, name=name, message=report.message, hardware_id=robot_name,
+        values=values)])
     message.header.stamp = node.get_clock().now().to_msg()
     return message
 
@@ -424,20 +427,21 @@ class Reports:
     """One status after another, evenly over the second: a sample that comes meanwhile waits for one of them only.
 
     :param learner: gives the learner, None before the robot is known.
-    :param others: makers of further statuses, by their titles. :param twins: see :meth:`Outputs.twins`.
+    :param others: makers of further statuses, by their titles.
+    :param duplicates: see :meth:`Outputs.duplicates`.
     :param unseen: see :meth:`Outside.unseen <semiparam_ros.ros.estimator.outside.Outside.unseen>`.
     :param consistent: asked each second while ``parameters.consistent``.
     """
 
     def __init__(self, node: Node, inputs: InputStream, rejections: Rejections, errors: InternalErrors,
                  learner: Callable[[], Learner | None], feedforward: Feedforward,
-                 others: Mapping[str, Callable[[], Report]], twins: Callable[[], str],
+                 others: Mapping[str, Callable[[], Report]], duplicates: Callable[[], str],
                  unseen: Callable[[], str], consistent: ConsistentTopic) -> None:
         self.tally = Tally(())
         self._consistent = consistent
         self._published: ConsistentBodies | None = None
-        self._news = self._robot_name = self._stage = self._known_twins = ''
-        self._errors, self._twins, self._unseen = errors, twins, unseen
+        self._news = self._robot_name = self._stage = self._known_duplicates = ''
+        self._errors, self._duplicates, self._unseen = errors, duplicates, unseen
         self._node, self._inputs, self._learner = node, inputs, learner
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
@@ -479,11 +483,11 @@ class Reports:
         self._statuses.publish(status_message(self._node, title, self._robot_name, report))
 
     def _errors_report(self) -> Report:
-        twins = self._twins()
-        if twins and not self._known_twins:
-            self.say(twins, self._node.get_logger().error)
-        self._known_twins = twins
-        return errors_report(self._errors, twins)
+        duplicates = self._duplicates()
+        if duplicates and not self._known_duplicates:
+            self.say(duplicates, self._node.get_logger().error)
+        self._known_duplicates = duplicates
+        return errors_report(self._errors, duplicates)
 
     def _learning(self) -> Report:
         for topic in self._inputs.follow_reliability():

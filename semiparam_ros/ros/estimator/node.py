@@ -87,7 +87,8 @@ class EstimatorNode(Node, LearnerListener):
         others = {'checkpoints': lambda: self._autosave.report(), 'diagnosis': lambda: self._diagnosing.report(),
                   'changes': lambda: self._changing.report()}
         self._reports = Reports(self, self._inputs, self._rejections, self.errors, lambda: self.learner,
-                                trajectories.feedforward, others, self._outputs.twins, self._outside.unseen,
+                                trajectories.feedforward, others, self._outputs.duplicates,
+                                self._outside.unseen,
                                 ConsistentTopic(self, lambda: self._robot.description, self._background,
                                                 self.errors.add))
         self._held_replies = HeldReplies(self, self._announcement)

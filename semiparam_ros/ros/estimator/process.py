@@ -62,8 +62,9 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals, worker: Worker) -> int
             refused = take_priority(node.settings.realtime_priority)
             if refused:
                 node.get_logger().warning(refused)
-            with suppress(SemiparamError):  # of a package that is not well; told where an effect is declared
-                kinds(node.settings.outputs)  # effects of other packages: looked for now, not between two samples
+            # Effects of other packages are looked for now, not between two samples.
+            with suppress(SemiparamError):  # of a package that is not well: told where it is declared
+                kinds(node.settings.outputs)
             gc.collect()
             gc.freeze()  # what is loaded now stays for good: it is not looked at while samples come
             while ok() and not stop.asked:

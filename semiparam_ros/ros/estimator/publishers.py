@@ -103,7 +103,7 @@ class Outputs:
         self._contact_level = node.create_publisher(JointState, '~/contact_level', DEPTH)
         self._in_contact: bool | None = None
 
-    def twins(self) -> str:
+    def duplicates(self) -> str:
         """Who else publishes these topics, as a sentence; '' for nobody."""
         count = self._node.count_publishers(self._answer.topic_name)
         if count < 2:

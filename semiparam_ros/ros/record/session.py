@@ -30,7 +30,7 @@ QUIET_S = 0.5
 class RecordProgress:
     """Context manager; :meth:`update` is to be called every now and then."""
 
-    def __init__(self, recording: RecordNode, console: Console, shown: bool = True) -> None:
+    def __init__(self, recording: RecordNode, console: Console, shown: bool) -> None:
         self._recording = recording
         self._console = console
         self._shown = shown
@@ -88,7 +88,7 @@ class RecordAccount:
 class RecordSession:
     """Records what the options name. Use :meth:`run` once."""
 
-    def __init__(self, options: RecordOptions, console: Console, ros_arguments: Sequence[str] = ()) -> None:
+    def __init__(self, options: RecordOptions, console: Console, ros_arguments: Sequence[str]) -> None:
         self._options = options
         self._console = console
         self._ros_arguments = ros_arguments

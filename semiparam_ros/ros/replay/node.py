@@ -28,7 +28,7 @@ class ReplayNode(Node):
     """Publishes what the player hands to :meth:`publish`, and lets services and parameters steer the player."""
 
     def __init__(self, topics: Mapping[str, tuple[str, Qos]], stopping: threading.Event, *,
-                 restamp: bool = False, clock_before_each: bool = False, blocked_s: float = 1.0) -> None:
+                 restamp: bool, clock_before_each: bool, blocked_s: float) -> None:
         """Make the node.
 
         :param topics: topic -> (type, what to offer)

@@ -43,7 +43,7 @@ class ReplaySession:
     :param ros_arguments: what followed ``--ros-args`` on the command line
     """
 
-    def __init__(self, options: ReplayOptions, console: Console, ros_arguments: Sequence[str] = ()) -> None:
+    def __init__(self, options: ReplayOptions, console: Console, ros_arguments: Sequence[str]) -> None:
         self._options = options
         self._console = console
         self._ros_arguments = ros_arguments
@@ -222,5 +222,6 @@ def _open(paths: Sequence[Path]) -> BagReader:
 
 def _losses(bag: BagReader) -> tuple[str, ...]:
     """One sentence for each damaged file."""
-    return tuple(losses.sentence for each in getattr(bag, 'readers', (bag,)) if (losses := each.losses))
+    return tuple(losses.sentence for each in getattr(bag, 'readers', (bag,))
+                 if (losses := each.losses))
 
