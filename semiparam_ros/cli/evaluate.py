@@ -99,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate every variant in turn on the same samples."""
     from semiparam_ros.report.horizon_figure import picture_format
     from semiparam_ros.settings import load_params
+    from semiparam_ros.settings.build import build_rigid_body
 
     options.require_places(args.json, args.plot, args.external_wrench)
     if args.plot:
@@ -121,15 +122,15 @@ def run(args: argparse.Namespace) -> int:
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(options.output, results)
-    channels = output_channels(settings, bags[0].joints)
-    print_outputs(options.output, results, *channels)
+    body = build_rigid_body(replace(settings, joints=bags[0].joints), bags[0].robot_description)
+    print_outputs(options.output, results, body.output_names, body.output_units)
     if settings.features_count == 'auto':
         chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()
                            if result['features'])
         options.output.print(f'random features: {chosen or "none"}')
     for record in (changes or {}).values():
         options.output.print(record.sentence, highlight=False)
-    write_outputs(args, results, scores, bags, channels[0], changes)
+    write_outputs(args, results, scores, bags, body.output_names, changes)
     if rows is not None:
         write_text(args.external_wrench, '\n'.join([WRENCH_HEADER, *rows]) + '\n')
     return 0
@@ -141,17 +142,6 @@ def takeovers(text: str) -> list[int]:
     if not all(number.isdecimal() for number in numbers):
         raise SemiparamError(f'--takeover-after is {text}; expected numbers of samples, such as 130 or 130,60.')
     return [int(number) for number in numbers]
-
-
-def output_channels(settings: Settings, joints: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
-    """Names and units of the outputs, as of ``RigidBody.output_names``."""
-    from semiparam_ros.core.robot.rigid_body import WRENCH_NAMES
-    from semiparam_ros.settings.robot_description import output_joints
-
-    if settings.outputs == 'wrench':
-        return WRENCH_NAMES, ('N',) * 3 + ('N m',) * 3
-    names = output_joints(settings, joints)
-    return names, ('N m',) * len(names)
 
 
 def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str]:

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.score import worth
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.uncertainty import Estimates
 from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects.base import Coefficient
 
 
 @dataclass(frozen=True)
@@ -91,11 +93,13 @@ def _index_in(fit: Fit, effect: Effect, taken: list[int]) -> int | None:
 def _parameters(fit: Fit, index: int, told: Estimates) -> dict[str, Quantity]:
     effect = fit.effects[index]
     coefficients = effect.coefficients(fit.body), told.coefficients[:, fit.assembly.blocks[str(index)]]
-    calibrations = effect.calibrations, told.calibrations.get(index, np.zeros((2, 0)))
+    units = [Coefficient(name, effect.unit_of(name, fit.body)) for name, _ in effect.calibrations]
+    calibrations = units, told.calibrations.get(index, np.zeros((2, 0)))
     return {coefficient.name: Quantity(value, std, coefficient.unit)
             for names, estimated in (coefficients, calibrations)
-            for coefficient, (value, std) in zip(names, estimated.T.tolist(), strict=True)} | _searched(effect)
+            for coefficient, (value, std) in zip(names, estimated.T.tolist(), strict=True)} | _searched(
+                effect, fit.body)
 
 
-def _searched(effect: Effect) -> dict[str, Quantity]:
-    return {name: Quantity(effect.value(name), None, effect.unit_of(name)) for name in effect.searched}
+def _searched(effect: Effect, body: RigidBody) -> dict[str, Quantity]:
+    return {name: Quantity(effect.value(name), None, effect.unit_of(name, body)) for name in effect.searched}

@@ -234,13 +234,15 @@ def late(inputs: Inputs, samples: Samples) -> list[str]:
     """A sentence about velocities, and one about accelerations, that come after the positions, as filtered ones do."""
     least, used = 0.5e-9 * float(np.median(np.diff(samples.stamps))), SMOOTHED.get(inputs.motion, (0,))[0]
     sentences = []
-    for name, lag, mended in zip(('velocities', 'accelerations'), inputs.lags, (used > 1, used > 2), strict=True):
+    remedies = (f'declare velocity_filter{{"time_constant_s": {inputs.lags[0]:.2g}}}',
+                'where none are published, raise acceleration.cutoff')
+    for order, (name, lag, remedy) in enumerate(
+            zip(('velocities', 'accelerations'), inputs.lags, remedies, strict=True), start=1):
         if lag > least:
-            filtered = f', or declare velocity_filter{{"time_constant_s": {lag:.2g}}}' * (name == 'velocities')
-            here = 'Here they were taken as much earlier.' if mended else \
-                'Until then a friction or a delay found here may be off.'
+            here = ('Here they were taken as much earlier.' if used > order else 'They were not used here.' if used else
+                    'Until then a friction or a delay found here may be off.')
             sentences.append(f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as a filter makes '
-                             f'them: publish them unfiltered{filtered}. {here}')
+                             f'them: publish them unfiltered, or {remedy}. {here}')
     return sentences
 
 

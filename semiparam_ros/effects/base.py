@@ -149,6 +149,8 @@ class Effect(ColumnBlock):
     from_outside: ClassVar[bool] = False
     """Mark of what others do to the robot, as a push: told, but no part of the robot."""
     refine_link: ClassVar[bool] = False
+    of_joint: ClassVar[bool] = False
+    """Mark of kinds whose place is a joint: their units are written for one that turns."""
     is_body: ClassVar[bool] = False
     """Mark of a load that is one body, as it is picked up and put down; else it is a difference of two."""
     bounded_by_weight: ClassVar[bool] = False
@@ -230,7 +232,8 @@ class Effect(ColumnBlock):
     def calibration_scale(self, body: RigidBody) -> Array:
         """Prior standard deviations (c,) of the calibrations about zero, in their units."""
         size = size_of(body)
-        return np.array([CALIBRATED.get(unit, CALIBRATED[''] * plausible(unit, size)) for _, unit in self.calibrations])
+        units = [self.unit_of(name, body) for name, _ in self.calibrations]
+        return np.array([CALIBRATED.get(unit, CALIBRATED[''] * plausible(unit, size)) for unit in units])
 
     def reference_model(self, body: RigidBody) -> Array:
         """(p,) base parameters that ``reference`` holds; those of the description without one."""
@@ -395,10 +398,11 @@ class Effect(ColumnBlock):
         """Names of all values that the text form of this kind may hold."""
         return *TIMES, *cls.parameter_units, *(name for name, _ in cls.calibrations), *cls.option_names
 
-    def unit_of(self, name: str) -> str:
-        """Unit of a nonlinear parameter or calibration."""
+    def unit_of(self, name: str, body: RigidBody | None = None) -> str:
+        """Unit of a nonlinear parameter or calibration; without ``body`` that of a joint which turns."""
         known: dict[str, Any] = {**dict.fromkeys(TIMES, 's'), **self.parameter_units, **dict(self.calibrations)}
-        return str(known.get(name, ''))
+        unit = str(known.get(name, ''))
+        return body.joint_unit(self.where, unit) if body is not None and self.of_joint else unit
 
 
 def place(kind: str, where: str | None) -> str:

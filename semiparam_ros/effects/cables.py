@@ -71,7 +71,8 @@ class CableSpring(_Cable):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         if self.where in body.joints:
-            return tuple(Coefficient(f'stiffness_{name}', f'{unit}/rad')
+            angle = body.joint_unit(self.where, 'rad')
+            return tuple(Coefficient(f'stiffness_{name}', f'{unit}/{angle}')
                          for name, unit in zip(CHANNELS, body.output_units, strict=True))
         stiffnesses = tuple(Coefficient(f'stiffness_{"xyz"[i]}{"xyz"[j]}', 'N/m') for i, j in SYMMETRIC)
         return (*(Coefficient(f'force_{axis}', 'N') for axis in 'xyz'), *stiffnesses)

@@ -41,6 +41,7 @@ class JointEffect(Effect):
     """Effect on the effort of one joint, through functions of that joint's motion alone."""
 
     outputs: ClassVar[tuple[str, ...]] = ('effort',)
+    of_joint: ClassVar[bool] = True
     names: ClassVar[tuple[Coefficient, ...]] = ()
     resists: ClassVar[bool] = False
     """Mark of coefficients that add up to a resistance, which cannot be negative."""
@@ -52,7 +53,7 @@ class JointEffect(Effect):
         return body.output_names
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return self.names
+        return tuple(Coefficient(name, body.joint_unit(self.where, unit)) for name, unit in self.names)
 
     def prior_scale(self, body: RigidBody) -> Array:
         size = size_beyond(body, str(self.where))
@@ -152,7 +153,8 @@ class _Sliding(JointEffect):
         usual, turn = float(np.median(speed)), self.value('turn_speed', 0.01)
         if turn < GRADUAL_SHARE * usual:
             return ''
-        return (f'It turns over within {turn:.2g} rad/s, while the joint usually moves at {usual:.2g} rad/s, so '
+        unit = self.unit_of('turn_speed', body)
+        return (f'It turns over within {turn:.2g} {unit}, while the joint usually moves at {usual:.2g} {unit}, so '
                 'it grows with the speed as viscous friction does and may stand in for one. Constant speeds, slow and '
                 'fast, would tell.')
 

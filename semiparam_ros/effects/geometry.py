@@ -27,6 +27,7 @@ class JointOffset(Effect):
 
     kind: ClassVar[str] = 'joint_offset'
     group: ClassVar[str] = 'zeros'
+    of_joint: ClassVar[bool] = True
     shows_against: ClassVar[Axis] = 'position'
     sentence: ClassVar[str] = "the joint's zero is off"
     mistaken_for: ClassVar[tuple[str, ...]] = ('gravity_tilt', 'sensor_misalignment', 'sensor_crosstalk')
@@ -118,7 +119,7 @@ class ZeroSlip(_SmallTurn):
         return body.joints
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return (Coefficient('offset', 'rad'),)
+        return (Coefficient('offset', body.joint_unit(self.where, 'rad')),)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         joint = joint_index(body, self.where)

@@ -66,7 +66,7 @@ class PeriodicDisturbance(Effect):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         if self.where in body.output_names:
-            names = [Coefficient('', 'N m')]
+            names = [Coefficient('', body.joint_unit(self.where, 'N m'))]
         elif self.where is None:
             names = [Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True)]
         else:

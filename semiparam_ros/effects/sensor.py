@@ -156,7 +156,8 @@ class SensorNonlinearity(Effect):
         return body.output_names
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return Coefficient('quadratic', '1/(N m)'), Coefficient('cubic', '1/(N^2 m^2)')
+        units = {'quadratic': '1/(N m)', 'cubic': '1/(N^2 m^2)'}
+        return tuple(Coefficient(name, body.joint_unit(self.where, unit)) for name, unit in units.items())
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         load = self.predicted_load(body, samples)

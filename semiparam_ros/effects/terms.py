@@ -118,9 +118,7 @@ def _units(factor: Factor, body: RigidBody) -> list[tuple[str, int]]:
     if factor.variable == 'time':
         return [('s', 1)]
     role, joint = factor.variable.split('_', 1)
-    model = body.arm
-    kind = model.joints[model.getJointId(body.joints[_joint(joint, body)])].shortname()
-    return [('m' if 'JointModelP' in kind else 'rad', 1), ('s', -('q', 'dq', 'ddq').index(role))]
+    return [(body.joint_unit(body.joints[_joint(joint, body)], 'rad'), 1), ('s', -('q', 'dq', 'ddq').index(role))]
 
 
 def _power(unit: str, power: int) -> str:

@@ -55,9 +55,10 @@ class JointDynamics(NamedTuple):
     """A quantity of a joint that cannot be negative, with its standard deviation before that."""
 
     joint: str
-    name: str  # damping [N m s/rad], friction [N m] or armature [kg m^2]
+    name: str  # damping, friction or armature
     value: float
     std: float
+    unit: str
 
 
 class CarriedBody(NamedTuple):
@@ -140,7 +141,8 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
     price = None if estimate.table is None else _price(estimate, solution, theta)
     starts = {} if estimate.table is None else {link: time for time, link in estimate.table.starts}
     joints = [JointDynamics(joint, name, max(float(weights @ theta), 0.0),
-                            float(np.sqrt(weights @ covariance @ weights)))
+                            float(np.sqrt(weights @ covariance @ weights)),
+                            columns.body.joint_unit(joint, UNITS[name]))
               for joint, name, weights in solution.dynamics]
     found = [CarriedBody(link, parameters, _std(covariance, block.start), starts.get(link))
              for (link, block), parameters in zip(solution.loads, loads, strict=True)]

@@ -7,7 +7,7 @@ from typing import Any
 
 from semiparam_ros import __version__
 from semiparam_ros.core.types import Array
-from semiparam_ros.export.identified import UNITS, CarriedBody, Identified
+from semiparam_ros.export.identified import CarriedBody, Identified
 from semiparam_ros.export.urdf import changed_links
 
 MARK = 'Identified by semiparam_ros'
@@ -37,7 +37,7 @@ def document(found: Identified) -> dict[str, Any]:
     joints: dict[str, dict[str, Any]] = {}
     for each in found.joints:
         joints.setdefault(each.joint, {})[each.name] = {
-            'value': each.value, 'std': each.std, 'unit': UNITS[each.name]}
+            'value': each.value, 'std': each.std, 'unit': each.unit}
     changed = changed_links(found)
     links = {name: {**_body(values), 'changed': name in changed,
                     'described': _body(found.described[name]),
@@ -63,7 +63,7 @@ def lines(found: Identified) -> list[str]:
     joints: dict[str, list[str]] = {}
     for each in found.joints:
         joints.setdefault(each.joint, []).append(
-            f'{each.name} {each.value:.4g} +- {each.std:.2g} {UNITS[each.name]}')
+            f'{each.name} {each.value:.4g} +- {each.std:.2g} {each.unit}')
     lines += [f'{joint}: {", ".join(values)}.' for joint, values in joints.items()]
     for load in found.loads:
         since = '' if load.start_s is None else f', since {load.start_s:.1f} s'

@@ -207,7 +207,7 @@ def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:
     body = columns.body
     labels = [(f'base_parameter_{index}', 'kg, kg m or kg m^2') for index in range(body.n_parameters)]
     if columns.has_friction:
-        labels += [(f'{name}@{joint}', unit) for name, unit in zip(NAMES, UNITS, strict=True)
+        labels += [(f'{name}@{joint}', body.joint_unit(joint, unit)) for name, unit in zip(NAMES, UNITS, strict=True)
                    for joint in body.output_names]
     if columns.has_offset:
         labels += [(f'offset_{axis}', unit) for axis, unit in zip(body.output_names, body.output_units, strict=True)]

@@ -91,7 +91,7 @@ def _joints(effect: Effect, fit: Fit, role: str) -> list[Variable]:
     symbol, unit = {'position': ('position', 'rad'), 'velocity': ('velocity', 'rad/s'),
                     'acceleration': ('acceleration', 'rad/s²')}[role]
     values: Array = getattr(fit.samples, role)
-    return [Variable(f'{symbol} of {joint} [{unit}]', values[:, index])
+    return [Variable(f'{symbol} of {joint} [{fit.body.joint_unit(joint, unit)}]', values[:, index])
             for index, joint in enumerate(fit.body.joints)
             if effect.where not in fit.body.joints or joint == effect.where]
 

@@ -19,7 +19,7 @@ from semiparam_ros.core.robot.joint_friction import (
     turning_variance,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import base_scale, inertial_scale
+from semiparam_ros.core.robot.size import base_scale, inertial_scale, size_beyond
 from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
 
 ARM = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
@@ -96,7 +96,8 @@ def test_the_prior_is_as_wide_as_the_robot_is_large():
     scale, blocks = columns.prior_scale, columns.blocks
     np.testing.assert_array_equal(scale[blocks['rigid_body']], base_scale(ARM))
     viscous, *dry = scale[blocks['friction']].reshape(KINDS, -1)
-    np.testing.assert_allclose(viscous * TOP_SPEED, friction_scale(ARM), rtol=1e-14)
+    radius = np.array([size_beyond(ARM, 'lift').length, 1.0, 1.0, 1.0])  # no lift of decimetres is as fast as 3 m/s
+    np.testing.assert_allclose(viscous * TOP_SPEED * radius, friction_scale(ARM), rtol=1e-14)
     np.testing.assert_array_equal(dry, [friction_scale(ARM)] * len(TURN_SPEEDS))
     np.testing.assert_array_equal(scale[blocks['offset']], friction_scale(ARM))
     np.testing.assert_array_equal(columns.expected[blocks['rigid_body']], ARM.base_parameters)

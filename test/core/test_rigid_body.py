@@ -401,3 +401,13 @@ def test_a_description_of_more_than_a_robot_is_refused_at_once(joint, count, sen
         urdf_tree.parse(f'<robot name="x"><link name="l0"/>{"".join(parts)}</robot>')
     with pytest.raises(SemiparamError, match='has 2000001 characters; expected at most 2000000'):
         urdf_tree.parse('<' * 2_000_001)
+
+
+def test_units_along_a_joint_that_slides():
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    assert body.prismatic == {'lift'} and body.output_units == ('N', 'N m', 'N m', 'N m')
+    turning = ('rad', 'rad/s', 'N m', 'N m s/rad', 'N m s/(rad K)', 'kg m^2', '1/(N m)', '1/(N^2 m^2)', 's')
+    assert [body.joint_unit('lift', unit) for unit in turning] == [
+        'm', 'm/s', 'N', 'N s/m', 'N s/(m K)', 'kg', '1/N', '1/N^2', 's']
+    assert tuple(body.joint_unit('turn', unit) for unit in turning) == turning
+    assert icub().output_units == ('N',) * 3 + ('N m',) * 3

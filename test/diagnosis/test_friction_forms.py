@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.residual.contacts import contacts
 from semiparam_ros.diagnosis.search.plausibility import without_impossible
@@ -16,7 +17,7 @@ from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from semiparam_ros.effects.geometry import TimeDelay
-from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.arms import ODD_ARM, ODD_JOINTS, as_recorded, joint, link, smooth_motion
 
 BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
 COUNT, TURN = 1500, 0.02
@@ -156,3 +157,27 @@ def test_a_joint_that_turns_back_is_no_touch():
     assert contacts(fitted(samples)) == []
     touched = samples.outputs + 5.0 * ((samples.time > 30.0) & (samples.time < 30.8))[:, None]
     assert [contact.joint for contact in contacts(fitted(replace(samples, outputs=touched)))] == [BODY.joints[-1]]
+
+
+def test_friction_of_a_short_lift_is_told_along_the_lift():
+    """Of a joint that slides by centimetres friction is as much in a metre as its force over its way."""
+    urdf = '<robot name="lift">' + ''.join([
+        link('base'), link('quill', 0.8), link('flange', 0.2, '0.01 0 -0.02'),
+        joint('z', 'prismatic', 'base', 'quill', axis='0 0 -1'),
+        joint('turn', 'revolute', 'quill', 'flange', '0 0 -0.1'),
+    ]) + '</robot>'
+    body, motion = RigidBody.from_urdf(urdf, ('z', 'turn'), 'effort'), smooth_motion(2, 2000, 40.0, seed=3)
+    roles = ('position', 'velocity', 'acceleration')
+    motion = replace(motion, **{role: getattr(motion, role) * (0.08, 1.0) for role in roles})
+    samples = as_recorded(body, motion, noise=0.02)
+    speed = motion.velocity[:, 0]
+    noisy = np.random.default_rng(4).standard_normal(len(speed))
+    outputs = samples.outputs + np.outer(60.0 * speed + 12.0 * np.tanh(speed / 0.002) + 0.3 * noisy, [1.0, 0.0])
+    samples = replace(samples, velocity=motion.velocity, outputs=outputs)
+    found = diagnose(body, samples, only=['viscous_friction', 'coulomb_friction', 'effort_offset'])
+    values = {finding.effect.kind: finding.parameters for finding in found.findings if finding.effect.where == 'z'}
+    for kind, name, true, unit in (('viscous_friction', 'viscous', 60.0, 'N s/m'),
+                                   ('coulomb_friction', 'coulomb', 12.0, 'N')):
+        told = values[kind][name]
+        assert told.value == pytest.approx(true, abs=4.0 * told.std) and told.std < 0.1 * true and told.unit == unit
+    assert values['coulomb_friction']['turn_speed'].unit == 'm/s'

@@ -14,6 +14,7 @@ from conftest import SHARED_DATA
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.diagnosis.data.outliers import excluded, working_factor
 from semiparam_ros.diagnosis.preparation import Inputs, late, measured_lags
 from semiparam_ros.diagnosis.setup.checks import setup_problems
@@ -332,6 +333,17 @@ def test_velocities_that_a_filter_made_late_are_said_to_be_late(rate):
     lag = float(sentence.partition('The velocities come ')[2].partition(' ms')[0]) * 1e-3
     assert lag == pytest.approx(0.18, abs=0.05)
     assert f'velocity_filter{{"time_constant_s": {lag:.2g}}}' in sentence and 'as much earlier' in sentence
+
+
+def test_accelerations_that_the_package_filters_itself_are_not_said_to_be_published():
+    _, samples = simulated('effort', rate_hz=100.0, samples=2000)
+    estimated = CausalDifferentiator(4, 1.0)
+    late_ones = replace(samples, acceleration=np.array([
+        estimated.update(stamp, velocity).copy()
+        for stamp, velocity in zip(samples.stamps.tolist(), samples.velocity, strict=True)]))
+    sentence, = said_to_be_late(late_ones)
+    assert sentence.startswith('The accelerations come ') and sentence.endswith('They were not used here.')
+    assert 'where none are published, raise acceleration.cutoff' in sentence
 
 
 def test_the_late_velocities_of_the_real_icub_are_noted(shared_data):

@@ -19,7 +19,7 @@ import numpy as np
 
 from semiparam_ros.core.compiled import Integers, Part, Strided, Vector, compiled
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import output_scale
+from semiparam_ros.core.robot.size import output_scale, size_beyond
 from semiparam_ros.core.types import Array
 
 TURN_SPEEDS = np.array([0.005, 0.03])
@@ -27,7 +27,8 @@ TURN_SPEEDS = np.array([0.005, 0.03])
 SHARE_OF_LIMIT = 0.2
 """Of the largest effort that a joint may give, what its friction may be."""
 TOP_SPEED = 3.0
-"""[rad/s, m/s] at which viscous friction is as large as that; arms move as fast at most, and are learnt far slower."""
+"""[rad/s] at which viscous friction is as large as that; arms move as fast at most, and are learnt far slower. A
+joint that slides is as fast where what it carries, stretched out, would be at its end."""
 KINDS = 1 + len(TURN_SPEEDS)
 """Columns of friction of each output; those of one kind stand together."""
 NAMES = ('viscous', *(f'dry_{speed:g}' for speed in TURN_SPEEDS))
@@ -50,8 +51,9 @@ def friction_columns(body: RigidBody, velocity: Array) -> Array:
 
 
 def friction_scale(body: RigidBody) -> Array:
-    """(n,) [N m] what friction and offset of each output may be: a share of the torque that holds what the joint
-    carries, or of the largest effort that the robot description permits, whichever is larger."""
+    """(n,) [N m, N] what friction and offset of each output may be: a share of the torque that holds what the joint
+    carries stretched out (of its weight where the joint slides), or of the largest effort that the robot description
+    permits, whichever is larger."""
     limits = np.where(np.isfinite(body.effort_limits), body.effort_limits, 0.0)
     return np.asarray(np.maximum(output_scale(body), SHARE_OF_LIMIT * limits))
 
@@ -59,7 +61,9 @@ def friction_scale(body: RigidBody) -> Array:
 def friction_prior(body: RigidBody) -> Array:
     """(KINDS n,) prior standard deviations of the columns' coefficients, in the order of the columns."""
     scale = friction_scale(body)
-    return np.concatenate([scale / TOP_SPEED, np.tile(scale, len(TURN_SPEEDS))])
+    radius = np.array([size_beyond(body, joint).length if joint in body.prismatic else 1.0
+                       for joint in body.output_names])
+    return np.concatenate([scale / (TOP_SPEED * radius), np.tile(scale, len(TURN_SPEEDS))])
 
 
 @compiled

@@ -22,6 +22,7 @@ from scipy.linalg import null_space
 from semiparam_ros.core.compiled import Integers, Matrix, Part, compiled
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.robot.arm_motion import FEW, effort_regressors
+from semiparam_ros.core.robot.joint_units import sliding
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
@@ -237,7 +238,19 @@ class RigidBody:
     @property
     def output_units(self) -> tuple[str, ...]:
         """Unit of each channel."""
-        return ('N',) * 3 + ('N m',) * 3 if self.outputs == 'wrench' else ('N m',) * self.n_outputs
+        if self.outputs == 'wrench':
+            return ('N',) * 3 + ('N m',) * 3
+        return tuple(self.joint_unit(joint, 'N m') for joint in self.output_names)
+
+    @cached_property
+    def prismatic(self) -> frozenset[str]:
+        """Those of the joints that slide."""
+        models = ((joint, self.arm.joints[self.arm.getJointId(joint)]) for joint in self.joints)
+        return frozenset(joint for joint, model in models if model.shortname().startswith('JointModelP'))
+
+    def joint_unit(self, joint: str | None, unit: str) -> str:
+        """Unit of a joint's quantity, from that of a joint that turns: m for rad, N for N m where it slides."""
+        return sliding(unit) if joint in self.prismatic else unit
 
     @property
     def bodies(self) -> tuple[str, ...]:
