@@ -13,7 +13,9 @@ from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.types import Array
 
 LEAST_MASS, LEAST_LENGTH = 0.5, 0.1
-"""[kg], [m] of a robot whose description holds no inertias, or whose joints all meet in one point."""
+"""[kg], [m] of a robot at least, as where its joints all meet in one point."""
+MASS_PER_LENGTH = 20.0
+"""[kg/m] of an arm whose description holds no masses. Of those that do, an iCub has 5, a UR3 and a Panda 20."""
 SHARE = 0.2
 """Of its own mass, what an arm may carry, and of its own weight, what its gears may rub with."""
 LEAST_PART = 0.3
@@ -39,7 +41,8 @@ class Size(NamedTuple):
 def size_of(body: RigidBody) -> Size:
     """The size of the bodies that the outputs feel, as the robot description has them."""
     found = _beyond(body, 1)
-    return Size(max(found.mass, LEAST_MASS), max(found.length, LEAST_LENGTH))
+    length = max(found.length, LEAST_LENGTH)
+    return Size(max(found.mass or MASS_PER_LENGTH * length, LEAST_MASS), length)
 
 
 @lru_cache(maxsize=16)
@@ -103,7 +106,8 @@ def inertial_scale(body: RigidBody) -> Array:
     """
     whole = size_of(body)
     bodies = body.inertial_parameters.reshape(-1, 10)
-    mass = np.maximum(bodies[:, 0], LEAST_MASS_SHARE * whole.mass)
+    share = LEAST_MASS_SHARE if bodies[:, 0].any() else 1.0
+    mass = np.maximum(bodies[:, 0], share * whole.mass)
     centre = np.linalg.norm(bodies[:, 1:4], axis=1) / mass
     gyration = np.sqrt(np.maximum(bodies[:, [4, 6, 9]].max(axis=1), 0.0) / mass)
     length = np.maximum(np.maximum(centre, gyration), LEAST_LENGTH_SHARE * whole.length)

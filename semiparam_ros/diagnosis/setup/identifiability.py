@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import inertial_scale
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import gaps
-from semiparam_ros.diagnosis.setup.prior_misfit import inertial_spread
 
 MOST_GAPS_NAMED = 3
 
@@ -86,7 +86,7 @@ def unseen_bodies(body: RigidBody, samples: Samples, config: DiagnosisConfig = D
         columns = columns - columns.mean(axis=0)
     scale = samples.outputs.std(axis=0) + 1e-12
     rows = (columns / scale[:, None]).reshape(-1, body.n_parameters) / np.sqrt(len(samples) * body.n_outputs)
-    spread = inertial_spread(body).reshape(-1, 10)
+    spread = inertial_scale(body).reshape(-1, 10)
     spread[:, 4:] = 0.0
     shown, size, parts = np.linalg.svd(body.basis.T * spread.ravel(), full_matrices=False)
     possible = size > config.negligible * size[0]

@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_ndtr
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import inertial_scale
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.config import DiagnosisConfig
@@ -147,20 +148,10 @@ def nuisances(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Arr
     return np.concatenate([part[:, :, None] * identity for part in parts], axis=2)
 
 
-def inertial_spread(body: RigidBody) -> Array:
-    """(10 n_bodies,) how large mass, first moments and inertias of each body are, about the body's origin."""
-    spread = []
-    for parameters in body.inertial_parameters.reshape(-1, 10):
-        mass = max(float(parameters[0]), 1e-3)
-        reach = np.sqrt(max(float(parameters[[4, 6, 9]].sum()) / 2.0 / mass, 1e-6))
-        spread += [mass, *[mass * reach] * 3, *[mass * reach**2] * 6]
-    return np.array(spread)
-
-
 @lru_cache(maxsize=4)
 def _precision(body: RigidBody, deviation: float) -> Array:
     """(p, p) of the base parameters when inertial parameters are known to the share ``deviation`` of their size."""
-    deviations = deviation * inertial_spread(body)
+    deviations = deviation * inertial_scale(body)
     covariance = (body.basis.T * deviations**2) @ body.basis
     covariance += 1e-9 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
     return np.asarray(np.linalg.inv(covariance))
