@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.diagnosis.data.outliers import excluded, working_factor
+from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import Inputs, late, measured_lags
 from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
@@ -38,11 +40,13 @@ ROLES = ('position', 'velocity', 'acceleration')
 
 
 @cache
-def simulated(outputs='wrench', kind=None, motion='fourier', seed=0, samples=1000, rate_hz=20.0, urdf=None):
+def simulated(outputs='wrench', kind=None, motion='fourier', seed=0, samples=1000, rate_hz=20.0, urdf=None,
+              masses=True):
     effects = (EffectRequest(kind, size=3.0),) if kind else ()
     made = simulate(Scenario(motion=motion, samples=samples, rate_hz=rate_hz, outputs=outputs, effects=effects,
                              seed=seed, urdf=urdf))
-    body = RigidBody.from_urdf(made.urdf, made.joint_names, outputs, made.frame_id or None, made.convention)
+    described = made.urdf if masses else re.sub('<inertial>.*?</inertial>', '', made.urdf, flags=re.DOTALL)
+    body = RigidBody.from_urdf(described, made.joint_names, outputs, made.frame_id or None, made.convention)
     return body, Samples(made.stamps, made.position, made.velocity, made.acceleration, made.outputs,
                          int(made.stamps[0]))
 
@@ -173,6 +177,16 @@ def test_a_base_on_its_head_or_on_a_wall_is_no_wrong_sign():
     assert whats(body.with_gravity(np.array([0.0, 0.0, 9.81])), samples) == ['base_mounting']
     assert 'gravity along its -z axis' in setup_problems(body.with_gravity(np.array([0.0, 9.81, 0.0])),
                                                          samples)[0].sentence
+
+
+@pytest.mark.parametrize(('outputs', 'kind'), [('wrench', None), ('effort', None), ('wrench', 'sensor_offset')])
+def test_a_description_without_masses_is_learnt_and_blamed_for_nothing(outputs, kind):
+    body, samples = simulated(outputs, kind, masses=False)
+    assert not body.inertial_parameters.any()
+    assert not setup_problems(body, samples)
+    found = diagnose(body, samples)
+    assert [finding.effect.kind for finding in found.findings] == ([kind] if kind else [])
+    assert found.after.nmse.max() < 0.05
 
 
 def test_a_wrench_that_has_nothing_to_do_with_the_robot_is_said_to():
