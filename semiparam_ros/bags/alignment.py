@@ -164,6 +164,13 @@ class SampleStream:
         self._waiting: deque[tuple[int, Array, Array | None]] = deque()
         self._last: dict[str, int] = {}
         self._orders: dict[str, tuple[Sequence[str], list[int]]] = {}
+        self._named: set[str] = set()
+        """Joints of ours in messages that did not name all of them."""
+
+    @property
+    def apart(self) -> bool:
+        """Tell whether all joints come, but in several messages."""
+        return self._named.issuperset(self.joints)
 
     @property
     def pending(self) -> int:
@@ -264,8 +271,10 @@ class SampleStream:
             return None
         missing = [joint for joint in self.joints if list(names).count(joint) != 1]
         if missing:
+            self._named.update(set(self.joints).intersection(names))
+            end = '; others name the rest: publish all in one message.' if self.apart else '.'
             self._refuse('missing_joint', f'{what} at {in_seconds(stamp)} s must name joint {missing[0]!r} once; it '
-                                          f'names {listed(names)}.')
+                                          f'names {listed(names)}{end}')
             return None
         order = [list(names).index(joint) for joint in self.joints]
         self._orders[what] = (names[:], order)

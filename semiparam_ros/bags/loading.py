@@ -187,7 +187,7 @@ def _nothing_matched(bag: BagReader, stream: SampleStream, needed: Iterable[str]
     waiting = f'{lost} do not decode.' if lost else \
         f'{stream.pending} outputs have no joint state at or after their stamps.'
     reason = stream.last_fault or stream.last_ignored or waiting
-    renamed = stream.faults['missing_joint'] or stream.ignored
+    renamed = (stream.faults['missing_joint'] or stream.ignored) and not stream.apart
     remedy = ' semiparam convert --joint NAME=NEW renames joints.' if renamed else ''
     if renamed and not joints_given:  # those of the description count, all of them
         remedy = ' The parameter joints is not given, so every moving joint of the robot description is expected; ' \

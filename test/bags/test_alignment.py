@@ -218,6 +218,14 @@ def test_sentences_name_what_and_where():
     assert samples.last_fault == "wrench at 0.002000000 s is in frame 'elsewhere'; expected 'sensor'."
 
 
+def test_joints_that_come_in_several_messages_are_said_to():
+    samples = stream()
+    for names in (['hip', 'ankle'], ['knee']):
+        samples.joint_state(2_000_000, names, [0.0] * len(names), [0.0] * len(names))
+    assert samples.apart
+    assert samples.last_fault.endswith('it names knee; others name the rest: publish all in one message.')
+
+
 def test_any_frame_is_taken_when_none_is_named():
     assert feed(stream(sensor_frame=''), state(0), wrench(0, frame='elsewhere'))
 
