@@ -232,7 +232,8 @@ def _likely(odds: float) -> str:
     """Of a rival, against the effect that was chosen."""
     if 0.8 < odds < 1.25:
         return 'as likely'
-    return f'{max(odds, 1.0 / odds):.2g} times {"more" if odds > 1.0 else "less"} likely'
+    ratio = min(max(odds, 1.0 / odds), 1e6)
+    return f'{float(f"{ratio:.2g}"):.7g} times {"more" if odds > 1.0 else "less"} likely'
 
 
 def _dropped(diagnosis: Diagnosis) -> list[str]:
