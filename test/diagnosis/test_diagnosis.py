@@ -275,7 +275,7 @@ def test_a_rival_that_explains_it_better_is_told_apart_from_a_toss_up(friction):
         Rival('coulomb_friction', 'r_elbow', odds),))]))) for odds in (0.9, 370.0)}
     assert 'cannot be told for certain from coulomb_friction at r_elbow (as likely)' in told[0.9]
     assert 'would explain it better' not in told[0.9]
-    assert 'coulomb_friction at r_elbow (3.7e+02 times more likely) would explain it better' in told[370.0]
+    assert 'coulomb_friction at r_elbow (370 times more likely) would explain it better' in told[370.0]
 
 
 def test_dry_friction_that_turns_over_slowly_may_stand_in_for_a_viscous_one():
