@@ -28,9 +28,9 @@ class DiagnosisConfig:
     negligible: float = 1e-6
     """Takes less than this share for nothing: a direction that is held by declared columns already, a combination of
     masses that no motion could show, a velocity beside the change of its position (chosen)."""
-    looked_at: int = 4000
+    most_samples: int = 4000
     """Looks at no more than so many samples, or spans of time, evenly spread: more say nothing new (chosen)."""
-    in_turn: int = 6
+    rounds: int = 6
     """Fits two things in turn so often: a description and its noise, a model and where touches bend it (chosen)."""
 
     # --- what a recording must hold ---
@@ -91,8 +91,6 @@ class DiagnosisConfig:
     unseen_share: float = 5e-4
     """Calls a mass unseen when a change as large as itself moves the outputs by less than this share of their standard
     deviation: rich motions of iCub, UR3 and Franka show each by 1e-3 or more, a locked joint leaves 1e-5 (measured)."""
-
-    # --- regression ---
 
     # --- evaluation ---
 

@@ -55,7 +55,7 @@ def contacts(fit: Fit) -> list[Contact]:
 
 def _without_bursts(fit: Fit) -> Fit:
     """The same model fitted where nothing bursts: large touches bend a fit until everything seems to burst a little."""
-    for _ in range(fit.config.in_turn):
+    for _ in range(fit.config.rounds):
         calm = _deviations(fit).max(axis=1) < fit.config.contact_release
         use = fit.train_mask & calm
         if use.sum() < (1.0 - fit.config.most_contact_share) * fit.train_mask.sum():

@@ -125,4 +125,4 @@ def _stands_out(shares: Array, deviations: float) -> Mask:
 def samples_to_look_at(train_mask: Mask, config: DiagnosisConfig) -> Stamps:
     """Numbers of the samples to look at, evenly spread."""
     rows = np.flatnonzero(train_mask)
-    return rows[::max(-(-len(rows) // config.looked_at), 1)]
+    return rows[::max(-(-len(rows) // config.most_samples), 1)]

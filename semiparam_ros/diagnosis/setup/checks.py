@@ -293,7 +293,7 @@ def _spans(time: Array, values: Array, rates: Array, config: DiagnosisConfig) ->
     width = int(np.clip(round(config.span_s / typical), 1, max(len(time) // config.least_working_samples, 1)))
     pieces = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)])
-    starts = np.unique(np.linspace(0, max(len(time) - 1 - width, 0), config.looked_at).astype(int))
+    starts = np.unique(np.linspace(0, max(len(time) - 1 - width, 0), config.most_samples).astype(int))
     ends = np.minimum(starts + width, len(time) - 1)
     whole = time[ends] - time[starts] < (width + config.gap_steps) * typical
     starts, ends = starts[whole], ends[whole]

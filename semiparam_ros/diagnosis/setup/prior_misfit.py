@@ -86,7 +86,7 @@ def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvid
     grams, squares = equal.grams[telling], np.sum(left[:, telling] ** 2, axis=0)
     moments = np.matmul(left.T[telling, None], equal.scaled[telling])[:, 0]
     noise = deviation[telling]
-    for _ in range(equal.config.in_turn):
+    for _ in range(equal.config.rounds):
         weight = share / noise**2
         factor = cho_factor(np.tensordot(weight, grams, 1) + precision / np.outer(size, size))
         scaled = cho_solve(factor, weight @ moments)
