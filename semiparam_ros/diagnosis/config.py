@@ -20,14 +20,15 @@ class DiagnosisConfig:
     """Calls more than this share most of a thing: of an output's variance that a model leaves, of that what is no
     noise, of what a model leaves that errors of accelerations make, of samples that are zero (by the word)."""
     little: float = 0.1
-    """Calls less than this share little: what errors of accelerations make at the rate that is recommended, and what
-    the first effect leaves where somebody pushed an arm whose description is right (chosen)."""
+    """Calls less than this share little: what errors of accelerations make at the rate that is recommended, what the
+    first effect leaves where somebody pushed an arm whose description is right, and the integral of a velocity beside
+    the change of its position (chosen)."""
     alike: float = 0.7
-    """Calls two things alike beyond this cosine: outputs and prediction of which the ratio is a unit, two directions of
-    gravity, what two effects explain that are rivals (chosen)."""
+    """Calls two things alike beyond this cosine: outputs and prediction of which the ratio is a unit, what two effects
+    explain that are rivals (chosen)."""
     negligible: float = 1e-6
     """Takes less than this share for nothing: a direction that is held by declared columns already, a combination of
-    masses that no motion could show, a velocity beside the change of its position (chosen)."""
+    masses that no motion could show (chosen)."""
     most_samples: int = 4000
     """Looks at no more than so many samples, or spans of time, evenly spread: more say nothing new (chosen)."""
     rounds: int = 6
@@ -135,6 +136,8 @@ class DiagnosisConfig:
 
     # --- setup: outputs, orders, directions and mounting ---
 
+    same_gravity_cosine: float = 0.9
+    """Takes two directions of gravity for one beyond this cosine, 26 degrees (chosen)."""
     unit_tolerance: float = 2.0
     """Takes a ratio within this factor of a unit for it: a real UR3's efforts are 1.7 times the description's."""
     no_match_share: float = 0.4

@@ -189,6 +189,24 @@ def test_a_description_without_masses_is_learnt_and_blamed_for_nothing(outputs, 
     assert found.after.nmse.max() < 0.05
 
 
+def test_a_description_that_is_tilted_by_less_than_a_right_angle_is_no_base_on_its_head():
+    body, samples = simulated()
+    tilt = np.radians(35.0)
+    found = setup_problems(body.with_gravity(9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])), samples)
+    assert [each.what for each in found] == ['base_mounting']
+    assert 'gravity along its -z axis' in found[0].sentence
+
+
+@pytest.mark.parametrize('size', [1e-6, 1e-4, 1e-2])
+def test_a_velocity_that_is_hardly_more_than_noise_is_missing(size):
+    body, samples = simulated('effort')
+    noise = np.random.default_rng(0).standard_normal(len(samples))
+    velocity = samples.velocity.copy()
+    velocity[:, 1] = size * noise
+    assert [(each.what, each.where) for each in setup_problems(body, replace(samples, velocity=velocity))] == [
+        ('velocity_missing', body.joints[1])]
+
+
 def test_a_wrench_that_has_nothing_to_do_with_the_robot_is_said_to():
     body, samples = simulated()
     noise = np.random.default_rng(0).standard_normal(samples.outputs.shape)

@@ -153,7 +153,8 @@ def motion_problems(body: RigidBody, samples: Samples,
     signs, right = _put_right(body, samples, right, opposite, config)
     problems += signs
     for joint, (name, ratio) in enumerate(zip(joints, ratios, strict=True)):
-        silent = moving[joint] and np.std(integrals[:, joint]) < config.negligible * np.std(changes[:, joint])
+        little = np.std(integrals[:, joint]) < config.little * np.std(changes[:, joint])
+        silent = moving[joint] and little and math.isnan(ratio)  # else it is in another unit
         found = _silent(name) if silent else _velocity(name, ratio, config)
         if found is not None:
             problem, role, factor = found
@@ -469,8 +470,8 @@ def _other_mountings(body: RigidBody, samples: Samples, config: DiagnosisConfig)
     strength = float(np.linalg.norm(present))
     for sign, (axis, name) in product((1.0, -1.0), enumerate('xyz')):
         cosine = sign * float(present[axis]) / max(strength, 1e-12)
-        if cosine < config.alike:
-            how = 'upside down' if cosine < -config.alike else \
+        if cosine < config.same_gravity_cosine:
+            how = 'upside down' if cosine < -config.same_gravity_cosine else \
                 f'on its side, with gravity along its {"-" if sign < 0 else ""}{name} axis'
             yield Alternative(samples, SetupProblem('base_mounting', None, (
                 f'The recording fits the robot description far better when the base is mounted {how}: turn the first '
