@@ -100,9 +100,9 @@ class CauseFit(NamedTuple):
 
     @classmethod
     def of(cls, cause: Cause, grams: Array, sums: Array) -> CauseFit:
-        """Take the part of a cause from the A (S, K, K) and h (S, K) of all."""
-        values, vectors = np.linalg.eigh(grams[:, cause.part, cause.part])
-        along = np.einsum('skj,sk->sj', vectors, sums[:, cause.part])
+        """Take the A (S, k, k) and h (S, k) of a cause."""
+        values, vectors = np.linalg.eigh(grams)
+        along = np.einsum('skj,sk->sj', vectors, sums)
         return cls(cause, np.maximum(values, 0.0), vectors, along)
 
     @property

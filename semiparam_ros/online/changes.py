@@ -39,10 +39,11 @@ all others, those of other causes for six seconds too. It may have begun at any 
 blocks. The price is minus the log of the prior probability: robots pick up and put down, and the
 rest is rare.
 
-All this time the model predicts with the coefficients that it had before anything stood out. A
-change that was told is followed: its coefficients, from all quarters since it began, are taken off,
-so that the next change stands out in turn; and it is over when the model without it predicts
-better.
+The model predicts with the coefficients that it had eight seconds of motion ago, for it learns a
+change within a few; and, as long as anything stands out, with those from before. A change that was
+told is followed: its coefficients, from all quarters since it began, are taken off, so that the
+next change stands out in turn. It is over since a block where its evidence until there is larger,
+by ``SURE`` nat, than until now.
 """
 
 from __future__ import annotations
@@ -151,6 +152,8 @@ class MotionBlock(NamedTuple):
     end: int
     gram: Array  # (K, K) A
     moment: Array  # (K,) h
+    innovation: tuple[Array, float]
+    """(K,) h, and weighed squares, of the model as it was when the block began."""
     live: float  # weighed squares that the model leaves as it stands
     own: Array
     """(6, n) of each output the sums of w (1, t, t^2, r, r t, r^2), with weights w and time t in
@@ -172,12 +175,15 @@ class Usual:
     def __init__(self, length: int, n_causes: int) -> None:
         self.tail = Tail(n_causes, length * BLOCK_S)
         self._squares: deque[Array] = deque(maxlen=USUAL)
+        self._noise: deque[float] = deque(maxlen=USUAL)
 
-    def add(self, explained: Array) -> None:
-        """Of one window (c,) that nothing stands out of."""
+    def add(self, explained: Array, noise: float) -> None:
+        """Of one window (c,) that nothing stands out of, and what the whole rigid body explains of
+        its innovations."""
         if self.known:
             self.tail.add(np.sqrt(explained / self.mean))
         self._squares.append(explained)
+        self._noise.append(noise)
 
     @property
     def known(self) -> bool:
@@ -190,9 +196,9 @@ class Usual:
         return np.maximum(np.mean(self._squares, axis=0), 1.0)
 
     @property
-    def median(self) -> Array:
-        """(c,) the same of the usual window, whatever a few others were."""
-        return np.maximum(np.median(self._squares, axis=0), 1.0)
+    def noise(self) -> float:
+        """kappa: the mean square of innovations in the usual window, whatever a few others were."""
+        return max(float(np.median(self._noise)), 1.0)
 
     def ratio(self, explained: Array) -> float:
         """The largest over what stands out; 0 while nothing is known."""
@@ -217,13 +223,14 @@ class Followed:
     units of their prior."""
 
     def __init__(self, change: Change, judged: Judged, blocks: Sequence[MotionBlock]) -> None:
-        self.change, self.cause, self.blocks = change, judged.cause, 0
+        self.change, self.cause, self.blocks = change, judged.cause, len(blocks)
+        part = self.cause.part
         self.theta = judged.theta
-        self._latest: deque[Array] = deque(maxlen=SETTLED)
-        size = len(self.theta)
-        self._gram, self._moment = np.zeros((size, size)), np.zeros(size)
+        self._latest = deque([judged.theta], maxlen=SETTLED)
+        self._gram, self._moment = np.zeros((len(self.theta),) * 2), np.zeros(len(self.theta))
         for block in blocks:
-            self.add(block)
+            self._gram += block.gram[part, part]
+            self._moment += block.moment[part]
 
     def add(self, block: MotionBlock) -> None:
         """One more; the newest ones are left to say whether it goes on."""
@@ -234,6 +241,14 @@ class Followed:
             np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
         )
         self.theta, self.blocks = self._latest[0], self.blocks + 1
+
+    def without(self, grams: Array, sums: Array) -> CauseFit:
+        """How well it explains all blocks since it began but the last ones, which have these A
+        (S, K, K) and h (S, K)."""
+        part = self.cause.part
+        return CauseFit.of(
+            self.cause, self._gram - grams[:, part, part], self._moment - sums[:, part]
+        )
 
     def estimate(self, noise: float) -> tuple[Array, Array]:
         """(k,) its coefficients by all blocks, and (k, k) their covariance, under noise kappa."""
@@ -286,6 +301,8 @@ class ChangeDetector:
         self._newest: int | None = None
         self._reference: Array | None = None
         self._covariance: Array = np.zeros((0, 0))
+        self._before: deque[tuple[Array, Array]] = deque(maxlen=max(LENGTHS))
+        """Coefficients of the model and their covariance, when each of the last blocks ended."""
         self._familiar = UNSEEN_S
         self.followed: Followed | None = None
         self.touched = False
@@ -375,6 +392,7 @@ class ChangeDetector:
             weight = weight / UNSEEN_FACTOR
         if self._reference is None:
             self._refer()
+            self._began = model.theta.copy()
         assert self._reference is not None
         self._add(prediction, self._reference, weight, added)
         self._start = self._start or sample.stamp
@@ -382,14 +400,17 @@ class ChangeDetector:
         return None if self._seconds < BLOCK_S - 1e-6 else self._finish_block(sample.stamp, theta)
 
     def _refer(self) -> None:
-        """Compare with the model as it stands from now on."""
+        """Compare with the model from before the longest window from now on."""
         assert self._model is not None
-        self._reference, self._held, self._compared = self._model.theta.copy(), False, np.zeros(3)
         # what noise repeats is in kappa
         everything = self._model.recursion.theta_covariance(white=True)
         columns = self._own_columns
         scale = np.outer(self._own_scale, self._own_scale)
-        self._covariance = everything[np.ix_(columns, columns)] / scale
+        covariance = everything[np.ix_(columns, columns)] / scale
+        self._before.append((self._model.theta.copy(), covariance))
+        self._held, self._compared = False, np.zeros(3)
+        reference, self._covariance = self._before[0]
+        self._reference = reference.copy()
 
     def _add(
         self, prediction: Prediction, reference: Array, weight: Array, added: Array | None
@@ -436,28 +457,33 @@ class ChangeDetector:
         directions = self._directions
         self._move_to_hand()
         assert self._reference is not None
-        learnt = np.zeros(len(directions))
-        learnt[: self._n_own] = (theta - self._reference)[: self._n_own]
-        live = float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
+        before = self._learnt(self._began)
         block = MotionBlock(
             self._start,
             stamp,
             directions.T @ self._gram @ directions,
             directions.T @ self._moment,
-            live,
+            (directions.T @ (self._moment - self._gram @ before), self._squares_left(before)),
+            self._squares_left(self._learnt(theta)),
             self._own,
             self._wrench,
             self._added,
         )
         self._begin_block()
+        self._began = theta.copy()
         if not np.isfinite(block.own).all() or not np.isfinite(block.gram).all():
             self.reset()  # no sensor measures that
             return None
         self._blocks.append(block)
         self.finished = block
         self._count += 1
-        if self.followed is not None:
-            self.followed.add(block)
+        followed = self.followed
+        if followed is not None:
+            followed.add(block)
+            if (ended := self._end(followed)) is not None:
+                self.followed, self._standing, self._compared = None, 0, np.zeros(3)
+                self._blocks.clear()
+                return followed.change._replace(noticed=stamp, ended=ended)
         ratios = self._outstanding(self._left(self.followed))
         outstanding = max(ratios, default=0.0)
         latest = max(ratios[:RELEASED], default=0.0)
@@ -475,17 +501,29 @@ class ChangeDetector:
             self._calm(block)
         return None
 
+    def _learnt(self, theta: Array) -> Array:
+        """(p + t,) coefficients that have come to the reference."""
+        assert self._reference is not None
+        learnt = np.zeros(len(self._directions))
+        learnt[: self._n_own] = (theta - self._reference)[: self._n_own]
+        return learnt
+
+    def _squares_left(self, learnt: Array) -> float:
+        """Weighed squares that a model leaves of the block, which has come so far (p + t,)."""
+        return float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
+
     def _calm(self, block: MotionBlock) -> None:
         """Nothing stands out: go on with the model as it stands, unless the one from before
         predicts better."""
         if self.followed is None:
             self.touched = False
-            self._power.append(float(block.own[-1].sum()))
+            self._power.append(block.innovation[1])
         if self._held:  # charge what the model from before leaves, with the change that is followed
             left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
             self._compared = COMPARED * self._compared + (left, block.live, 1.0)
             if self._compared[2] < LEAST_COMPARED or self._compared[1] > self._compared[0]:
                 return
+            self._before.clear()
         self.followed = None
         self._refer()
 
@@ -494,15 +532,13 @@ class ChangeDetector:
         the lengths."""
         lengths = [length for length in LENGTHS if length <= len(self._blocks)]
         starts, ratios = len(self._blocks) - np.array(lengths, dtype=int), list[float]()
-        found = self._explained(
-            _since(np.array([block.gram for block in self._blocks]), starts),
-            _since(moments, starts),
-        )
+        grams = _since(np.array([block.gram for block in self._blocks]), starts)
+        found = self._explained(grams, _since(moments, starts))
         free = self.followed is None and not self.touched
         for length, usual, explained in zip(lengths, self._usual, found, strict=False):
             ratios.append(usual.ratio(explained))
             if free and ratios[-1] < 1.0 and self._count % length == 0:
-                usual.add(explained)
+                usual.add(explained, self._noise_of(length))
         return ratios
 
     def _left(self, followed: Followed | None) -> Array:
@@ -513,6 +549,15 @@ class ChangeDetector:
                 if block.start >= followed.change.since:
                     moment -= block.gram[:, followed.cause.part] @ followed.theta
         return moments
+
+    def _noise_of(self, length: int) -> float:
+        """What the whole rigid body explains of the innovations of so many blocks."""
+        latest = list(self._blocks)[-length:]
+        gram, moment = (
+            np.sum([each.gram for each in latest], axis=0),
+            np.sum([each.innovation[0] for each in latest], axis=0),
+        )
+        return float(self._explained(gram[None], moment[None])[0, -1])
 
     def _explained(self, grams: Array, moments: Array) -> Array:
         """(S, c) what each cause explains of windows, over the number of directions that it tells
@@ -544,20 +589,17 @@ class ChangeDetector:
     def noise(self) -> float:
         """kappa: the usual mean square of what the whole rigid body explains, over the longest
         windows known."""
-        return float(next(usual.median[-1] for usual in reversed(self._usual) if usual.known))
+        return next(usual.noise for usual in reversed(self._usual) if usual.known)
 
     def _tell(self, stamp: int) -> Change | None:
         """Which hypothesis what stands out speaks for."""
         followed = self.followed
         again = followed is not None and followed.blocks < JUDGED_ANEW
-        if followed is not None and (ended := self._end(followed)) is not None:
-            self.followed, self._standing, self._compared = None, 0, np.zeros(3)
-            self._blocks.clear()
-            return followed.change._replace(noticed=stamp, ended=ended)
         best, learns = self._likeliest(None if again else followed)
         self.touched = followed is None and not learns
         if learns and followed is None:
             self._blocks.clear()
+            self._before.clear()
             self._standing = 0
             self._refer()
             return None
@@ -586,7 +628,10 @@ class ChangeDetector:
         blocks, moments = np.array([block.gram for block in self._blocks]), self._left(followed)
         power = np.array([block.own[-1].sum() for block in self._blocks]) - self._gained(followed)
         grams, sums = _since(blocks, starts), _since(moments, starts)
-        fits = [CauseFit.of(cause, grams, sums) for cause in self.causes]
+        fits = [
+            CauseFit.of(cause, grams[:, cause.part, cause.part], sums[:, cause.part])
+            for cause in self.causes
+        ]
         learnt, gained, volume = self._learning(grams, sums)
         left = _since(power, starts) - np.max([learnt, *(fit.explained for fit in fits)], axis=0)
         growth = np.maximum(left / (np.median(self._power) * counts), 1.0)
@@ -671,14 +716,20 @@ class ChangeDetector:
         )
         if self._usual[0].ratio(self._explained(gram[None], moment[None])[0]) >= 1.0:
             return None
-        since = [block.start >= followed.change.since for block in self._blocks]
-        gains = -0.5 * self._gained(followed)[since]
-        power = np.array([block.own[-1].sum() for block in self._blocks])[since]
-        counts = np.arange(len(gains), 0, -1)
-        left = np.cumsum(power[::-1])[::-1] / (np.median(self._power) * counts)
-        gains = np.cumsum(gains[::-1])[::-1] / (self.noise * np.maximum(left, 1.0))
+        since = [block for block in self._blocks if block.start >= followed.change.since]
+        starts = np.arange(len(since))
+        grams, sums, power = (
+            _since(np.array(values), starts)
+            for values in zip(
+                *((each.gram, each.moment, each.own[-1].sum()) for each in since), strict=True
+            )
+        )
+        usual = np.median(self._power) * (len(since) - starts)
+        kappa = self.noise * np.maximum(power / usual, 1.0)
+        until = followed.without(grams, sums).evidence(kappa)
+        gains = until - followed.without(0.0 * grams, 0.0 * sums).evidence(kappa)
         at = int(gains.argmax())
-        return self._blocks[at - len(gains)].start if gains[at] > SURE else None
+        return since[at].start if gains[at] > SURE else None
 
     def _change(self, stamp: int, judged: Judged) -> Change:
         blocks = list(self._blocks)[-judged.blocks :]

@@ -10,7 +10,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
-from semiparam_ros.online.changes import ChangeDetector
+from semiparam_ros.online.changes import LENGTHS, ChangeDetector
 from semiparam_ros.online.wandering_contact import WANDERS, wandering
 from support.changing_arm import LOADED_S, elbow_rests, free, loaded, offered, pushed
 
@@ -42,6 +42,31 @@ def test_a_load_is_noticed_within_a_second_and_so_is_its_end():
     assert last.number == first.number
     assert abs(first.value - mass) < 0.25 * mass, 'one second tells little more'
     assert detector.followed is None
+
+
+def test_a_small_load_that_the_model_learns_meanwhile_is_there_until_it_is_put_down():
+    """Of 25 g; over when its first values, of half a second, predicted worse than none did."""
+    body, samples, _ = loaded()
+    outputs = 0.85 * free()[1].outputs + 0.15 * samples.outputs
+    (first, last), _, _ = told(body, replace(samples, outputs=outputs))
+    assert first.kind == 'payload'
+    assert first.ended is None
+    assert last.number == first.number
+    assert abs((last.ended - samples.origin) * 1e-9 - LOADED_S[1]) < 1.0
+
+
+def test_what_comes_is_judged_by_the_model_from_before_the_longest_window():
+    body, samples = free()
+    estimator = Estimator(body, ModelOptions(variant='P', initial_samples=200))
+    detector, models = ChangeDetector(estimator.columns), []
+    for sample in samples[samples.time < 40.0]:
+        prediction = estimator.predict(sample)
+        _, model = estimator.rigid_body_part(prediction)
+        detector.see(prediction, model)
+        if detector.finished is not None:
+            models.append(model.theta.copy())
+        estimator.observe(prediction, prediction.motion.is_news)
+    assert (detector.reference == models[-max(LENGTHS)]).all()
 
 
 def test_nothing_is_told_where_nothing_changes():
