@@ -568,6 +568,7 @@ class ChangeWatch:
 
     def _retract(self, number: int) -> None:
         self._name_no_more(number)
+        self.applied.drop(number)
         followed = self._followed
         if self.detector is not None and followed is not None and followed.change.number == number:
             self.detector.reset()

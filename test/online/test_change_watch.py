@@ -107,6 +107,19 @@ def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
     assert stage.changes[-1].change.number > record.change.number, 'it still stands out'
 
 
+def test_an_effect_that_is_no_more_the_name_of_a_change_is_tried_no_more():
+    """It was applied to a robot of which the record said that it had not changed."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply')
+    watch, (record, *_) = stage.learner.changes, stage.changes
+    there = samples[samples.time < LOADED_S[0] + 20.0]
+    watch._named(record.change.number, name_change(body, there, [], LOADED_S[0]), None)
+    assert [trial.effect.kind for trial in watch.applied.trials] == ['payload']
+    watch._named(record.change.number, name_change(body, free()[1], [], LOADED_S[0]), None)
+    assert stage.changes[-1].retracted
+    assert not watch.applied.trials
+
+
 @pytest.mark.parametrize('paused_at', [LOADED_S[0], LOADED_S[0] + 3.0])
 def test_a_load_is_named_where_the_robot_paused_before_or_after_it_was_picked_up(paused_at):
     """Seconds of motion count; after a pause of two minutes nothing was left to compare with."""
