@@ -12,7 +12,7 @@ of one joint that slips by two to four; a cable's spring that catches the hand; 
 listed kind; a hand that pushes three times for 5 s; and nothing. Seeds choose masses, joints and
 directions.
 
-*Noticed*: within 3 s of the change its state is no longer "as it was". *Named*: the record of it
+*Noticed*: within 3 s of motion its state is no longer "as it was". *Named*: the record of it
 has the right effect, 30 s after it or when it ends. *Back*: within 30 s of the change, the
 error of the predictions is, until the next change and for five seconds at least, within 1.3 times its
 floor: that of the same robot which never changes, or was changed from the beginning; and after how
@@ -46,6 +46,7 @@ from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.types import Array
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.change_watch import STATES, ChangeRecord
+from semiparam_ros.online.contact_gate import SPEEDS
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.robot_description import moving_joints, robot_description
 from semiparam_ros.simulation.arm import Arm
@@ -363,6 +364,15 @@ def back_after(time: Array, squares: Array, floor: Array, at: float, until: floa
     return float('inf')
 
 
+def after_motion(samples: Samples, at: float, seconds: float) -> float:
+    """[s] when so many seconds of motion have passed since ``at``; nothing shows at rest."""
+    time = samples.time
+    moves = (np.abs(samples.velocity).max(axis=1) > SPEEDS[0]) & (time >= at)
+    moved = np.cumsum(np.diff(time, prepend=time[0]) * moves)
+    late = time[moved >= seconds]
+    return float(late[0] if len(late) else time[-1])
+
+
 def judged(robot: Robot, change: str, seed: int) -> Figures:
     """One case."""
     case = case_of(robot, change, seed)
@@ -387,8 +397,9 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
         seconds(decision.stamp) for record in told for decision in record.decisions[-1:]
     ]
     for number, at in enumerate(case.times):
-        soon = any(at <= when < at + NOTICED_S for when in decided)
-        noticed += soon or bool(unusual[(time >= at) & (time < at + NOTICED_S)].any())
+        until = after_motion(case.samples, at, NOTICED_S)
+        soon = any(at <= when < until for when in decided)
+        noticed += soon or bool(unusual[(time >= at) & (time < until)].any())
         if change == 'load' and number == 1:  # it is put down
             near = [record for record in told if abs(seconds(record.change.ended) - at) < NAMED_S]
             named += bool(near)
