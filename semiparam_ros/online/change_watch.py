@@ -48,8 +48,10 @@ if TYPE_CHECKING:
 
 BEFORE_S = 60.0
 """So much of what came before a change is looked at, pauses not counted."""
-NAMED_AFTER_S = (6.0, 12.0, 25.0, 50.0)
-"""[s of motion] So long after it began a change is named, and named anew."""
+MORE_MOTION = 1.5
+"""What a load is, is estimated anew after so many times as much motion."""
+NAMED_AFTER_S = tuple(6.0 * MORE_MOTION**times for times in range(6))
+"""[s of motion] So long after it began a change is named, and named anew: 6 to 46 s."""
 MOST_RECORDS = 50
 """The latest changes are kept."""
 
@@ -68,8 +70,6 @@ NAMED_TWICE = 2
 HELD_S = 30.0
 """[s of motion] What stands out is kept from being learnt no longer; and so long nothing is told of
 what no effect explains, while it is learnt."""
-MORE_MOTION = 1.5
-"""A load that has no name yet is estimated anew after so many times as much motion."""
 
 
 class Decision(NamedTuple):
