@@ -68,8 +68,8 @@ QUIET = (*STATES[:3], STATES[5])
 NAMED_TWICE = 2
 """Namings without an effect after which a change is learnt."""
 HELD_S = 30.0
-"""[s of motion] What stands out is kept from being learnt no longer; and so long nothing is told of
-what no effect explains, while it is learnt."""
+"""[s of motion] What stands out is kept from being learnt no longer; as much motion in which nothing
+does makes up for it."""
 
 
 class Decision(NamedTuple):
@@ -253,7 +253,7 @@ class ChangeWatch:
         self.applied = AppliedEffects(body)
         self.holds = False
         """Whether the next sample is not to be learnt."""
-        self._held_s = self._learns_s = 0.0
+        self._held_s = 0.0
         self._assumed = 0, 0
         """The change whose load is taken off before it is named, and of how many blocks it is."""
         self._body, self._background, self._told, self._failed = body, background, told, failed
@@ -312,7 +312,7 @@ class ChangeWatch:
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
-        self.holds, self._learns_s = False, 0.0
+        self.holds = False
         self.applied.assume(None)
 
     def reset(self) -> None:
@@ -410,27 +410,25 @@ class ChangeWatch:
     def _hold(self, detector: ChangeDetector) -> None:
         """Keep what stands out from being learnt until it is known what it is."""
         if not self.applies:  # all is learnt, and told
-            self.holds, self._held_s, self._learns_s = False, 0.0, 0.0
-            return
-        if self._learns_s > 0.0:
-            self._learns_s -= BLOCK_S
-            if detector.stands_out:
-                detector.reset()  # what the model learns is no other change
+            self.holds, self._held_s = False, 0.0
             return
         followed = detector.followed
         waits = followed is not None and self._waits(followed.change.number)
         if not (detector.stands_out or waits):
-            self.holds, self._held_s = False, 0.0
+            self.holds, self._held_s = False, max(self._held_s - BLOCK_S, 0.0)
+        elif self._held_s >= HELD_S:
+            self._learn()
         elif followed is None or waits:
-            self.holds = self._held_s < HELD_S
-            self._held_s += BLOCK_S
+            self.holds, self._held_s = True, self._held_s + BLOCK_S
         elif self.holds:
             self._learn()
             self._decide(followed.change.number, Decision(LEARNT, self._now))
 
     def _learn(self) -> None:
-        """Let the model learn what no effect of the robot explains."""
-        self.holds, self._held_s, self._learns_s = False, 0.0, HELD_S
+        """Let the model learn what no effect of the robot explains; with it another error is usual."""
+        self.holds, self._held_s = False, 0.0
+        if self.detector is not None:
+            self.detector.forget()
 
     def _with_provisional(self, prediction: Prediction, model: Model) -> tuple[Prediction, Model]:
         """What the detector judges: it follows a load itself until that is named."""
@@ -550,7 +548,7 @@ class ChangeWatch:
             self.records[number] = record
             if record.retracted:
                 self._retract(number)
-                if record.effect is None and not record.brief:
+                if record.effect is None and not record.brief and self.applies:
                     self._learn()
             self._told(record)
             self._try(record)

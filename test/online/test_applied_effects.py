@@ -134,7 +134,7 @@ def test_what_no_effect_explains_is_learnt_and_told_no_more(monkeypatch, stiffne
     assert max(noticed) < 110.0
     learning = stage.learner.history.batch().learning
     time = samples.time[: len(learning)]
-    assert np.mean(learning[(time > 95.0) & (time < 125.0)] > 0) > 0.95
+    assert np.mean(learning[(time > 105.0) & (time < 125.0)] > 0) > 0.95
 
 
 def test_an_offset_that_came_for_seconds_is_remembered_no_more_and_one_that_stayed_is():
@@ -156,15 +156,15 @@ def test_an_offset_that_came_for_seconds_is_remembered_no_more_and_one_that_stay
     assert there(100, 10, jump=True) == [True]
 
 
-def test_what_is_learnt_is_told_again_as_soon_as_nothing_is_applied():
-    """With ``report`` nothing is kept from being learnt, so nothing is kept from being told."""
+def test_after_what_no_effect_explains_it_is_learnt_what_is_usual_and_told_what_comes_next():
     body, samples = free()
-    jump = 0.5 * samples.outputs.std(axis=0) * (samples.time >= 76.0)[:, None]
+    jump = 0.5 * samples.outputs.std(axis=0) * (samples.time >= 90.0)[:, None]
     jumped = replace(samples, outputs=samples.outputs + jump)
     stage = offered(body, jumped[samples.time < 75.0], diagnosis_auto='apply')
     stage.learner.changes._learn()  # as when no effect explained what stood out
-    stage.learner.settings = replace(stage.learner.settings, diagnosis_auto='report')
-    stage.offer(jumped[(samples.time >= 75.0) & (samples.time < 90.0)])
+    stage.offer(jumped[(samples.time >= 75.0) & (samples.time < 80.0)])
+    assert stage.learner.changes.state == 'learns what is usual'
+    stage.offer(jumped[(samples.time >= 80.0) & (samples.time < 98.0)])
     assert [record.change.kind for record in stage.changes][-1:] == ['sensor_offset']
 
 
