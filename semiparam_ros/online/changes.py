@@ -532,8 +532,10 @@ class ChangeDetector:
         the lengths."""
         lengths = [length for length in LENGTHS if length <= len(self._blocks)]
         starts, ratios = len(self._blocks) - np.array(lengths, dtype=int), list[float]()
-        grams = _since(np.array([block.gram for block in self._blocks]), starts)
-        found = self._explained(grams, _since(moments, starts))
+        found = self._explained(
+            _since(np.array([block.gram for block in self._blocks]), starts),
+            _since(moments, starts),
+        )
         free = self.followed is None and not self.touched
         for length, usual, explained in zip(lengths, self._usual, found, strict=False):
             ratios.append(usual.ratio(explained))
@@ -551,13 +553,13 @@ class ChangeDetector:
         return moments
 
     def _noise_of(self, length: int) -> float:
-        """What the whole rigid body explains of the innovations of so many blocks."""
-        latest = list(self._blocks)[-length:]
-        gram, moment = (
-            np.sum([each.gram for each in latest], axis=0),
-            np.sum([each.innovation[0] for each in latest], axis=0),
-        )
-        return float(self._explained(gram[None], moment[None])[0, -1])
+        """What the whole rigid body explains of the innovations of so many blocks, over the number
+        of directions that it tells of."""
+        latest, part = list(self._blocks)[-length:], self.causes[-1].part
+        gram = np.sum([each.gram[part, part] for each in latest], axis=0)
+        moment = np.sum([each.innovation[0][part] for each in latest], axis=0)
+        inverse = np.linalg.inv(_with_prior(gram))
+        return float(moment @ inverse @ moment / max(len(moment) - np.trace(inverse), 1.0))
 
     def _explained(self, grams: Array, moments: Array) -> Array:
         """(S, c) what each cause explains of windows, over the number of directions that it tells
