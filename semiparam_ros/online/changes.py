@@ -453,10 +453,10 @@ class ChangeDetector:
             self._wrench[1][...] += (felt @ moment).T.ravel()
         self._moved = self._own.copy()
 
-    def _finish_block(self, stamp: int, theta: Array) -> Change | None:
+    def _block(self, stamp: int, theta: Array) -> MotionBlock:
+        """The block that ends at a stamp; the next one begins."""
         directions = self._directions
         self._move_to_hand()
-        assert self._reference is not None
         before = self._learnt(self._began)
         block = MotionBlock(
             self._start,
@@ -471,6 +471,10 @@ class ChangeDetector:
         )
         self._begin_block()
         self._began = theta.copy()
+        return block
+
+    def _finish_block(self, stamp: int, theta: Array) -> Change | None:
+        block = self._block(stamp, theta)
         if not np.isfinite(block.own).all() or not np.isfinite(block.gram).all():
             self.reset()  # no sensor measures that
             return None
