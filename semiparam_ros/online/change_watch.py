@@ -345,7 +345,7 @@ class ChangeWatch:
     def _judge(self, detector: ChangeDetector, block: MotionBlock) -> None:
         """Apply what the blocks speak for, take back what they speak against, drop the rest."""
         applied, now = self.applied, block.end
-        trial = applied.judge(block, detector.noise, detector.usual_squares, self.applies)
+        trial = applied.judge(block, detector.innovation_noise, detector.usual_squares, self.applies)
         if trial is not None and trial.remembered and not trial.applied:
             rival = detector.likeliest()  # another load than the one that is known
             trial = None if rival is not None and rival.evidence > 0.0 else trial

@@ -196,8 +196,13 @@ class Usual:
         return np.maximum(np.mean(self._squares, axis=0), 1.0)
 
     @property
+    def median(self) -> float:
+        """What the whole rigid body explains of the usual window, whatever a few others were."""
+        return max(float(np.median([squares[-1] for squares in self._squares])), 1.0)
+
+    @property
     def noise(self) -> float:
-        """kappa: the mean square of innovations in the usual window, whatever a few others were."""
+        """The same of its innovations."""
         return max(float(np.median(self._noise)), 1.0)
 
     def ratio(self, explained: Array) -> float:
@@ -289,6 +294,8 @@ class ChangeDetector:
         """Begin anew, as with another model."""
         self._usual = [Usual(length, len(self.causes)) for length in LENGTHS]
         self._power: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
+        self._innovations: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
+        """Weighed squares of free blocks, and of their innovations."""
         self._noise_std: Array | None = None
         """(n,) of the first model: the scale of all that is usual."""
         self._model: Model | None = None
@@ -358,7 +365,7 @@ class ChangeDetector:
     @property
     def usual_squares(self) -> float:
         """Weighed squares that a block of free motion has."""
-        return float(np.median(self._power))
+        return float(np.median(self._innovations))
 
     def see(
         self,
@@ -521,7 +528,8 @@ class ChangeDetector:
         predicts better."""
         if self.followed is None:
             self.touched = False
-            self._power.append(block.innovation[1])
+            self._power.append(float(block.own[-1].sum()))
+            self._innovations.append(block.innovation[1])
         if self._held:  # charge what the model from before leaves, with the change that is followed
             left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
             self._compared = COMPARED * self._compared + (left, block.live, 1.0)
@@ -595,6 +603,11 @@ class ChangeDetector:
     def noise(self) -> float:
         """kappa: the usual mean square of what the whole rigid body explains, over the longest
         windows known."""
+        return next(usual.median for usual in reversed(self._usual) if usual.known)
+
+    @property
+    def innovation_noise(self) -> float:
+        """The same of innovations, for what is known to have come."""
         return next(usual.noise for usual in reversed(self._usual) if usual.known)
 
     def _tell(self, stamp: int) -> Change | None:
@@ -730,8 +743,8 @@ class ChangeDetector:
                 *((each.gram, each.moment, each.own[-1].sum()) for each in since), strict=True
             )
         )
-        usual = np.median(self._power) * (len(since) - starts)
-        kappa = self.noise * np.maximum(power / usual, 1.0)
+        usual = self.usual_squares * (len(since) - starts)
+        kappa = self.innovation_noise * np.maximum(power / usual, 1.0)
         until = followed.without(grams, sums).evidence(kappa)
         gains = until - followed.without(0.0 * grams, 0.0 * sums).evidence(kappa)
         at = int(gains.argmax())
