@@ -129,10 +129,9 @@ class ChangeRecord:
         """Whether it was no change after all: no effect explains it better than none, or it was
         over as soon as a contact is and no load."""
         effect = self.effect
-        if self.was_applied:
-            return False
         if effect is None:
-            return self.brief or (self.named is not None and bool(self.change.kind))
+            unexplained = self.brief or (self.named is not None and bool(self.change.kind))
+            return unexplained and not self.was_applied
         return self.brief and not effect.is_load
 
     @property
@@ -175,10 +174,11 @@ class ChangeRecord:
         begun, ended = self.times_s
         since = f'since {begun:.2f} s' if begun is not None else 'from before'
         until = '' if ended is None else f', over at {ended:.2f} s'
+        decided = f' It was {self.decisions[-1].sentence}.' if self.decisions else ''
         if self.retracted:
             brief = change.ended is not None
             why = 'it was over as soon as a contact is' if brief else 'no effect explains it'
-            return f'the robot has not changed {since}{until}: {why}.'
+            return f'the robot has not changed {since}{until}: {why}.{decided}'
         if effect is None:
             what = (
                 f'likeliest {place(change.kind, change.where)}' if change.kind else 'nothing known'
@@ -186,13 +186,13 @@ class ChangeRecord:
             asked = '' if self.named is None else '; no effect explains it better than none'
             felt = ', '.join(change.outputs[:3])
             unnamed = f' It could not be named: {self.unnamed}' if self.unnamed else ''
-            return f'the robot has changed {since}{until} ({what}, felt by {felt}){asked}.{unnamed}'
+            return (f'the robot has changed {since}{until} ({what}, felt by {felt}){asked}.'
+                    f'{unnamed}{decided}')
         assert self.named is not None
         values = ', '.join(
             f'{name} {value.value:.3g} +- {value.std or 0.0:.1g} {value.unit}'.rstrip()
             for name, value in list(self.named.parameters.items())[:4]
         )
-        decided = f' It was {self.decisions[-1].sentence}.' if self.decisions else ''
         what = place(effect.kind, effect.where)
         return f'{what} {since}{until}: {effect.sentence} ({values}).{decided}'
 
@@ -280,6 +280,22 @@ class ChangeWatch:
         if self.applied.applied:
             return STATES[5]
         return STATES[2] if detector.knows else STATES[1]
+
+    @property
+    def latest(self) -> ChangeRecord | None:
+        """That of the change noticed last; None before any."""
+        records = self.records.values()
+        return max(records, key=lambda record: record.change.number, default=None)
+
+    @property
+    def sentence(self) -> str:
+        """For people: what the latest change is while it lasts, and the state at any other time."""
+        latest, state = self.latest, self.state
+        if latest is None:
+            return f'the robot: {state}.'
+        if state in STATES[4:] and latest.change.ended is None:
+            return latest.sentence
+        return f'the robot: {state}. The latest change: {latest.sentence}'
 
     @property
     def picked(self) -> tuple[bool, Load | None]:
